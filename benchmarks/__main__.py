@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import psutil
 
 from benchmarks.claims import claims_row
-from benchmarks.instance import DATA, GB, STAGE, instance, klein, mission_with, settle, told
+from benchmarks.instance import DATA, GB, STAGE, endpoint_info, instance, klein, mission_with, settle
 from benchmarks.recordings import recording_rows
 from benchmarks.rights import rights_row
 from benchmarks.runs import run_rows
@@ -43,74 +43,74 @@ STARTS = int(os.environ.get("KLEINKRAM_BENCH_STARTS", "30"))
 
 def main() -> None:
     """Measure the rows that are named (`python -m benchmarks small starts`), or everything; each is told at once."""
-    wanted = set(sys.argv[1:]) or ROWS
-    if unknown := wanted - ROWS:
+    selected = set(sys.argv[1:]) or ROWS
+    if unknown := selected - ROWS:
         raise SystemExit(f"no rows called {', '.join(sorted(unknown))}; there are {', '.join(sorted(ROWS))}")
     shutil.rmtree(STAGE, ignore_errors=True)
     STAGE.mkdir()
     rows: list[Row] = []
     print("| what | measured | bar | met |\n|---|---|---|---|", flush=True)
-    for row in measured(wanted):
+    for row in measured(selected):
         also = f"; {row['also']}" if "also" in row else ""
-        told_of_it = f"{row['measured']}{also} | {row['bar']} | {'yes' if row['met'] else 'NO'}"
-        print(f"| {row['what']} | {told_of_it} |", flush=True)
+        cells = f"{row['measured']}{also} | {row['bar']} | {'yes' if row['met'] else 'NO'}"
+        print(f"| {row['what']} | {cells} |", flush=True)
         rows.append(row)
         (STAGE / "results.json").write_text(json.dumps(rows, indent=1) + "\n")
 
 
-def measured(wanted: set[str]) -> Iterator[Row]:
+def measured(selected: set[str]) -> Iterator[Row]:
     """Yield the rows that are wanted, as they are measured."""
-    if wanted != {"recordings"}:
+    if selected != {"recordings"}:
         with instance():
             klein("project", "create", "bench")
-    if "memory" in wanted:
+    if "memory" in selected:
         with instance():
             yield memory_row()
-    if wanted & {"transfers", "small", "summaries"}:
-        yield from rows_of_an_instance(wanted)
-    if "people" in wanted:
+    if selected & {"transfers", "small", "summaries"}:
+        yield from rows_of_an_instance(selected)
+    if "people" in selected:
         with instance():
-            yield sign_in_row(told()["url"], (DATA / "owner-token").read_text().strip())
-    if "recordings" in wanted:
+            yield sign_in_row(endpoint_info()["url"], (DATA / "owner-token").read_text().strip())
+    if "recordings" in selected:
         yield from recording_rows(STAGE / "recordings")
-    if "starts" in wanted:
+    if "starts" in selected:
         yield from start_rows()
-    if "rights" in wanted:  # it leaves much behind
+    if "rights" in selected:  # it leaves much behind
         with instance() as environment:
             owner_token = (DATA / "owner-token").read_text().strip()
-            yield rights_row(told()["url"], owner_token, environment["KLEINKRAM_DATABASE_URL"])
-    if wanted & {"runs", "claims"}:
-        yield from rows_of_runs(wanted)
-    if "web" in wanted:
+            yield rights_row(endpoint_info()["url"], owner_token, environment["KLEINKRAM_DATABASE_URL"])
+    if selected & {"runs", "claims"}:
+        yield from rows_of_runs(selected)
+    if "web" in selected:
         yield from rows_of_the_web()
-    if "scale" in wanted:
+    if "scale" in selected:
         for size in SIZES:
             yield from rows_of_a_size(size)
 
 
-def rows_of_an_instance(wanted: set[str]) -> Iterator[Row]:
+def rows_of_an_instance(selected: set[str]) -> Iterator[Row]:
     """Measure against one instance."""
     with instance() as environment:
-        if "transfers" in wanted:
+        if "transfers" in selected:
             yield upload_row(environment)
             yield download_row(environment)
-        if "small" in wanted:
+        if "small" in selected:
             yield small_files_row(environment)
-        if "summaries" in wanted:
+        if "summaries" in selected:
             yield from summary_rows(environment)
 
 
-def rows_of_runs(wanted: set[str]) -> Iterator[Row]:
+def rows_of_runs(selected: set[str]) -> Iterator[Row]:
     """Measure runs and claims, on an instance of their own."""
     shutil.rmtree(DATA, ignore_errors=True)
     with instance() as environment:
         klein("project", "create", "bench")
         owner_token = (DATA / "owner-token").read_text().strip()
-        if "runs" in wanted:
-            yield from run_rows(told()["url"], owner_token, STAGE / "runs", mission_with)
-        if "claims" in wanted:
+        if "runs" in selected:
+            yield from run_rows(endpoint_info()["url"], owner_token, STAGE / "runs", mission_with)
+        if "claims" in selected:
             mission_id = mission_with("claims", random_file(STAGE / "claims.bin", 1000))
-            yield claims_row(told()["url"], owner_token, environment["KLEINKRAM_DATABASE_URL"], mission_id)
+            yield claims_row(endpoint_info()["url"], owner_token, environment["KLEINKRAM_DATABASE_URL"], mission_id)
 
 
 def rows_of_a_size(size: int) -> Iterator[Row]:
@@ -121,10 +121,10 @@ def rows_of_a_size(size: int) -> Iterator[Row]:
         secret = json.loads((DATA / "secrets.json").read_text())["postgres_migrate"]
         address = environment["KLEINKRAM_DATABASE_URL"].split("@", 1)[1]
         owner_url = f"postgresql://kleinkram_migrate:{secret}@{address}"
-        yield from scale_rows(size, told()["url"], owner_token, environment, owner_url=owner_url)
+        yield from scale_rows(size, endpoint_info()["url"], owner_token, environment, owner_url=owner_url)
         yield from many_small_rows(size_label(size), environment)
         settle()
-        yield from load_rows(size, told()["url"], owner_token, environment)
+        yield from load_rows(size, endpoint_info()["url"], owner_token, environment)
 
 
 def rows_of_the_web() -> list[Row]:
@@ -133,7 +133,7 @@ def rows_of_the_web() -> list[Row]:
     folder = STAGE / "web"
     with instance() as environment:
         owner_token = (DATA / "owner-token").read_text().strip()
-        return web_rows(klein, told()["url"], owner_token, environment["KLEINKRAM_DATABASE_URL"], folder)
+        return web_rows(klein, endpoint_info()["url"], owner_token, environment["KLEINKRAM_DATABASE_URL"], folder)
 
 
 def memory_row() -> Row:
@@ -142,9 +142,9 @@ def memory_row() -> Row:
     klein("upload", "-p", "bench", "-m", "memory", "--create", str(source))
     settle()
     klein("download", "-p", "bench", "-m", "memory", "--dest", str(STAGE / "memory"))
-    supervisor = psutil.Process(told()["pid"])
+    supervisor = psutil.Process(endpoint_info()["pid"])
     by_part = {"supervisor": pss_mb(supervisor)}
-    for name, pid in told()["parts"].items():
+    for name, pid in endpoint_info()["parts"].items():
         part = psutil.Process(pid)
         by_part[name] = sum(map(pss_mb, [part, *part.children(recursive=True)]))
     total = sum(by_part.values())
@@ -170,7 +170,7 @@ def start_rows() -> list[Row]:
     for number in range(STARTS):
         started = time.perf_counter()
         with instance():
-            urllib.request.urlopen(f"{told()['url']}/health/ready", timeout=10).close()
+            urllib.request.urlopen(f"{endpoint_info()['url']}/health/ready", timeout=10).close()
             answers.append(time.perf_counter() - started)
             os.truncate(small, 1000 + number)
             os.utime(small, (time.time() - 3600, time.time() - 3600))

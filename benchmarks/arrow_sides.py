@@ -17,7 +17,7 @@ _VECTORS = {"orientation": "xyzw", "angular_velocity": "xyz", "linear_accelerati
 
 def arrow_ours(path: str, topic: str) -> Facts:
     """From the file, every checksum checked."""
-    from kleinkram.recordings.reading import Recording
+    from kleinkram.recordings import Recording
 
     started = time.perf_counter()
     with Recording.open(path) as recording:
@@ -27,8 +27,8 @@ def arrow_ours(path: str, topic: str) -> Facts:
 
 def arrow_at_hand(path: str, topic: str) -> Facts:
     """From messages that are in memory already."""
+    from kleinkram.recordings import Recording
     from kleinkram.recordings.decoding import decoder_for, to_arrow
-    from kleinkram.recordings.reading import Recording
 
     with Recording.open(path) as recording:
         schema = recording.topic(topic).schema
@@ -46,12 +46,12 @@ def arrow_small_mcap(path: str, topic: str) -> Facts:
 
     started = time.perf_counter()
     with Path(path).open("rb") as stream:
-        found = read_message_decoded(
+        messages = read_message_decoded(
             stream,
             should_include=lambda channel, _schema: channel.topic == topic,
             decoder_factories=[DecoderFactory()],
         )
-        table = _table((m.message.log_time, m.message.publish_time, m.decoded_message) for m in found)
+        table = _table((m.message.log_time, m.message.publish_time, m.decoded_message) for m in messages)
     return {"seconds": time.perf_counter() - started, "messages": table.num_rows, "columns": table.num_columns}
 
 
@@ -62,8 +62,8 @@ def arrow_mcap(path: str, topic: str) -> Facts:
 
     started = time.perf_counter()
     with Path(path).open("rb") as stream:
-        found = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages(topics=[topic])
-        table = _table((message.log_time, message.publish_time, value) for _, _, message, value in found)
+        messages = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages(topics=[topic])
+        table = _table((message.log_time, message.publish_time, value) for _, _, message, value in messages)
     return {"seconds": time.perf_counter() - started, "messages": table.num_rows, "columns": table.num_columns}
 
 

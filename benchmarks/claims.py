@@ -37,7 +37,7 @@ INSERT INTO run (id, mission_id, version_id, parameters, network, cores, memory_
 SELECT gen_random_uuid(), mission_id, version_id, parameters, network, cores, memory_bytes, disk_bytes, gpus, labels,
   needs_images, given_sha256, started_by_id, input_count, input_bytes FROM run, generate_series(1, %s) WHERE id = %s
 """
-_LAPSE = (
+_EXPIRE_LEASES = (
     "UPDATE run SET lease_ends_at = now() - interval '1 second' WHERE id = %s AND attempt = %s AND ended_at IS NULL"
 )
 
@@ -112,7 +112,7 @@ def _play(lab: _Lab, label: str, seed: int) -> None:
                 return
             lab.begun.append((claim["run_id"], claim["attempt"]))
             if rng.randrange(_KILLED_ONE_IN) == 0:
-                database.execute(_LAPSE, (claim["run_id"], claim["attempt"]))
+                database.execute(_EXPIRE_LEASES, (claim["run_id"], claim["attempt"]))
                 dead.append(claim)
                 runner_id = _hello(lab, label)
                 continue
@@ -123,16 +123,16 @@ def _play(lab: _Lab, label: str, seed: int) -> None:
 
 def _hello(lab: _Lab, label: str) -> str:
     runner_id = str(uuid.uuid4())
-    said = {"id": runner_id, "name": "bench", "labels": [label], "capacity": _ROOM, "abilities": _ABILITIES}
-    status, answer = lab.ask("runners", {**said, "stock_image": "sha256:stock", "version": "0"})
+    runner = {"id": runner_id, "name": "bench", "labels": [label], "capacity": _ROOM, "abilities": _ABILITIES}
+    status, answer = lab.ask("runners", {**runner, "default_image": "sha256:stock", "version": "0"})
     if status != 200:
         raise SystemExit(f"a runner was not let in: {answer}")
     return runner_id
 
 
 def _finish(lab: _Lab, claim: dict[str, Any]) -> int:
-    said = {"attempt": claim["attempt"], "reason": "done", "message": "", "exit_code": 0}
-    status, _ = lab.ask(f"runner/runs/{claim['run_id']}/finish", said)
+    report = {"attempt": claim["attempt"], "reason": "done", "message": "", "exit_code": 0}
+    status, _ = lab.ask(f"runner/runs/{claim['run_id']}/finish", report)
     return status
 
 

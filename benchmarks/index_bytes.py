@@ -16,7 +16,7 @@ def _mcap(path: Path) -> int:
         summary = SeekingReader(stream).get_summary()
         if summary is None:
             raise ValueError(f"{path} has no summary")
-        chunks = sum(each.chunk_length for each in summary.chunk_indexes)
+        chunks = sum(chunk.chunk_length for chunk in summary.chunk_indexes)
     return path.stat().st_size - chunks
 
 
@@ -40,12 +40,12 @@ def needed_bytes(path: Path, topic: str, start_ns: int, end_ns: int) -> int:
         if summary is None:
             raise ValueError(f"{path} has no summary")
         channels = {number for number, channel in summary.channels.items() if channel.topic == topic}
-        held = sum(
-            each.chunk_length
-            for each in summary.chunk_indexes
-            if each.message_start_time < end_ns
-            and each.message_end_time >= start_ns
-            and channels & each.message_index_offsets.keys()
+        index_bytes = sum(
+            chunk.chunk_length
+            for chunk in summary.chunk_indexes
+            if chunk.message_start_time < end_ns
+            and chunk.message_end_time >= start_ns
+            and channels & chunk.message_index_offsets.keys()
         )
-        last = max(each.chunk_start_offset + each.chunk_length for each in summary.chunk_indexes)
-    return held + path.stat().st_size - last
+        last = max(chunk.chunk_start_offset + chunk.chunk_length for chunk in summary.chunk_indexes)
+    return index_bytes + path.stat().st_size - last

@@ -24,11 +24,11 @@ GB = 1_000_000_000
 def variables() -> dict[str, str]:
     """Return the environment of everything that runs here."""
     homes = {name: str(STAGE / name.lower()) for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_DATA_HOME")}
-    # Proving goes at full speed between two runs, rather than slowly beside them;
+    # Verifying goes at full speed between two runs, rather than slowly beside them;
     # and nobody is asked to wait for having asked too often.
     limits = ("SIGN_INS", "SEARCHES")
     unbounded = {f"KLEINKRAM_{what}_PER_MINUTE": "0" for what in limits}
-    at_once = {"KLEINKRAM_PROVING_BYTES_PER_S": "2000000000"}
+    at_once = {"KLEINKRAM_VERIFY_BYTES_PER_S": "2000000000"}
     return {**os.environ, **homes, **at_once, **unbounded, "KLEINKRAM_DATA_DIR": str(DATA)}
 
 
@@ -45,7 +45,7 @@ def instance() -> Iterator[dict[str, str]]:
     try:
         if not (process.stdout and process.stdout.readline()):
             raise SystemExit("Kleinkram did not start")
-        worker = psutil.Process(told()["parts"]["worker"])
+        worker = psutil.Process(endpoint_info()["parts"]["worker"])
         inherited = {key: value for key, value in worker.environ().items() if key.startswith("KLEINKRAM_")}
         yield {**variables(), **inherited}
     finally:
@@ -53,7 +53,7 @@ def instance() -> Iterator[dict[str, str]]:
         process.wait(timeout=60)
 
 
-def told() -> dict[str, Any]:
+def endpoint_info() -> dict[str, Any]:
     """Return what the instance says of itself."""
     facts: dict[str, Any] = json.loads((DATA / "instance.json").read_text())
     return facts
@@ -62,7 +62,9 @@ def told() -> dict[str, Any]:
 def settle() -> None:
     """Wait until no job waits or runs, so that nothing runs beside a measurement."""
     while True:
-        with urllib.request.urlopen(f"http://127.0.0.1:{told()['ports']['api_metrics']}/metrics", timeout=60) as answer:
+        with urllib.request.urlopen(
+            f"http://127.0.0.1:{endpoint_info()['ports']['api_metrics']}/metrics", timeout=60
+        ) as answer:
             lines = answer.read().decode().splitlines()
         busy = [
             line for line in lines if line.startswith("kleinkram_jobs{") and ('"todo"' in line or '"doing"' in line)
@@ -79,5 +81,5 @@ def mission_with(name: str, source: Path) -> str:
     """Upload a file into a new mission; returns the mission's id."""
     klein("upload", "-p", "bench", "-m", name, "--create", str(source))
     settle()
-    found = json.loads(klein("mission", "info", name, "-p", "bench", "--json"))
-    return str(found["mission"]["id"])
+    mission = json.loads(klein("mission", "info", name, "-p", "bench", "--json"))
+    return str(mission["mission"]["id"])

@@ -9,8 +9,8 @@ from pathlib import Path
 from small_mcap import read_message
 
 from benchmarks.side import Facts, main
+from kleinkram.recordings import Recording
 from kleinkram.recordings.http_source import HttpSource
-from kleinkram.recordings.reading import Recording
 
 
 def raw_ours(path: str) -> Facts:
@@ -56,10 +56,10 @@ def remote_span(path: str, topic: str, start_ns: str, end_ns: str) -> Facts:
     started = time.perf_counter()
     source = HttpSource(f"http://127.0.0.1:{server.server_port}/", size_bytes=size, name="large.mcap")
     with Recording.open(source) as recording:
-        found = sum(1 for _ in recording.raw_messages(topic, start=int(start_ns), end=int(end_ns)))
+        count = sum(1 for _ in recording.raw_messages(topic, start=int(start_ns), end=int(end_ns)))
     taken = time.perf_counter() - started
     server.shutdown()
-    return {"seconds": taken, "messages": found, "bytes": source.bytes_read}
+    return {"seconds": taken, "messages": count, "bytes": source.bytes_read}
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from benchmarks.index_bytes import needed_bytes
 from benchmarks.measure import Run, pair, run_side
-from kleinkram.recordings.reading import Recording
+from kleinkram.recordings import Recording
 
 _MB = 10**6
 _MOST_MB = 200
@@ -36,8 +36,8 @@ def remote_row(path: Path) -> dict[str, object]:
     """One topic of a span out of a large file over HTTP ranges: one of nearly 50 MB, and one of 20 s."""
     spans = [_remote_span(path, seconds) for seconds in (_SPAN_S, _LONG_SPAN_S)]
     (run, needed_mb), (longer, longer_needed_mb) = spans
-    peak_mb = max(each.peak_mb for each, _ in spans)
-    fetched_mb, longer_fetched_mb = (each.facts["bytes"] / _MB for each, _ in spans)
+    peak_mb = max(span.peak_mb for span, _ in spans)
+    fetched_mb, longer_fetched_mb = (span.facts["bytes"] / _MB for span, _ in spans)
     return {
         "what": f"one topic of {_SPAN_S} s out of a 1 GB MCAP over HTTP, opening included",
         "measured": (
@@ -50,13 +50,13 @@ def remote_row(path: Path) -> dict[str, object]:
         ),
         "bar": f"no more than these and {_MORE_MB} MB; <= 1 s where they are <= 50 MB",
         "met": (
-            all(each.facts["bytes"] / _MB <= needed + _MORE_MB for each, needed in spans)
+            all(span.facts["bytes"] / _MB <= needed + _MORE_MB for span, needed in spans)
             and run.seconds <= 1
             and needed_mb <= 50
             and peak_mb <= _MOST_MB
         ),
-        "seconds": [each.seconds for each, _ in spans],
-        "bytes": [each.facts["bytes"] for each, _ in spans],
+        "seconds": [span.seconds for span, _ in spans],
+        "bytes": [span.facts["bytes"] for span, _ in spans],
     }
 
 

@@ -11,8 +11,8 @@ from rosbags.typesys import Stores, get_typestore
 from small_mcap import read_message_decoded
 
 from benchmarks.side import Facts, main
+from kleinkram.recordings import Recording
 from kleinkram.recordings.decoding import Value
-from kleinkram.recordings.reading import Recording
 
 
 def decode_ours(path: str) -> Facts:
@@ -27,8 +27,8 @@ def decode_small_mcap(path: str) -> Facts:
     """The same with small-mcap and mcap-ros2-support-fast."""
     started = time.perf_counter()
     with Path(path).open("rb") as stream:
-        found = read_message_decoded(stream, decoder_factories=[FastDecoderFactory()])
-        decoded = sum(message.decoded_message is not None for message in found)
+        messages = read_message_decoded(stream, decoder_factories=[FastDecoderFactory()])
+        decoded = sum(message.decoded_message is not None for message in messages)
     return {"seconds": time.perf_counter() - started, "messages": decoded}
 
 
@@ -36,8 +36,8 @@ def decode_mcap(path: str) -> Facts:
     """The same with mcap and mcap-ros2-support."""
     started = time.perf_counter()
     with Path(path).open("rb") as stream:
-        found = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
-        decoded = sum(message is not None for _, _, _, message in found)
+        messages = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+        decoded = sum(message is not None for _, _, _, message in messages)
     return {"seconds": time.perf_counter() - started, "messages": decoded}
 
 
@@ -45,8 +45,8 @@ def decode_rosbags(path: str) -> Facts:
     """The same with rosbags."""
     started = time.perf_counter()
     with AnyReader([Path(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-        found = (reader.deserialize(data, connection.msgtype) for connection, _, data in reader.messages())
-        decoded = sum(message is not None for message in found)
+        messages = (reader.deserialize(data, connection.msgtype) for connection, _, data in reader.messages())
+        decoded = sum(message is not None for message in messages)
     return {"seconds": time.perf_counter() - started, "messages": decoded}
 
 

@@ -44,11 +44,11 @@ def decode_row(path: Path) -> Row:
     fastest = min(_DECODERS, key=seconds.__getitem__)
     ours = seconds["decode_ours"]
     ratio, peak_mb = seconds[fastest] / ours, max(run.peak_mb for run in runs["decode_ours"])
-    told = ", ".join(f"{name} {seconds[side]:.2f} s" for side, name in _DECODERS.items())
+    timings = ", ".join(f"{name} {seconds[side]:.2f} s" for side, name in _DECODERS.items())
     return {
         "what": "all messages of a 1 GB MCAP decoded",
         "measured": f"{ours:.2f} s, {ratio:.2f}x of the fastest public reader ({_DECODERS[fastest]})",
-        "also": f"{told}; {peak_mb:.0f} MB (bar {_MOST_MB})",
+        "also": f"{timings}; {peak_mb:.0f} MB (bar {_MOST_MB})",
         "bar": ">= 1.0x",
         "met": ratio >= 1 and peak_mb <= _MOST_MB,
         "ratio": ratio,

@@ -62,8 +62,8 @@ class _Lab:
         if self.docker is not None:
             what = {"image": IMAGE, "command": ["/usr/bin/python3", "-c", text]}
         needs = {"cores": 1, "memory": "200MB", "disk": "500MB", "labels": ["bench"], **resources}
-        wanted = {"mission_ids": [mission_id], "definition": {"name": "bench", "resources": needs, **what}}
-        item = self.ask("POST", "runs", {**wanted, "force": True})["items"][0]
+        line_count = {"mission_ids": [mission_id], "definition": {"name": "bench", "resources": needs, **what}}
+        item = self.ask("POST", "runs", {**line_count, "force": True})["items"][0]
         if item["outcome"] != "made":
             raise SystemExit(f"no run was made: {item}")
         return str(item["run"]["id"])
@@ -177,7 +177,7 @@ def _see_that_it_is_whole(lab: _Lab, run: Any) -> None:
     """See that a run went well, and that its log and what it left are there."""
     artifacts = lab.ask("GET", f"runs/{run['id']}/artifacts")["items"]
     log = lab.ask("GET", f"runs/{run['id']}/log")
-    if (run["state"], [each["path"] for each in artifacts], log["text"]) != ("done", ["left.txt"], "hello\n"):
+    if (run["state"], [run_id["path"] for run_id in artifacts], log["text"]) != ("done", ["left.txt"], "hello\n"):
         raise SystemExit(f"not a good run: {run['state']} {run['message']} {artifacts} {log}")
 
 
@@ -211,21 +211,21 @@ def _cache_row(lab: _Lab, mission_id: str, folder: Path, upload: Callable[[str, 
 
 def _log_row(lab: _Lab, mission_id: str) -> dict[str, object]:
     """A run that writes 10 MB/s: every line must be there, and the API as quick as beside the same without a run."""
-    beside = _asked_while(lab, lambda: _bare_writing(lab))
+    beside = _latencies_during(lab, lambda: _bare_writing(lab))
     run_id = lab.launch(mission_id, _WRITING)
     ended: list[Any] = []
-    meanwhile = _asked_while(lab, lambda: ended.append(lab.end_of(run_id)))
+    meanwhile = _latencies_during(lab, lambda: ended.append(lab.end_of(run_id)))
     lines = _lines_of(lab, run_id)
-    wanted = _LOG_MB * _MB // _LOG_LINE_BYTES
+    line_count = _LOG_MB * _MB // _LOG_LINE_BYTES
     in_order = all(int(line[:9]) == number for number, line in enumerate(lines))
     seconds = _between(ended[0], "started_at", "ended_at")
     ratio = statistics.median(meanwhile) / statistics.median(beside)
     return {
         "what": f"a run that writes {_LOG_MB} MB at 10 MB/s",
-        "measured": f"{len(lines)} of {wanted} lines, {'in order' if in_order else 'NOT in order'}; kept after "
+        "measured": f"{len(lines)} of {line_count} lines, {'in order' if in_order else 'NOT in order'}; kept after "
         f"{seconds:.1f} s; the API answers in {_ms(meanwhile)}, beside what writes as much and is no run {_ms(beside)}",
         "bar": "all lines, in order; the API not slower than 2 x",
-        "met": len(lines) == wanted and in_order and ratio <= 2,
+        "met": len(lines) == line_count and in_order and ratio <= 2,
     }
 
 
@@ -236,7 +236,7 @@ def _bare_writing(lab: _Lab) -> None:
         lab.docker.docker("run", "--rm", "--network", "none", IMAGE, "/usr/bin/python3", "-c", _WRITING)
 
 
-def _asked_while(lab: _Lab, work: Callable[[], object]) -> Sequence[float]:
+def _latencies_during(lab: _Lab, work: Callable[[], object]) -> Sequence[float]:
     """Ask the API for something ordinary as long as something goes on; return how long each answer took."""
     thread = threading.Thread(target=work)
     thread.start()
@@ -267,7 +267,7 @@ def _many_row(lab: _Lab, mission_id: str) -> dict[str, object]:
     """Many trivial runs on two slots."""
     started = time.perf_counter()
     run_ids = [lab.launch(mission_id, _TRIVIAL) for _ in range(_MANY)]
-    runs = [lab.end_of(each, within_s=900) for each in run_ids]
+    runs = [lab.end_of(run_id, within_s=900) for run_id in run_ids]
     took = time.perf_counter() - started
     for run in runs:
         _see_that_it_is_whole(lab, run)

@@ -40,10 +40,10 @@ def synthetic_row(_path: Path) -> Row:
     for size_bytes in (10 * _GB, 1000 * _GB):
         run = run_side("summary_synthetic", str(size_bytes), environment={}, module=_SIDES)
         costs.append((run.seconds, run.facts["bytes_read"] / _MB, run.facts["index_bytes"] / _MB, run.peak_mb))
-    told = (f"{s:.1f} s, {read:.1f} MB of {index:.1f} MB index, {peak:.0f} MB" for s, read, index, peak in costs)
+    costs_text = (f"{s:.1f} s, {read:.1f} MB of {index:.1f} MB index, {peak:.0f} MB" for s, read, index, peak in costs)
     return {
         "what": "summary of a synthetic 10 GB MCAP; of 1 TB (read; memory)",
-        "measured": "; ".join(told),
+        "measured": "; ".join(costs_text),
         "bar": "<= index + 1 MB, <= 100 MB of memory",
         "met": all(read <= index + 1 and peak <= 100 for _seconds, read, index, peak in costs),
     }
@@ -58,12 +58,12 @@ def _scan_row(path: Path, names: list[str], *, least_mb_s: int) -> Row:
     ours, peak = speeds["scan_ours"], max(run.peak_mb for run in runs["scan_ours"])
     cpu_s = {name: statistics.median(run.cpu_s for run in side) for name, side in runs.items()}
     fastest = max(names[1:], key=speeds.__getitem__)
-    told = ", ".join(f"{name} {seconds:.2f}" for name, seconds in cpu_s.items())
+    costs_text = ", ".join(f"{name} {seconds:.2f}" for name, seconds in cpu_s.items())
     least = f">= {least_mb_s} MB/s, " if least_mb_s else ""
     return {
         "what": f"scan of a {size_mb / 1000:.1f} GB {path.suffix[1:]} with all checksums",
         "measured": f"{ours:.0f} MB/s (fastest other: {fastest}, {speeds[fastest]:.0f} MB/s)",
-        "also": f"each in one thread; CPU s: {told}; {peak:.0f} MB (bar 200)",
+        "also": f"each in one thread; CPU s: {costs_text}; {peak:.0f} MB (bar 200)",
         "bar": f"{least}>= the fastest public reader",
         "met": ours >= max(least_mb_s, speeds[fastest]) and peak <= 200,
         "mb_per_s": speeds,

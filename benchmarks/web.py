@@ -12,7 +12,7 @@ from typing import Any
 from benchmarks import web_places
 from kleinkram.client import Client, connect
 from kleinkram.recordings.sample import generate_bag, generate_mcap
-from kleinkram.server.web.serving import BUILT
+from kleinkram.server.http.pages import BUILT
 
 _WEB = Path(__file__).parent.parent / "web"
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -36,15 +36,15 @@ def web_rows(klein: Klein, url: str, token: str, database_url: str, folder: Path
 
     `KLEINKRAM_BENCH_WEB=load,scroll` measures some of it.
     """
-    found = next((path for name in _BROWSERS if (path := shutil.which(name))), None)
-    if lacking := _lacking(found):
+    browser = next((path for name in _BROWSERS if (path := shutil.which(name))), None)
+    if lacking := _lacking(browser):
         return [{"what": "the web interface", "measured": f"not measured: {lacking}", "bar": "", "met": False}]
-    asked = os.environ.get("KLEINKRAM_BENCH_WEB", ",".join(_ALL)).split(",")
+    selected = os.environ.get("KLEINKRAM_BENCH_WEB", ",".join(_ALL)).split(",")
     with connect(url, token=token) as client:
         places, derived_s = _filled(client, klein, database_url, folder)
-    told = json.dumps({**places, "asked": asked, "times": _TIMES, "turns": _TURNS})
+    request = json.dumps({**places, "asked": selected, "times": _TIMES, "turns": _TURNS})
     link = klein("session", "link").strip()
-    command = ["node", str(Path(__file__).with_name("web.mjs")), str(_WEB), str(found), link, url, told]
+    command = ["node", str(Path(__file__).with_name("web.mjs")), str(_WEB), str(browser), link, url, request]
     try:
         done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=_BROWSER_S)
     except subprocess.TimeoutExpired as error:
@@ -54,9 +54,9 @@ def web_rows(klein: Klein, url: str, token: str, database_url: str, folder: Path
     seen = json.loads(done.stdout)
     rows: list[Row] = []
     for name, rows_of in _ROWS.items():
-        if name in asked:
+        if name in selected:
             rows += rows_of(seen)
-    if "mission" in asked:
+    if "mission" in selected:
         rows.append(_derived_row(derived_s))
     return rows
 
@@ -84,8 +84,8 @@ def _filled(client: Client, klein: Klein, database_url: str, folder: Path) -> tu
     klein(*into, web_places.MANY_FILES, str(folder / "notes.txt"))
     web_places.seconds_to_derive(client, files)
     klein(*into, _LARGE, "--create", f"{large}/", "--wait")
-    held = client.missions.get(_LARGE, project=project).id
-    pictures = {each.path: f"/files/{each.id}" for each in client.missions.timeline(held)}
+    mission_id = client.missions.get(_LARGE, project=project).id
+    pictures = {samples.path: f"/files/{samples.id}" for samples in client.missions.timeline(mission_id)}
     places: dict[str, object] = {
         "project": web_places.PROJECT,
         "projectPath": f"/projects/{project}",
@@ -104,15 +104,15 @@ def _filled(client: Client, klein: Klein, database_url: str, folder: Path) -> tu
 
 def _load_rows(seen: Mapping[str, Any]) -> list[Row]:
     loads = seen["load"]
-    size = statistics.median(each["bytes"] for each in loads)
+    size = statistics.median(samples["bytes"] for samples in loads)
     bytes_row = {
         "what": "first load of the home page, gzipped",
         "measured": f"{size / 1000:.0f} kB",
         "bar": f"<= {_MOST_BYTES / 1000:.0f} kB",
         "met": size <= _MOST_BYTES,
-        "bytes": [each["bytes"] for each in loads],
+        "bytes": [samples["bytes"] for samples in loads],
     }
-    times = [each["milliseconds"] for each in loads]
+    times = [samples["milliseconds"] for samples in loads]
     return [bytes_row, _time_row("the home page is there, and nothing keeps it busy", times, _MOST_INTERACTIVE_MS)]
 
 
@@ -126,11 +126,12 @@ def _change_rows(seen: Mapping[str, Any]) -> list[Row]:
 
 def _mission_rows(seen: Mapping[str, Any]) -> list[Row]:
     cold = {
-        name: statistics.median(each["milliseconds"] for each in seen[name]) for name in ("missionCold", "topicsCold")
+        name: statistics.median(samples["milliseconds"] for samples in seen[name])
+        for name in ("missionCold", "topicsCold")
     }
-    topics = statistics.median(each["topics"] for each in seen["mission"])
+    topics = statistics.median(samples["topics"] for samples in seen["mission"])
     what = f"the page of a mission of {web_places.RECORDINGS} files and {web_places.TOPICS} topics, from the click"
-    row = _time_row(what, [each["files"] for each in seen["mission"]], _MOST_MISSION_MS)
+    row = _time_row(what, [samples["files"] for samples in seen["mission"]], _MOST_MISSION_MS)
     also = (
         f"then its topics {topics:.0f} ms; in a browser that knows nothing, the app included: "
         f"files {cold['missionCold']:.0f} ms, topics {cold['topicsCold']:.0f} ms"
@@ -151,7 +152,7 @@ def _derived_row(derived_s: float) -> Row:
 def _picture_rows(seen: Mapping[str, Any]) -> list[Row]:
     rows = []
     for name, pictures in seen["pictures"].items():
-        share = max(each["bytes"] for each in pictures) / _GB
+        share = max(samples["bytes"] for samples in pictures) / _GB
         row = _time_row(f"first picture of a 1 GB {Path(name).suffix[1:]}", _all_ms(pictures), _MOST_PICTURE_MS)
         row["measured"] = f"{row['measured']}, {share:.1%} of it read"
         row["bar"] = f"{row['bar']}, <= {_MOST_PICTURE_SHARE:.0%} of it"
@@ -163,13 +164,16 @@ def _picture_rows(seen: Mapping[str, Any]) -> list[Row]:
 def _scroll_rows(seen: Mapping[str, Any]) -> list[Row]:
     return [
         _time_row(f"longest task of the main thread while scrolling {name}", _all_ms(scrolls), _MOST_TASK_MS)
-        | {"also": f"{sum(each['long'] for each in scrolls)} tasks over 50 ms in {len(scrolls)} rounds", "raw": scrolls}
+        | {
+            "also": f"{sum(samples['long'] for samples in scrolls)} tasks over 50 ms in {len(scrolls)} rounds",
+            "raw": scrolls,
+        }
         for name, scrolls in seen["scrolls"].items()
     ]
 
 
-def _all_ms(each: Sequence[Mapping[str, float]]) -> list[float]:
-    return [one["milliseconds"] for one in each]
+def _all_ms(samples: Sequence[Mapping[str, float]]) -> list[float]:
+    return [one["milliseconds"] for one in samples]
 
 
 def _time_row(what: str, times_ms: Sequence[float], most_ms: float) -> Row:

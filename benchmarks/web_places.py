@@ -18,10 +18,10 @@ _START_NS = 1_700_000_000_000_000_000
 _APART_NS, _LONG_NS = 60_000_000_000, 59_000_000_000
 _MESSAGES = 2_950
 _BLOBS = """
-INSERT INTO blob (id, key, size_bytes, sha256, md5, state, proven_at, uploaded_by_id, content, format, depth, start_ns,
-    end_ns, message_count, summarised_at)
+INSERT INTO blob (id, key, size_bytes, sha256, md5, state, verified_at, uploaded_by_id, content, format, depth,
+   start_ns,    end_ns, message_count, summarised_at)
   SELECT md5(%(name)s || n)::uuid, %(name)s || n, 1000000 + n, sha256((%(name)s || n)::bytea),
-    decode(md5(%(name)s || n), 'hex'), 'proven', now(), %(owner)s, CASE WHEN is_read THEN 'indexed' ELSE 'opaque' END,
+    decode(md5(%(name)s || n), 'hex'), 'verified', now(), %(owner)s, CASE WHEN is_read THEN 'indexed' ELSE 'opaque' END,
     CASE WHEN is_read THEN 'mcap' END, CASE WHEN is_read THEN 'summary' END,
     CASE WHEN is_read THEN %(start_ns)s + n * %(apart_ns)s END,
     CASE WHEN is_read THEN %(start_ns)s + n * %(apart_ns)s + %(long_ns)s END, 1000, now()
@@ -97,7 +97,7 @@ def seconds_to_derive(client: Client, mission_id: uuid.UUID) -> float:
 def _add_topics(database: "psycopg.Connection[tuple[object, ...]]", number: int) -> None:
     begin_ns = _START_NS + number * _APART_NS
     stamps = [begin_ns + at * _LONG_NS // _MESSAGES for at in range(_MESSAGES) if number % 7 or not 900 < at < 1_200]
-    found = database.execute("SELECT id FROM blob WHERE key = 'topics' || %s::text", [number]).fetchone()
+    blob = database.execute("SELECT id FROM blob WHERE key = 'topics' || %s::text", [number]).fetchone()
     numbers = {"count": len(stamps), "first_ns": stamps[0], "last_ns": stamps[-1]}
     density = pack(count_stamps(stamps))
-    database.execute(_TOPICS, {"blob": found and found[0], "topics": TOPICS, "density": density, **numbers})
+    database.execute(_TOPICS, {"blob": blob and blob[0], "topics": TOPICS, "density": density, **numbers})

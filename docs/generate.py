@@ -160,7 +160,7 @@ def _section(path: list[str], command: Any) -> list[str]:
     rows = [(names, text) for names, text in rows if "--help" not in names]
     if rows:
         lines += ["| option | meaning |", "|---|---|"]
-        lines += ["| `{}` | {} |".format(*(" ".join(each.split()).replace("|", "\\|") for each in row)) for row in rows]
+        lines += ["| `{}` | {} |".format(*(" ".join(cell.split()).replace("|", "\\|") for cell in row)) for row in rows]
         lines.append("")
     return lines
 

@@ -72,13 +72,13 @@ def main() -> int:
     """Tell the story; 0 when all of it held."""
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--story", action="store_true", help="tell all of it")
-    told = arguments.parse_args()
+    options = arguments.parse_args()
     story = Story()
     try:
         with running_instance(story):
             tell(story)
             tell_of_people(story)
-            if told.story:
+            if options.story:
                 tell_the_rest(story)
     except Failed as failure:
         sys.stderr.write(f"\nThe demo failed: {failure}\n")
@@ -115,10 +115,10 @@ def environment(who: str | None = None) -> dict[str, str]:
     if who is not None:
         homes = {f"XDG_{kind}_HOME": str(STAGE / who / kind.lower()) for kind in ("CONFIG", "STATE", "DATA")}
         return {**environment(), **homes, "KLEINKRAM_DATA_DIR": str(STAGE / who / "none"), "BROWSER": "true"}
-    kept = {key: value for key, value in os.environ.items() if not key.startswith("KLEINKRAM_")}
+    inherited = {key: value for key, value in os.environ.items() if not key.startswith("KLEINKRAM_")}
     homes = {"XDG_CONFIG_HOME": STAGE / "config", "XDG_STATE_HOME": STAGE / "state", "XDG_DATA_HOME": STAGE / "share"}
     return {
-        **kept,
+        **inherited,
         **{key: str(path) for key, path in homes.items()},
         "KLEINKRAM_DATA_DIR": str(STAGE / "data"),
         "COLUMNS": "140",
@@ -206,8 +206,8 @@ def tell(story: Story) -> None:
         klein("mission", "info", "jungfraujoch-1", "-p", "alpine")
     with story.step("Find a file by a topic in it"):
         klein("search", "--topic", "*imu*", "--where", "robot=anymal")
-        found = json.loads(klein("search", "--topic", "*imu*", "--json", show=False))
-        if not found["items"]:
+        matches = json.loads(klein("search", "--topic", "*imu*", "--json", show=False))
+        if not matches["items"]:
             raise Failed("the search for an IMU topic found nothing")
     with story.step("Get it back, and prove that every byte is the same"):
         klein("download", "-p", "alpine", "-m", "jungfraujoch-1", "--dest", "back")

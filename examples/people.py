@@ -26,9 +26,9 @@ class Browser:
 
     def agree_to_login(self, link: str) -> None:
         """Agree on the page that `klein login` opens, and go where it sends the browser."""
-        asked = {name: value for name, (value,) in parse_qs(urlsplit(link).query).items()}
-        told = self._post("/auth/cli/approve", {**asked, "port": int(asked["port"])})
-        self._opener.open(told["url"], timeout=20).close()
+        request = {name: value for name, (value,) in parse_qs(urlsplit(link).query).items()}
+        answer = self._post("/auth/cli/approve", {**request, "port": int(request["port"])})
+        self._opener.open(answer["url"], timeout=20).close()
 
     def _post(self, path: str, body: Mapping[str, object]) -> Any:  # Any: JSON
         headers = {"Content-Type": "application/json", "Origin": self.url}

@@ -48,13 +48,13 @@ def path_of(program: str) -> str | None:
     """Return where a program is, also one that is for root alone."""
     places = os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin"
     names = _BROWSERS if program == "chromium" else (program,)
-    return next((found for name in names if (found := shutil.which(name, path=places))), None)
+    return next((path for name in names if (path := shutil.which(name, path=places))), None)
 
 
 def need(*programs: str) -> None:
     """Skip, or fail where all is required, unless these programs are installed."""
-    if lacking := [each for each in programs if path_of(each) is None]:
-        packages = sorted({PROGRAMS[each] for each in lacking})
+    if lacking := [program for program in programs if path_of(program) is None]:
+        packages = sorted({PROGRAMS[program] for program in lacking})
         missing(f"not installed: {', '.join(lacking)} (Debian: {' '.join(packages)}; {_HOW})")
 
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 
 import urllib3
 
-from benchmarks.scale.asking import percentile
 from benchmarks.scale.places import seeded
+from benchmarks.scale.requests import percentile
 
 _FILES = 200
 # Of ten requests two write.
@@ -41,22 +41,22 @@ def main(url: str, token: str, clients: int, seconds: float, project_id: str) ->
     files = _files_there(url, token)
     until = time.monotonic() + seconds
     threads = [
-        threading.Thread(target=_run, args=(each, number, url, token, until, project_id, files))
-        for number, each in enumerate(crowd)
+        threading.Thread(target=_run, args=(client, number, url, token, until, project_id, files))
+        for number, client in enumerate(crowd)
     ]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    counts = [len(each.ms) for each in crowd]
-    every = [one for each in crowd for one in each.ms]
+    counts = [len(client.ms) for client in crowd]
+    every = [one for client in crowd for one in client.ms]
     return {
         "answers": len(every),
         "rps": len(every) / seconds,
         "p50_ms": statistics.median(every),
         "p99_ms": percentile(every, 99),
         "worst_ms": max(every),
-        "errors": [error for each in crowd for error in each.errors],
+        "errors": [error for client in crowd for error in client.errors],
         # Of the client that got the fewest answers, beside the mean.
         "fairness": min(counts) / statistics.mean(counts),
     }
@@ -65,15 +65,15 @@ def main(url: str, token: str, clients: int, seconds: float, project_id: str) ->
 def _files_there(url: str, token: str) -> list[str]:
     """Return the ids of some files, all over the data; not those in the trash."""
     lot = random.Random(0)
-    found: list[str] = []
+    ids: list[str] = []
     with urllib3.PoolManager(retries=False, timeout=60) as pool:
-        while len(found) < _FILES:
+        while len(ids) < _FILES:
             file_id = str(seeded(f"file{lot.randrange(1, 9000)}-1"))
             answer = pool.request("GET", f"{url}/api/v1/files/{file_id}", headers={"Authorization": f"Bearer {token}"})
             if answer.status not in {200, 404}:
                 raise SystemExit(f"a file: {answer.status} {answer.data[:200].decode()}")
-            found += [file_id] if answer.status == 200 else []
-    return found
+            ids += [file_id] if answer.status == 200 else []
+    return ids
 
 
 def _run(

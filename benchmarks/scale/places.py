@@ -73,6 +73,6 @@ def places(facets_ms: float) -> list[Place]:
         "statistics by topic, one project": f"stats?by=topic&project_id={project}",
         "topics": "topics?topic=/hydra/*&limit=100",
     }
-    found = [Place(name, path) for name, path in lists.items()]
-    found += [Place(name, path, facets_ms) for name, path in facets.items()]
-    return found + [Place(name, path, None) for name, path in others.items()]
+    places = [Place(name, path) for name, path in lists.items()]
+    places += [Place(name, path, facets_ms) for name, path in facets.items()]
+    return places + [Place(name, path, None) for name, path in others.items()]

@@ -14,8 +14,8 @@ import psycopg
 import urllib3
 
 from benchmarks.scale import seed
-from benchmarks.scale.asking import list_rows, percentile, statements_of
 from benchmarks.scale.places import places, seeded
+from benchmarks.scale.requests import list_rows, percentile, statements_of
 
 Row = dict[str, object]
 _CLIENTS = 50
@@ -30,9 +30,9 @@ WITH made AS (
   INSERT INTO mission (id, project_id, name, name_key, metadata, created_by_id)
     VALUES (md5('swept')::uuid, md5('project1')::uuid, 'swept', 'swept', '{}', %(owner)s) RETURNING id
 ), bytes AS (
-  INSERT INTO blob (id, store_id, key, size_bytes, sha256, md5, state, proven_at, uploaded_by_id, content)
+  INSERT INTO blob (id, store_id, key, size_bytes, sha256, md5, state, verified_at, uploaded_by_id, content)
     SELECT md5('swept' || n)::uuid, 'scale', 'swept' || n, 1000, sha256(('swept' || n)::bytea),
-      decode(md5('swept' || n), 'hex'), 'proven', now(), %(owner)s, 'opaque'
+      decode(md5('swept' || n), 'hex'), 'verified', now(), %(owner)s, 'opaque'
     FROM generate_series(1, %(files)s::int) n RETURNING id, key
 )
 INSERT INTO file (id, mission_id, blob_id, path, path_key, origin, uploaded_by_id)
@@ -48,11 +48,11 @@ def scale_rows(
     began = time.perf_counter()
     seed.fill(database_url, seed.Size(size), owner_url=owner_url, say=lambda text: print(text, file=sys.stderr))
     label = size_label(size)
-    asked = places(150 if size > 1 else 50)
-    statements = statements_of(environment, owner_token, asked)
+    requests = places(150 if size > 1 else 50)
+    statements = statements_of(environment, owner_token, requests)
     tokens = {"admin": owner_token, "reader": seed.ALL}
     yield _filled_row(label, time.perf_counter() - began)
-    yield from list_rows(label, url, tokens, statements, database_url, asked)
+    yield from list_rows(label, url, tokens, statements, database_url, requests)
 
 
 def load_rows(size: int, url: str, owner_token: str, environment: Mapping[str, str]) -> Iterator[Row]:
@@ -78,12 +78,16 @@ def _crowd(urls: list[str], token: str, *, clients: int = _CLIENTS, seconds: flo
     share = [str(clients // len(urls)), str(seconds), project_id]
     commands = [[sys.executable, "-m", "benchmarks.scale.crowd", url, token, *share] for url in urls]
     running = [subprocess.Popen(command, stdout=subprocess.PIPE) for command in commands]
-    told = [json.loads(each.communicate()[0]) for each in running]
-    if problems := [error for each in told for error in each["errors"]]:
+    results = [json.loads(result.communicate()[0]) for result in running]
+    if problems := [error for result in results for error in result["errors"]]:
         raise SystemExit(f"{len(problems)} requests failed, such as {problems[0]}")
     worst = ("p50_ms", "p99_ms", "worst_ms")
-    found = {name: max(float(each[name]) for each in told) for name in worst}
-    return {**found, "rps": sum(each["rps"] for each in told), "fairness": min(each["fairness"] for each in told)}
+    worst_values = {name: max(float(result[name]) for result in results) for name in worst}
+    return {
+        **worst_values,
+        "rps": sum(result["rps"] for result in results),
+        "fairness": min(result["fairness"] for result in results),
+    }
 
 
 def _crowd_row(label: str, got: Mapping[str, float]) -> Row:
@@ -104,10 +108,10 @@ def _two_row(label: str, environment: Mapping[str, str], token: str) -> Row:
         urls = [_api(stack, environment) for _ in range(2)]
         one, two = _crowd(urls[:1], token, seconds=seconds)["rps"], _crowd(urls, token, seconds=seconds)["rps"]
     cores = os.cpu_count() or 1
-    said = "" if cores >= _CORES_FOR_TWO else f"; this machine's {cores} cores are shared with database and clients"
+    note = "" if cores >= _CORES_FOR_TWO else f"; this machine's {cores} cores are shared with database and clients"
     return {
         "what": f"{label}: two API workers against one",
-        "measured": f"{two / one:.2f} x ({one:.0f} and {two:.0f} rps){said}",
+        "measured": f"{two / one:.2f} x ({one:.0f} and {two:.0f} rps){note}",
         "bar": f">= {_LEAST_GAIN} x with {_CORES_FOR_TWO} cores or more",
         "met": cores < _CORES_FOR_TWO or two / one >= _LEAST_GAIN,
     }
@@ -159,13 +163,15 @@ def _sweep_row(label: str, url: str, token: str, environment: Mapping[str, str])
             # As if it had been in the trash for long enough.
             database.execute("UPDATE mission SET deleted_at = now() - interval '1 year' WHERE id = md5('swept')::uuid")
             sweeping = subprocess.Popen(
-                [sys.executable, "-m", "benchmarks.scale.sweeping"], env={**environment}, stdout=subprocess.PIPE
+                [sys.executable, "-m", "benchmarks.scale.garbage_collection"],
+                env={**environment},
+                stdout=subprocess.PIPE,
             )
             while sweeping.poll() is None:
                 for path in _MEANWHILE:
-                    asked = time.perf_counter()
+                    requests = time.perf_counter()
                     pool.request("GET", f"{url}/api/v1/{path}", headers=headers)
-                    times.append((time.perf_counter() - asked) * 1000)
+                    times.append((time.perf_counter() - requests) * 1000)
     seconds = time.perf_counter() - began
     return {
         "what": f"{label}: {_DELETED} files deleted and their rows swept in {seconds:.0f} s, asked meanwhile",

@@ -19,7 +19,7 @@ from benchmarks.scale import statements
 
 Say = Callable[[str], None]
 # The whole, one in ten, and a few of all missions is what these people see.
-ALL, TENTH, FEW = "bench-reads-all", "bench-reads-a-tenth", "bench-reads-a-few"
+ALL, TENTH, SOME = "bench-reads-all", "bench-reads-a-tenth", "bench-reads-a-few"
 _SLICES = 64
 # Those that take longest to keep, and that no job of the worker needs meanwhile.
 _COSTLY = """
@@ -51,7 +51,7 @@ def fill(url: str, size: Size, *, owner_url: str | None = None, say: Say = print
     """
     began = time.perf_counter()
 
-    def told(what: str) -> None:
+    def progress(what: str) -> None:
         say(f"{time.perf_counter() - began:6.0f} s  {what}")
 
     with psycopg.connect(url, autocommit=True) as database:
@@ -59,12 +59,12 @@ def fill(url: str, size: Size, *, owner_url: str | None = None, say: Say = print
         database.execute("SET statement_timeout = 0")
         database.execute("SET work_mem = '256MB'")
         owner = database.execute("SELECT person_id FROM token WHERE name = 'local owner'").fetchone()
-        secrets = {f"secret_{n}": hashlib.sha256(name.encode()).digest() for n, name in enumerate((ALL, TENTH, FEW))}
-        given = {**size.values(), **secrets, "owner": owner and owner[0]}
+        secrets = {f"secret_{n}": hashlib.sha256(name.encode()).digest() for n, name in enumerate((ALL, TENTH, SOME))}
+        parameters = {**size.values(), **secrets, "owner": owner and owner[0]}
         left = [
-            (name, statement.encode(), {**given, **values})
+            (name, statement.encode(), {**parameters, **values})
             for name, check, statement, values in _steps()
-            if database.execute(check.encode(), {**given, **values}).fetchone() is None
+            if database.execute(check.encode(), {**parameters, **values}).fetchone() is None
         ]
         if owner_url is None and _noted(database):
             raise SystemExit("indexes were set aside by a call that was interrupted: give OWNER_URL, to have them made")
@@ -72,13 +72,13 @@ def fill(url: str, size: Size, *, owner_url: str | None = None, say: Say = print
             _set_indexes_aside(owner_url)
         for name, statement, values in left:
             database.execute(statement, values)
-            told(name)
+            progress(name)
     if owner_url is not None:
-        _make_indexes(owner_url, told)
+        _make_indexes(owner_url, progress)
         with psycopg.connect(owner_url, autocommit=True) as database:
             for table in _TABLES.split():
                 database.execute(f"VACUUM (ANALYZE) {table}".encode())
-        told("vacuumed and analysed")
+        progress("vacuumed and analysed")
 
 
 def _set_indexes_aside(owner_url: str) -> None:
@@ -94,7 +94,7 @@ def _noted(database: psycopg.Connection) -> bool:
     return database.execute("SELECT FROM pg_tables WHERE tablename = 'seed_index'").fetchone() is not None
 
 
-def _make_indexes(owner_url: str, told: Say) -> None:
+def _make_indexes(owner_url: str, progress: Say) -> None:
     """Make the indexes again that were set aside, by this call or by one that was interrupted."""
     with psycopg.connect(owner_url, autocommit=True) as database:
         if not _noted(database):
@@ -104,7 +104,7 @@ def _make_indexes(owner_url: str, told: Say) -> None:
             with database.transaction():
                 database.execute(definition.encode())
                 database.execute("DELETE FROM seed_index WHERE definition = %s", [definition])
-            told(definition.split()[2])
+            progress(definition.split()[2])
         database.execute("DROP TABLE seed_index")
 
 

@@ -4,7 +4,7 @@
 Everything is drawn by hashes of numbers, so it is the same every time. `%(projects)s` and so on are how many there are.
 """
 
-_SAID = """(SELECT
+_METADATA = """(SELECT
   ARRAY['Ada', 'Bao', 'Chiara', 'Dimitri', 'Elif', 'Farah', 'Goran', 'Hana', 'Ibrahim', 'Jun', 'Katya', 'Luis'] first,
   ARRAY['Abegg', 'Baumann', 'Conti', 'Dubois', 'Eriksen', 'Frei', 'Gupta', 'Huber', 'Ito', 'Jovic', 'Keller'] last,
   ARRAY['forest', 'alps', 'mine', 'harbour', 'glacier', 'campus', 'tunnel', 'vineyard', 'quarry', 'lake'] place,
@@ -35,7 +35,7 @@ _FILE = f"""
 _PEOPLE = f"""
 INSERT INTO person (id, name, created_at)
   SELECT md5('person' || n)::uuid, first[1 + n %% 12] || ' ' || last[1 + n / 12 %% 11] || ' ' || n, now() - n * interval '1 day'
-  FROM generate_series(1, %(people)s::int) n, {_SAID};
+  FROM generate_series(1, %(people)s::int) n, {_METADATA};
 """
 _OWN_GROUPS = """
 INSERT INTO access_group (id, kind, name, name_key, person_id)
@@ -61,7 +61,7 @@ INSERT INTO project (id, name, name_key, description, metadata_fields, created_b
     place[1 + n %% 10] || ' ' || robot[1 + n %% 5] || ' ' || lpad(n::text, 4, '0'),
     'What ' || robot[1 + n %% 5] || ' did in the ' || place[1 + n %% 10], '{{"fields": []}}', %(owner)s,
     now() - n * interval '3 days', n %% 100 = 50
-  FROM generate_series(1, %(projects)s::int) n, {_SAID}
+  FROM generate_series(1, %(projects)s::int) n, {_METADATA}
 """
 _MISSIONS = f"""
 INSERT INTO mission (id, project_id, name, name_key, metadata, metadata_problems, notes, created_by_id, created_at,
@@ -76,7 +76,7 @@ INSERT INTO mission (id, project_id, name, name_key, metadata, metadata_problems
     CASE WHEN m %% 25 = 0 THEN 'the left knee was replaced before run ' || m ELSE '' END, %(owner)s,
     to_timestamp(start_ns / 1e9) + interval '1 day', start_ns, start_ns + files * {_PART_NS},
     CASE WHEN m %% 200 = 77 THEN now() - interval '3 days' END, CASE WHEN m %% 200 = 77 THEN %(owner)s::uuid END
-  FROM ({_MISSION}) missions, {_SAID}
+  FROM ({_MISSION}) missions, {_METADATA}
 """
 _RECORDINGS = f"""
 INSERT INTO recording (id, mission_id, name, kind, message_count, start_ns, end_ns, content)
@@ -85,12 +85,12 @@ INSERT INTO recording (id, mission_id, name, kind, message_count, start_ns, end_
   FROM ({_FILE}) files WHERE is_recording AND i %% 2 = 0
 """
 _BLOBS = f"""
-INSERT INTO blob (id, store_id, key, size_bytes, sha256, md5, state, state_reason, proven_at, uploaded_by_id, created_at, content,
+INSERT INTO blob (id, store_id, key, size_bytes, sha256, md5, state, state_reason, verified_at, uploaded_by_id, created_at, content,
     content_reason, format, depth, message_count, start_ns, end_ns, summarised_at)
   SELECT blob_id, 'scale', blob_id || '/' || robot || '/' || i, CASE WHEN is_recording THEN 200000000 + abs(hashtext('s' || m || '-' || i)) %% 1000000000
       ELSE 500 + abs(hashtext('s' || m || '-' || i)) %% 100000 END,
     sha256((m || '-' || i)::bytea), decode(md5(m || '-' || i), 'hex'),
-    CASE luck WHEN 1 THEN CASE WHEN m %% 10 = 0 THEN 'corrupt' ELSE 'proven' END ELSE 'proven' END,
+    CASE luck WHEN 1 THEN CASE WHEN m %% 10 = 0 THEN 'corrupt' ELSE 'verified' END ELSE 'verified' END,
     NULL, to_timestamp(start_ns / 1e9) + interval '2 days', %(owner)s, to_timestamp(start_ns / 1e9) + interval '1 day',
     CASE WHEN NOT is_recording THEN 'opaque' WHEN luck < 10 THEN 'broken' WHEN luck < 13 THEN 'recovered' ELSE 'indexed' END,
     CASE WHEN is_recording AND luck < 10 THEN 'the chunk at 1048576 ends in its middle' END,
@@ -107,7 +107,7 @@ INSERT INTO file (id, mission_id, recording_id, blob_id, path, path_key, origin,
     CASE WHEN luck %% 20 = 3 THEN '{{calibrated}}'::text[] WHEN luck %% 100 = 4 THEN '{{ground truth,train}}' ELSE '{{}}' END,
     to_timestamp(start_ns / 1e9) + interval '1 day', CASE WHEN luck = 999 THEN now() - interval '2 days' END,
     CASE WHEN luck = 999 THEN %(owner)s::uuid END
-  FROM ({_FILE}) files, {_SAID},
+  FROM ({_FILE}) files, {_METADATA},
     LATERAL (SELECT CASE WHEN is_recording THEN 'drive_' || place[1 + m %% 10] || '_' || lpad((i / 2)::text, 4, '0') || '_' || i %% 2 || ending
       WHEN i %% 10 = 8 THEN 'config/calibration_' || i || '.yaml' ELSE 'logs/power_' || i || '.csv' END AS path) named
 """

@@ -44,8 +44,8 @@ class Browser:
     def agree_to_login(self, url: str) -> int:
         """Open the page that `klein login` wants opened, agree on it, and go where it sends the browser."""
         assert url.startswith(f"{self.url}/sign-in/cli?")
-        said = {name: value for name, (value,) in parse_qs(urlsplit(url).query).items()}
-        answer = self.post("/auth/cli/approve", {**said, "port": int(said["port"])})
+        query = {name: value for name, (value,) in parse_qs(urlsplit(url).query).items()}
+        answer = self.post("/auth/cli/approve", {**query, "port": int(query["port"])})
         return self.pool.request("GET", answer["url"]).status
 
     def accept_invitation(self, link: str) -> "Browser":

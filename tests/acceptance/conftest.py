@@ -80,14 +80,14 @@ class Instance:
 
     data_dir: Path
 
-    def told(self) -> dict[str, Any]:
+    def runtime_info(self) -> dict[str, Any]:
         """What it says of itself."""
-        told: dict[str, Any] = json.loads((self.data_dir / "instance.json").read_text())
-        return told
+        runtime_info: dict[str, Any] = json.loads((self.data_dir / "instance.json").read_text())
+        return runtime_info
 
     def kill_part(self, name: str) -> int:
         """Kill one of its parts, as a crash would, and return the pid it had."""
-        pid: int = self.told()["parts"][name]
+        pid: int = self.runtime_info()["parts"][name]
         os.kill(pid, signal.SIGKILL)
         return pid
 
@@ -115,11 +115,11 @@ def instance(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Instance]:
 
 
 @contextmanager
-def running_instance(home: Path, **told: str) -> Iterator[Instance]:
+def running_instance(home: Path, **settings: str) -> Iterator[Instance]:
     """Run `klein up` in an empty folder; `told` are further variables of its environment."""
     short = {"KLEINKRAM_PART_URL_S": "4", "KLEINKRAM_DOWNLOAD_URL_S": "4"}  # so that slow transfers outlive them
     often = {"KLEINKRAM_SIGN_INS_PER_MINUTE": "1000"}  # all stories come from one address
-    environment = {**_environment(home, home / "data"), **short, **often, **told}
+    environment = {**_environment(home, home / "data"), **short, **often, **settings}
     ports = ["--port", str(choose_port()), "--s3-port", str(choose_port())]  # the usual ones may be somebody's
     process = subprocess.Popen([str(KLEIN), "up", *ports], env=environment, stdout=subprocess.PIPE, text=True)
     try:
@@ -180,5 +180,5 @@ def _terminal(instance: Instance, home: Path) -> Terminal:
 
 def _environment(home: Path, data_dir: Path) -> dict[str, str]:
     ours = {name: str(home / name[4:-5].lower()) for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_DATA_HOME")}
-    kept = {key: value for key, value in os.environ.items() if not key.startswith("KLEINKRAM_")}
-    return {**kept, **ours, "KLEINKRAM_DATA_DIR": str(data_dir)}
+    inherited = {key: value for key, value in os.environ.items() if not key.startswith("KLEINKRAM_")}
+    return {**inherited, **ours, "KLEINKRAM_DATA_DIR": str(data_dir)}

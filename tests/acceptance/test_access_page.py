@@ -16,7 +16,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "access.md"
 
 
 @pytest.fixture
-def said(terminal: Terminal, tmp_path: Path, browser: Browser) -> Iterator[dict[str, Terminal]]:
+def people(terminal: Terminal, tmp_path: Path, browser: Browser) -> Iterator[dict[str, Terminal]]:
     """The terminals of the example's people, once all of its commands were run."""
     people = {}
     for email in ("ben@lab.example", "chloe@partner.example"):
@@ -32,8 +32,8 @@ def said(terminal: Terminal, tmp_path: Path, browser: Browser) -> Iterator[dict[
     link = next(word for out in printed for word in out.split() if "#klein_link_" in word)
     for name, known in {"robot": {"URL": browser.url, "TOKEN": secret}, "link": {"URL": link}}.items():
         away = terminal_away(tmp_path / name)
-        given = {f"KLEINKRAM_{key}": value for key, value in known.items()}
-        people[name] = replace(away, environment={**away.environment, **given})
+        environment = {f"KLEINKRAM_{key}": value for key, value in known.items()}
+        people[name] = replace(away, environment={**away.environment, **environment})
     yield {"ada": terminal, **people}
     terminal.run("project", "delete", "alpine", "--yes")
 
@@ -52,9 +52,9 @@ def names(terminal: Terminal, *command: str) -> set[str]:
 
 
 @pytest.mark.slow  # fifty commands
-def test_everybody_meets_what_the_page_says(said: dict[str, Terminal], tmp_path: Path) -> None:
-    projects = {name: names(it, "project", "list") for name, it in said.items()}
-    missions = {name: names(it, "mission", "list") for name, it in said.items()}
+def test_everybody_meets_what_the_page_says(people: dict[str, Terminal], tmp_path: Path) -> None:
+    projects = {name: names(it, "project", "list") for name, it in people.items()}
+    missions = {name: names(it, "mission", "list") for name, it in people.items()}
     assert "alpine" in projects.pop("ada")
     assert projects == {"ben": {"alpine"}, "chloe": set(), "robot": {"alpine"}, "link": set()}
     assert "jungfraujoch-1" in missions.pop("ada")
@@ -69,8 +69,8 @@ def test_everybody_meets_what_the_page_says(said: dict[str, Terminal], tmp_path:
             it.run("upload", "-p", "alpine", "-m", f"ridge-{name}", "--create", tmp_path / "b.bin", code=None).code,
             it.run("mission", "delete", "jungfraujoch-1", "-p", "alpine", "--yes", code=None).code,
         )
-        for name, it in said.items()
+        for name, it in people.items()
         if name != "ada"
     }
     assert ran == {"ben": (0, 0, 4), "chloe": (0, 3, 4), "robot": (4, 0, 4), "link": (0, 3, 4)}
-    said["ada"].run("mission", "delete", "jungfraujoch-1", "-p", "alpine", "--yes")
+    people["ada"].run("mission", "delete", "jungfraujoch-1", "-p", "alpine", "--yes")

@@ -22,15 +22,15 @@ STOCK = "kleinkram/action-python:latest"
 
 @pytest.fixture
 def containers(docker: Dockerd, terminal: Terminal, tmp_path: Path) -> Terminal:  # noqa: F811  the fixture
-    """A terminal beside an engine that has an image with open-kleinkram, under the name of the stock image."""
+    """A terminal beside an engine that has an image with open-kleinkram, under the name of the default image."""
     add_stock(docker, tmp_path / "base")
     return replace(terminal, environment={**terminal.environment, "DOCKER_HOST": f"unix://{docker.socket}"})
 
 
 def add_stock(engine: Dockerd, context: Path) -> None:
-    """Build an image with open-kleinkram in a folder, and give it the stock image's name."""
+    """Build an image with open-kleinkram in a folder, and give it the default image's name."""
     copy_package(context / "site")
-    for library in sorted({each for file in context.rglob("*.so*") for each in libraries_of(file)}):
+    for library in sorted({library for file in context.rglob("*.so*") for library in libraries_of(file)}):
         target = context / "libs" / library[1:]
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(Path(library).resolve(), target)
@@ -43,9 +43,9 @@ def copy_package(site: Path) -> None:
     ours = metadata.distribution("open-kleinkram")
     waiting, seen = [*(ours.requires or []), "numpy", "packaging"], set[str]()
     while waiting:
-        wanted = Requirement(waiting.pop())
-        name = re.sub(r"[-_.]+", "-", wanted.name).lower()
-        if name in seen or (wanted.marker is not None and not wanted.marker.evaluate({"extra": ""})):
+        requirement = Requirement(waiting.pop())
+        name = re.sub(r"[-_.]+", "-", requirement.name).lower()
+        if name in seen or (requirement.marker is not None and not requirement.marker.evaluate({"extra": ""})):
             continue
         seen.add(name)
         distribution = metadata.distribution(name)
@@ -54,17 +54,17 @@ def copy_package(site: Path) -> None:
             if ".." not in file.parts and file.suffix != ".pyc":
                 (site / file).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(str(distribution.locate_file(file)), site / file)
-    told = site / f"open_kleinkram-{ours.version}.dist-info"
-    told.mkdir()
-    (told / "METADATA").write_text(ours.read_text("METADATA") or "")
+    metadata_dir = site / f"open_kleinkram-{ours.version}.dist-info"
+    metadata_dir.mkdir()
+    (metadata_dir / "METADATA").write_text(ours.read_text("METADATA") or "")
     package = Path(kleinkram.__file__).parent
     shutil.copytree(package, site / "kleinkram", ignore=shutil.ignore_patterns("server", "__pycache__"))
 
 
 def libraries_of(file: Path) -> list[str]:
     """Return the libraries of the system that a compiled file needs."""
-    said = subprocess.run(["ldd", str(file)], capture_output=True, text=True, check=False).stdout
-    return [word for word in said.split() if word.startswith(("/lib", "/usr/lib")) and ":" not in word]
+    linked = subprocess.run(["ldd", str(file)], capture_output=True, text=True, check=False).stdout
+    return [word for word in linked.split() if word.startswith(("/lib", "/usr/lib")) and ":" not in word]
 
 
 @pytest.mark.slow
@@ -81,8 +81,8 @@ def test_the_shipped_action_says_the_same_as_an_image(
     script = containers.run(*run, tmp_path / "script", EXAMPLE / "extract_metadata.py")
     assert "Running extract-metadata as a p" in script.err
     assert image.json()["report"]["metadata"]["distance_m"] > 80
-    for said in ("metrics", "metadata", "findings"):
-        assert image.json()["report"][said] == script.json()["report"][said]
+    for linked in ("metrics", "metadata", "findings"):
+        assert image.json()["report"][linked] == script.json()["report"][linked]
     assert (tmp_path / "image" / "track.csv").read_bytes() == (tmp_path / "script" / "track.csv").read_bytes()
 
 

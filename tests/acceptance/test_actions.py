@@ -46,12 +46,12 @@ def test_a_script_runs_on_a_mission(terminal: Terminal, mission: tuple[str, ...]
     ran = terminal.run(*run, tmp_path / "out", "--json")
     assert "looking at /in/drive/drive.mcap" in ran.err
     assert "outside is a link: left out" in ran.err
-    said = ran.json()
-    assert (said["reason"], said["artifacts"]) == ("done", [{"path": "tables/counts.csv", "size_bytes": 11}])
-    (metric,) = said["report"]["metrics"]
+    run = ran.json()
+    assert (run["reason"], run["artifacts"]) == ("done", [{"path": "tables/counts.csv", "size_bytes": 11}])
+    (metric,) = run["report"]["metrics"]
     assert (metric["name"], metric["file"]) == ("messages", "drive/drive.mcap")
     assert metric["value"] > 0
-    assert said["report"]["metadata"] == {"sensors": ["imu"]}
+    assert run["report"]["metadata"] == {"sensors": ["imu"]}
     assert (tmp_path / "out" / "tables" / "counts.csv").read_text() == "topic,count"
 
     again = terminal.run(*run, tmp_path / "out", code=2)
@@ -63,7 +63,7 @@ def test_a_script_runs_on_a_mission(terminal: Terminal, mission: tuple[str, ...]
 
 
 @pytest.mark.slow
-def test_what_cannot_be_run_is_told(terminal: Terminal, mission: tuple[str, ...], tmp_path: Path) -> None:
+def test_errors_name_what_cannot_be_run(terminal: Terminal, mission: tuple[str, ...], tmp_path: Path) -> None:
     script = tmp_path / "look.py"
     run = ["action", "run-local", script, *mission, "--out", tmp_path / "out"]
     for header, code, why in (
@@ -76,9 +76,9 @@ def test_what_cannot_be_run_is_told(terminal: Terminal, mission: tuple[str, ...]
         assert why in terminal.run(*run, code=code).err
 
     script.write_text("open('/out/report.json', 'w').write('{\"metrics\": [{\"name\": 5}]}')")
-    said = json.loads(terminal.run(*run, "--json", code=14).out)
-    assert said["reason"] == "broken_report"
-    assert "metrics.0.name" in said["message"]
+    run = json.loads(terminal.run(*run, "--json", code=14).out)
+    assert run["reason"] == "broken_report"
+    assert "metrics.0.name" in run["message"]
 
 
 @pytest.mark.slow
@@ -88,10 +88,12 @@ def test_the_actions_on_the_page_run(terminal: Terminal, mission: tuple[str, ...
     for name, code in blocks.items():
         (tmp_path / f"{name}.py").write_text(code)
 
-    told = terminal.run("action", "run-local", tmp_path / "script.py", *mission, "--out", tmp_path / "out-1", "--json")
-    assert {each["name"] for each in told.json()["report"]["metrics"]} == {"messages"}
-    assert "Running count as a p" in told.err
-    told = terminal.run("action", "run-local", tmp_path / "bare.py", *mission, "--out", tmp_path / "out-2", "--json")
-    sizes = {each["file"]: each["value"] for each in told.json()["report"]["metrics"]}
-    assert sizes == {f"drive/{each.name}": each.stat().st_size for each in (tmp_path / "drive").iterdir()}
-    assert told.json()["report"]["previews"] == [{"path": "sizes.csv", "title": "Sizes"}]
+    result = terminal.run(
+        "action", "run-local", tmp_path / "script.py", *mission, "--out", tmp_path / "out-1", "--json"
+    )
+    assert {metric["name"] for metric in result.json()["report"]["metrics"]} == {"messages"}
+    assert "Running count as a p" in result.err
+    result = terminal.run("action", "run-local", tmp_path / "bare.py", *mission, "--out", tmp_path / "out-2", "--json")
+    sizes = {metric["file"]: metric["value"] for metric in result.json()["report"]["metrics"]}
+    assert sizes == {f"drive/{metric.name}": metric.stat().st_size for metric in (tmp_path / "drive").iterdir()}
+    assert result.json()["report"]["previews"] == [{"path": "sizes.csv", "title": "Sizes"}]

@@ -7,9 +7,9 @@ from tests.acceptance.conftest import Terminal
 
 def test_events_are_found_and_exported(terminal: Terminal, project: str) -> None:
     terminal.run("mission", "create", "m", "-p", project)
-    found = terminal.run("audit", "-p", project, "--operation", "mission.*", "--person", "owner", "--json").json()
-    assert [event["operation"] for event in found["items"]] == ["mission.create"]
-    mission_id = found["items"][0]["noun_id"]
+    events = terminal.run("audit", "-p", project, "--operation", "mission.*", "--person", "owner", "--json").json()
+    assert [event["operation"] for event in events["items"]] == ["mission.create"]
+    mission_id = events["items"][0]["noun_id"]
     shown = terminal.run("audit", "-m", "m", "-p", project).out
     assert "mission.create" in shown
     assert "token local owner" in shown
@@ -17,7 +17,7 @@ def test_events_are_found_and_exported(terminal: Terminal, project: str) -> None
     lines = terminal.run("audit", "--export", "-p", project).out.splitlines()
     assert [json.loads(line)["operation"] for line in lines] == ["project.create", "mission.create"]
     assert terminal.run("audit", "--jsonl", "--id", mission_id, "--until", "2000-01-01").out == ""
-    since = ["--since", found["items"][0]["at"]]
+    since = ["--since", events["items"][0]["at"]]
     assert len(terminal.run("audit", *since, "-p", project, "--export").out.splitlines()) == 1
 
 

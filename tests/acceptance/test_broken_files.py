@@ -22,21 +22,21 @@ def _day(folder: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_whole_cut_and_broken_recordings_are_told_apart(terminal: Terminal, project: str, tmp_path: Path) -> None:
+def test_intact_truncated_and_broken_recordings_differ(terminal: Terminal, project: str, tmp_path: Path) -> None:
     place = ["-p", project, "-m", "Day 1"]
     terminal.run("upload", *place, "--create", "--wait", f"{_day(tmp_path / 'day')}/")
     states = {"indexed": ["whole.mcap"], "recovered": ["cut.mcap"], "broken": ["empty.mcap"], "opaque": ["note.txt"]}
     for state, paths in states.items():
         for command in (("file", "list"), ("search",)):
-            found = terminal.run(*command, "-p", project, "--content", state, "--json").json()
-            assert [item["path"] for item in found["items"]] == paths, (command, state)
+            files = terminal.run(*command, "-p", project, "--content", state, "--json").json()
+            assert [item["path"] for item in files["items"]] == paths, (command, state)
             shown = terminal.run(*command, "-p", project, "--content", state).out
             assert paths[0] in shown
             assert state in shown
 
-    told = terminal.run("mission", "info", *place, "--json").json()
-    recordings = {each["name"]: each for each in told["recordings"]}
-    assert {name: each["content"] for name, each in recordings.items()} == {
+    mission = terminal.run("mission", "info", *place, "--json").json()
+    recordings = {recording["name"]: recording for recording in mission["recordings"]}
+    assert {name: recording["content"] for name, recording in recordings.items()} == {
         path: state for state, paths in states.items() for path in paths if state != "opaque"
     }
     whole, cut = recordings["whole.mcap"], recordings["cut.mcap"]

@@ -116,7 +116,7 @@ def test_each_mission_of_a_search_is_run_on(
     assert "--yes" in terminal.run(*run, code=2).err
     ran = terminal.run(*run, "--yes", "--follow", "--json", code=None)
     outcomes = {each["outcome"]: each for each in ran.json()["items"]}
-    assert outcomes["made"]["run"]["state"] == "done"
+    assert outcomes["created"]["run"]["state"] == "done"
     assert outcomes["refused"]["problem"]["code"] == "no_inputs"
     assert f"{project}/empty: No file of the mission" in ran.err
     assert ran.code == terminal.run("action", "run", tmp_path / "look.py", "-m", "empty", "-p", project, code=None).code

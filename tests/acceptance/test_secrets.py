@@ -8,7 +8,7 @@ from kleinkram.standalone.data_dir import DataDir, load_secrets
 from tests.acceptance.conftest import Instance, Terminal
 
 
-def test_the_logs_of_klein_up_hold_no_secret(
+def test_the_logs_of_klein_up_contain_no_secret(
     instance: Instance, terminal: Terminal, project: str, tmp_path: Path
 ) -> None:
     body = tmp_path / "a.bin"
@@ -18,14 +18,14 @@ def test_the_logs_of_klein_up_hold_no_secret(
     token = terminal.run("token", "create", "robot", "--json").json()["secret"]
     terminal.run("project", "list", "--json")
     folder = DataDir(instance.data_dir)
-    held = load_secrets(folder)
+    stored = load_secrets(folder)
     known = {
         "the owner's token": folder.token_file.read_text().strip(),
         "a token": token,
-        "a password of PostgreSQL": held.postgres_serve,
-        "the password that migrates": held.postgres_migrate,
-        "the password of the superuser": held.postgres_admin,
-        "the store's key": held.s3_secret_key,
+        "a password of PostgreSQL": stored.postgres_serve,
+        "the password that migrates": stored.postgres_migrate,
+        "the password of the superuser": stored.postgres_admin,
+        "the store's key": stored.s3_secret_key,
     }
     logs = sorted(folder.log("api").parent.glob("*.log*"))
     assert {"api.log", "worker.log", "postgres.log", "store.log"} <= {log.name for log in logs}

@@ -24,9 +24,9 @@ def endpoints_file(terminal: Terminal) -> Path:
 
 
 def test_in_by_the_browser_and_out_again(away: Terminal, browser: Browser) -> None:
-    told = log_in(away, browser, "--name", "lab")
-    assert (told["name"], told["url"], told["person"]) == ("lab", browser.url, "owner")
-    assert told["expires_at"] is not None
+    login = log_in(away, browser, "--name", "lab")
+    assert (login["name"], login["url"], login["person"]) == ("lab", browser.url, "owner")
+    assert login["expires_at"] is not None
     assert endpoints_file(away).stat().st_mode & 0o777 == 0o600
 
     me = away.run("whoami", "--json").json()
@@ -53,7 +53,7 @@ def test_signing_in_again_ends_the_token_before(away: Terminal, browser: Browser
     assert set(before) == set(after) == {urlsplit(browser.url).netloc}
     (old,), (new,) = before.values(), after.values()
     assert old["token"] != new["token"]
-    assert [browser.status_of(each["token"]) for each in (old, new)] == [401, 200]
+    assert [browser.status_of(endpoint["token"]) for endpoint in (old, new)] == [401, 200]
 
 
 @pytest.mark.slow
@@ -66,8 +66,8 @@ def test_in_by_a_code_that_is_typed_elsewhere_unless_it_is_refused(away: Termina
     agreed, refused = (end(process) for process in logins)
     assert (agreed.code, refused.code) == (0, 4), (agreed, refused)
     assert "Signed in" in agreed.err
-    (kept,) = saved(away)["endpoints"].values()
-    assert (kept["person"], browser.status_of(kept["token"])) == ("owner", 200)
+    (saved_endpoint,) = saved(away)["endpoints"].values()
+    assert (saved_endpoint["person"], browser.status_of(saved_endpoint["token"])) == ("owner", 200)
     assert "refused" in refused.err
     assert not endpoints_file(other).exists()
 
@@ -109,10 +109,10 @@ def test_a_file_that_others_can_read_is_refused(away: Terminal, browser: Browser
 
 
 @pytest.mark.slow
-def test_where_the_server_is_away_the_token_is_forgotten_and_it_is_said(away: Terminal) -> None:
+def test_logout_forgets_the_token_and_warns_when_the_server_is_unavailable(away: Terminal) -> None:
     away.run("endpoint", "add", "gone", "http://127.0.0.1:9", stdin="kk_secret\n")
-    leaving, coming = away.start("logout"), away.start("login", "http://127.0.0.1:9")
-    left, came = end(leaving), end(coming)
+    logout, coming = away.start("logout"), away.start("login", "http://127.0.0.1:9")
+    left, came = end(logout), end(coming)
     assert (left.code, came.code) == (7, 7), (left, came)
     assert "could not be revoked" in left.err
     assert "kk_secret" not in left.err
@@ -141,12 +141,12 @@ def test_the_owner_of_this_machine_needs_no_sign_in(terminal: Terminal, instance
     assert (me["person"]["name"], me["is_admin"], me["endpoint"]) == ("owner", True, "local")
     assert "klein down" in terminal.run("logout", code=2).err
     assert "klein session link" in terminal.run("login", code=2).err
-    told = instance.told()
-    token = Path(told["token_file"]).read_text().strip()
-    shown = ask_owner_link(told["local_url"], token)  # what a terminal is shown
+    login = instance.runtime_info()
+    token = Path(login["token_file"]).read_text().strip()
+    shown = ask_owner_link(login["local_url"], token)  # what a terminal is shown
     assert shown is not None
-    assert shown.startswith(f"{told['url']}/sign-in/link#")
-    assert ask_owner_link(told["local_url"], "another") is None
+    assert shown.startswith(f"{login['url']}/sign-in/link#")
+    assert ask_owner_link(login["local_url"], "another") is None
 
 
 @pytest.mark.slow
@@ -166,8 +166,8 @@ def test_who_is_invited_gets_an_account_and_is_let_in_further(
     assert "CREATE" in away.run("mission", "create", "walk", "-p", project, code=4).err
 
     def token() -> str:
-        (kept,) = saved(away)["endpoints"].values()
-        return str(kept["token"])
+        (saved_endpoint,) = saved(away)["endpoints"].values()
+        return str(saved_endpoint["token"])
 
     again = urlsplit(terminal.run("person", "reset", email).out.strip())
     ben = replace(ben, cookie=ben.sign_in("/auth/reset", {**chosen, "code": again.fragment}))

@@ -1,4 +1,4 @@
-"""The stock image of script actions, built as docs say on a base made here: scripts, shipped action and the demo."""
+"""The default image of script actions, built as docs say on a base made here: scripts, shipped action and the demo."""
 
 import os
 import subprocess
@@ -45,7 +45,7 @@ report.metric("topics", len(rates), unit="1")
 
 @pytest.fixture(scope="module")
 def docker() -> Iterator[Dockerd]:
-    """An engine of the tests' own with the stock image, which takes minutes."""
+    """An engine of the tests' own with the default image, which takes minutes."""
     if os.geteuid() != 0:
         missing("a Docker of the tests' own needs root")
     need(*engines.PROGRAMS, "debootstrap")

@@ -43,18 +43,18 @@ def test_a_field_day_goes_in_is_found_and_comes_back(terminal: Terminal, day: Pa
     paths = {item["path"] for item in report["items"]}
     assert {"drive.mcap", "drive.bag", "drive_rosbag2/metadata.yaml"} <= paths
 
-    told = terminal.run("mission", "info", *place, "--json").json()
-    assert told["mission"]["metadata"] == {"robot": "anymal", "temperature": -4}
-    assert len(told["recordings"]) == 3
-    imu = [topic for topic in told["topics"] if "imu" in topic["name"]]
+    mission = terminal.run("mission", "info", *place, "--json").json()
+    assert mission["mission"]["metadata"] == {"robot": "anymal", "temperature": -4}
+    assert len(mission["recordings"]) == 3
+    imu = [topic for topic in mission["topics"] if "imu" in topic["name"]]
     assert imu
     assert all(topic["rate_hz"] == pytest.approx(200, rel=0.05) for topic in imu)
     shown = terminal.run("mission", "info", *place).out
     assert "LONGEST GAP" in shown
     assert "200." in shown
 
-    found = terminal.run("search", "--topic", "*imu*", "-w", "robot=anymal", "-w", "temperature<0", "--json").json()
-    assert {"drive.mcap", "drive.bag"} <= {item["path"] for item in found["items"]}
+    matches = terminal.run("search", "--topic", "*imu*", "-w", "robot=anymal", "-w", "temperature<0", "--json").json()
+    assert {"drive.mcap", "drive.bag"} <= {item["path"] for item in matches["items"]}
     assert terminal.run("search", "--topic", "/no/such/topic", "--json").json() == {"items": []}
     stats = terminal.run("stats", "--by", "metadata.robot", "-p", "Alps 2026", "--json").json()
     assert [(row["group"], row["missions"]) for row in stats["rows"]] == [("anymal", 1)]

@@ -13,8 +13,8 @@ from tests.acceptance.conftest import Terminal, end, wait_until
 @pytest.fixture
 def url(terminal: Terminal) -> str:
     """The server's address."""
-    told: str = terminal.run("endpoint", "--json").json()["url"]
-    return told
+    url: str = terminal.run("endpoint", "--json").json()["url"]
+    return url
 
 
 def _elsewhere(terminal: Terminal, tmp_path: Path, url: str, token: str | None = None) -> Terminal:
@@ -131,7 +131,7 @@ def test_a_full_project_refuses_with_numbers(terminal: Terminal, project: str, d
     refused = terminal.run("upload", "-p", project, "-m", "m", "--create", f"{day}/", "--json", code=13)
     errors = {item["path"]: item["error"] for item in json.loads(refused.out)["items"]}
     assert errors["long.bin"]["kind"] == "QuotaExceeded"
-    assert all(said in errors["long.bin"]["message"] for said in ("10000000", project))
+    assert all(expected in errors["long.bin"]["message"] for expected in ("10000000", project))
     terminal.run("project", "update", project, "--quota-bytes", "none")
     terminal.run("upload", "-p", project, "-m", "m", f"{day}/")
     assert "4 of 100" in terminal.run("project", "info", project).out

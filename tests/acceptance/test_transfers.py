@@ -27,14 +27,14 @@ def test_an_upload_that_was_killed_sends_only_the_rest(terminal: Terminal, proje
     wait_until(lambda: terminal.parts_sent() >= 2, "two parts sent")
     process.send_signal(signal.SIGKILL)
     end(process)
-    kept = terminal.parts_sent()
+    part_count = terminal.parts_sent()
     (journal,) = terminal.journals()
     with journal.open("a") as out:
         out.write('{"number": 5, "chec')  # a line that the kill tore
 
     (resumed,) = terminal.run(*upload, "--json").json()["items"]
     assert resumed["outcome"] == "uploaded"
-    assert resumed["moved_bytes"] == file.stat().st_size - kept * PART
+    assert resumed["moved_bytes"] == file.stat().st_size - part_count * PART
     assert terminal.journals() == []
     terminal.run("verify", "-p", project, "-m", "m", file)
 
@@ -47,12 +47,12 @@ def test_bytes_that_changed_between_two_runs_are_sent_again(terminal: Terminal, 
     wait_until(lambda: terminal.parts_sent() >= 2, "two parts sent")
     process.send_signal(signal.SIGKILL)
     end(process)
-    kept = terminal.parts_sent()
+    part_count = terminal.parts_sent()
     with file.open("r+b") as out:
         out.write(b"other")  # in the first part, which the store has
 
     (resumed,) = terminal.run(*upload, "--json").json()["items"]
-    assert resumed["moved_bytes"] == file.stat().st_size - (kept - 1) * PART
+    assert resumed["moved_bytes"] == file.stat().st_size - (part_count - 1) * PART
     terminal.run("verify", "-p", project, "-m", "m", file)
 
 
@@ -78,7 +78,7 @@ def test_an_upload_survives_a_crash_of_the_other_side(
     dead = instance.kill_part(part)
     ended = end(process)
     assert ended.code == 0, ended.err
-    wait_until(lambda: instance.told()["parts"].get(part) not in {None, dead}, "the part was started again")
+    wait_until(lambda: instance.runtime_info()["parts"].get(part) not in {None, dead}, "the part was started again")
     terminal.run("verify", "-p", project, "-m", "m", file)
 
 
@@ -98,7 +98,7 @@ def test_a_file_that_changes_while_it_is_read_is_refused(terminal: Terminal, pro
     terminal.run("verify", "-p", project, "-m", "m", file, calm)
 
 
-def test_of_two_who_race_for_a_name_one_wins_and_one_is_told(
+def test_of_two_uploads_of_one_name_one_succeeds_and_one_fails(
     terminal: Terminal, other_terminal: Terminal, project: str, tmp_path: Path
 ) -> None:
     terminal.run("mission", "create", "m", "-p", project)
@@ -119,7 +119,7 @@ def test_what_is_there_already_is_not_sent(terminal: Terminal, project: str, tmp
     (again,) = terminal.run(*upload).json()["items"]
     assert (again["outcome"], again["moved_bytes"], again["file_id"]) == ("present", 0, first["file_id"])
 
-    terminal.run("verify", "--remote", first["file_id"])  # proven now, so that others may link to it
+    terminal.run("verify", "--remote", first["file_id"])  # verified now, so that others may link to it
     (linked,) = terminal.run("upload", "-p", project, "-m", "other", "--create", file, "--json").json()["items"]
     assert (linked["outcome"], linked["moved_bytes"]) == ("linked", 0)
 
@@ -130,7 +130,9 @@ def test_what_is_there_already_is_not_sent(terminal: Terminal, project: str, tmp
     terminal.run("verify", "-p", project, "-m", "m", file, code=9)
 
 
-def test_many_sizes_and_odd_names_come_back(terminal: Terminal, project: str, tmp_path: Path) -> None:
+def test_many_sizes_and_unusual_names_are_downloaded_unchanged(
+    terminal: Terminal, project: str, tmp_path: Path
+) -> None:
     folder = tmp_path / "odd"
     sizes = {"empty": 0, "one byte": 1, "sub/grüße 🤖.bin": 3000, "sub/deep/a'b$.bin": PART, "x.bin": PART + 1}
     for name, size in sizes.items():
@@ -181,10 +183,10 @@ def test_a_download_that_was_killed_fetches_only_the_rest(terminal: Terminal, pr
     process.send_signal(signal.SIGKILL)
     end(process)
     assert not (dest / "big.bin").exists()
-    kept = ranges()
+    part_count = ranges()
 
     (resumed,) = terminal.run(*download, "--json").json()["items"]
-    assert resumed["moved_bytes"] == file.stat().st_size - kept * RANGE
+    assert resumed["moved_bytes"] == file.stat().st_size - part_count * RANGE
     assert (dest / "big.bin").read_bytes() == file.read_bytes()
     assert [path.name for path in dest.iterdir()] == ["big.bin"]
 
@@ -238,7 +240,7 @@ def test_a_project_deleted_meanwhile_ends_its_uploads(terminal: Terminal, projec
 
 
 @pytest.mark.slow
-def test_addresses_that_expire_meanwhile_are_asked_for_again(terminal: Terminal, project: str, tmp_path: Path) -> None:
+def test_expired_presigned_urls_are_requested_again(terminal: Terminal, project: str, tmp_path: Path) -> None:
     file = random_file(tmp_path / "big.bin", 4 * PART)
     slowly = ["--limit-rate", "6MiB", "--connections", "1"]  # longer than the 4 s that an address is good for here
     terminal.run("upload", "-p", project, "-m", "m", "--create", file, *slowly)

@@ -29,11 +29,11 @@ _STUCK_S = 60
 
 def main() -> int:
     """Return 0 if every case kept the promises."""
-    wanted = _arguments()
+    options = _arguments()
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
-    files = seeds.generated() + (seeds.real() if wanted.real else [])
+    files = seeds.generated() + (seeds.real() if options.real else [])
     with tempfile.TemporaryDirectory() as folder:
-        return _run(wanted, files, Path(folder))
+        return _run(options, files, Path(folder))
 
 
 def _arguments() -> argparse.Namespace:
@@ -45,14 +45,14 @@ def _arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _run(wanted: argparse.Namespace, files: list[seeds.Seed], folder: Path) -> int:
-    ends = time.monotonic() + wanted.minutes * 60
-    case, slowest_s = wanted.start, 0.0
+def _run(options: argparse.Namespace, files: list[seeds.Seed], folder: Path) -> int:
+    ends = time.monotonic() + options.minutes * 60
+    case, slowest_s = options.start, 0.0
     for seed in files:
         with _at_most(_CASE_S):
             check(seed, folder)
     before = _peak_bytes()
-    while case < wanted.start + wanted.cases and time.monotonic() < ends:
+    while case < options.start + options.cases and time.monotonic() < ends:
         began = time.monotonic()
         try:
             with _at_most(_CASE_S):
@@ -64,7 +64,7 @@ def _run(wanted: argparse.Namespace, files: list[seeds.Seed], folder: Path) -> i
         case += 1
     growth = _peak_bytes() - before
     cost = f"slowest {slowest_s:.2f} s, grown by {growth / 2**20:.0f} MB"
-    sys.stdout.write(f"{case - wanted.start} cases of {len(files)} files, {cost}\n")
+    sys.stdout.write(f"{case - options.start} cases of {len(files)} files, {cost}\n")
     return int(growth > _GROWTH_BYTES)
 
 

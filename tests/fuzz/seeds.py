@@ -9,9 +9,9 @@ from pathlib import Path
 
 import zstandard
 
-from kleinkram.recordings.bag.writer import BagCompression, BagWriter
-from kleinkram.recordings.mcap.writer import Compression, McapWriter
-from kleinkram.recordings.rosbag2.db3_writer import Db3Writer
+from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.formats.rosbag1.writer import BagCompression, BagWriter
+from kleinkram.recordings.formats.rosbag2.writer import Db3Writer
 from tests.conftest import RECORDINGS
 
 _T0 = 1_700_000_000_000_000_000
@@ -38,14 +38,14 @@ class Seed:
 
 def generated() -> list[Seed]:
     """Return the generated seeds; the same bytes each time."""
-    found = [Seed(f"{kind.value}.mcap", _mcap(kind)) for kind in Compression]
-    found += [Seed(f"{kind.value}.bag", _bag(kind)) for kind in BagCompression]
-    found.append(Seed("database.db3", _db3()))
-    found.append(Seed("whole.mcap.zstd", zstandard.compress(_mcap(Compression.none))))
-    found.append(
+    seeds = [Seed(f"{kind.value}.mcap", _mcap(kind)) for kind in Compression]
+    seeds += [Seed(f"{kind.value}.bag", _bag(kind)) for kind in BagCompression]
+    seeds.append(Seed("database.db3", _db3()))
+    seeds.append(Seed("whole.mcap.zstd", zstandard.compress(_mcap(Compression.none))))
+    seeds.append(
         Seed("path.tum", b"".join(b"%d.5 1 2 3 0 0 0 1\n" % stamp for stamp in range(1_700_000_000, 1_700_000_040)))
     )
-    return found
+    return seeds
 
 
 def real() -> list[Seed]:

@@ -20,7 +20,7 @@ from fastapi import FastAPI
 from sqlalchemy import event
 
 from kleinkram.server.app import create_app
-from kleinkram.server.serving import ApiServer
+from kleinkram.server.http.web_server import ApiServer
 from kleinkram.server.settings import Settings
 from tests.integration.openapi_check import assert_is_described
 
@@ -81,9 +81,9 @@ class Api:
         answer = self._pool.request(method, address, body=data, headers=sent)
         is_text = answer.headers.get("content-type", "").startswith(("text/", "application/jsonl"))
         parsed = answer.data.decode() if is_text else json.loads(answer.data) if answer.data else None
-        told = Answer(answer.status, {name.lower(): value for name, value in answer.headers.items()}, parsed)
-        assert_is_described(method, f"/api/v1{path}", told.status, told.body)
-        return told
+        result = Answer(answer.status, {name.lower(): value for name, value in answer.headers.items()}, parsed)
+        assert_is_described(method, f"/api/v1{path}", result.status, result.body)
+        return result
 
     def get(self, path: str, query: Query = ()) -> Answer:
         """GET."""
@@ -112,13 +112,13 @@ class Api:
                 return items
             cursor = {"cursor": page["next"]}
 
-    def project(self, **wanted: Any) -> Any:
+    def project(self, **fields: Any) -> Any:
         """Make a project, of any name unless one is given."""
-        return self.post("/projects", {"name": f"project {uuid.uuid4().hex[:12]}", **wanted}).ok(201)
+        return self.post("/projects", {"name": f"project {uuid.uuid4().hex[:12]}", **fields}).ok(201)
 
-    def mission(self, project_id: str, **wanted: Any) -> Any:
+    def mission(self, project_id: str, **fields: Any) -> Any:
         """Make a mission, of any name unless one is given."""
-        body = {"name": f"mission {uuid.uuid4().hex[:12]}", **wanted}
+        body = {"name": f"mission {uuid.uuid4().hex[:12]}", **fields}
         return self.post(f"/projects/{project_id}/missions", body).ok(201)
 
     def sql(self, statement: str, *values: Any) -> list[tuple[Any, ...]]:

@@ -27,13 +27,13 @@ class Ears:
         self.thread = threading.Thread(target=self._listen, name="ears", daemon=True)
         self.thread.start()
 
-    def hear(self, **wanted: object) -> Any:
+    def hear(self, **fields: object) -> Any:
         """Wait for a change with these values, and return it."""
 
         def met() -> list[Any]:
-            return [data for _, data in self.events if wanted.items() <= data.items()]
+            return [data for _, data in self.events if fields.items() <= data.items()]
 
-        self.until(lambda: bool(met()), f"{wanted}")
+        self.until(lambda: bool(met()), f"{fields}")
         return met()[0]
 
     def until(self, holds: Callable[[], bool], what: str = "") -> None:

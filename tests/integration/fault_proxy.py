@@ -17,7 +17,7 @@ _OF_ONE_HOP = {"connection", "transfer-encoding", "keep-alive", "expect"}
 
 
 @dataclass(frozen=True)
-class Asked:
+class ProxiedRequest:
     """One request to the store; names of headers in lower case."""
 
     method: str
@@ -51,8 +51,8 @@ class Cut:
     """The store's answer breaks off in the middle of its body."""
 
 
-Rule = Callable[[Asked], "Reply | Lost | Cut | None"]
-Edit = Callable[[Asked, bytes], bytes]
+Rule = Callable[[ProxiedRequest], "Reply | Lost | Cut | None"]
+Edit = Callable[[ProxiedRequest, bytes], bytes]
 
 
 class Middleman:
@@ -63,8 +63,8 @@ class Middleman:
 
     def __init__(self, url: str, store: str) -> None:
         self.url = url
-        self.rule: Rule = lambda _asked: None
-        self.edit: Edit = lambda _asked, body: body
+        self.rule: Rule = lambda _proxied: None
+        self.edit: Edit = lambda _proxied, body: body
         self._store = urlsplit(store).netloc
 
     def pass_on(self, request: BaseHTTPRequestHandler) -> None:
@@ -73,8 +73,8 @@ class Middleman:
         headers = {name.lower(): value for name, value in request.headers.items()}
         body = request.rfile.read(int(headers.get("content-length", 0)))
         query = dict(parse_qsl(target.query, keep_blank_values=True))
-        asked = Asked(request.command, target.path.split("/", 2)[-1], query, headers)
-        decided = self.rule(asked)
+        proxied = ProxiedRequest(request.command, target.path.split("/", 2)[-1], query, headers)
+        decided = self.rule(proxied)
         if isinstance(decided, Reply):
             _answer(request, decided.status, {"content-type": "application/xml"}, decided.body)
             return
@@ -84,7 +84,7 @@ class Middleman:
             return
         if isinstance(decided, Cut):
             request.close_connection = True
-        _answer(request, status, answered, self.edit(asked, content), cut=isinstance(decided, Cut))
+        _answer(request, status, answered, self.edit(proxied, content), cut=isinstance(decided, Cut))
 
     def _ask_store(
         self, request: BaseHTTPRequestHandler, headers: Mapping[str, str], body: bytes
@@ -97,8 +97,10 @@ class Middleman:
                     connection.putheader(name, value)
             connection.endheaders(body)
             answer = connection.getresponse()
-            kept = {name.lower(): value for name, value in answer.headers.items() if name.lower() not in _OF_ONE_HOP}
-            return answer.status, kept, answer.read()
+            forwarded = {
+                name.lower(): value for name, value in answer.headers.items() if name.lower() not in _OF_ONE_HOP
+            }
+            return answer.status, forwarded, answer.read()
         finally:
             connection.close()
 

@@ -17,8 +17,8 @@ from kleinkram.server.jobs.failing import keep_why
 from kleinkram.server.jobs.queue import queue
 from kleinkram.server.recordings.rests import Rests
 from kleinkram.server.recordings.understanding import Understanding
+from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings, plain_dsn
-from kleinkram.server.storage import open_storage
 from tests.integration.api_server import Api
 
 T = TypeVar("T")
@@ -89,7 +89,7 @@ def on_site(api: Api, work: Callable[[AppContext], Awaitable[T]], *, store: str 
         try:
             async with open_storage(settings) as storage:
                 return await work(
-                    AppContext(database, storage.with_abilities(api.app.state.storage.abilities), settings)
+                    AppContext(database, storage.with_capabilities(api.app.state.storage.capabilities), settings)
                 )
         finally:
             await database.close()

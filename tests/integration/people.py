@@ -71,8 +71,8 @@ def group(
     name = name or f"group {group_id[:8]}"
     values = (group_id, kind.value, name, name_key(name))
     api.sql("INSERT INTO access_group (id, kind, name, name_key) VALUES (%s, %s, %s, %s)", *values)
-    for each in members:
-        join(api, each, group_id, expires_s=expires_s)
+    for member in members:
+        join(api, member, group_id, expires_s=expires_s)
     return group_id
 
 
@@ -83,8 +83,8 @@ def email_group(api: Api, email: str) -> str:
         "INSERT INTO access_group (id, kind, name, name_key) VALUES (%s, 'email', %s, %s) ON CONFLICT DO NOTHING",
         *values,
     )
-    found = api.sql("SELECT id::text FROM access_group WHERE kind = 'email' AND name_key = %s", name_key(email))
-    return str(found[0][0])
+    groups = api.sql("SELECT id::text FROM access_group WHERE kind = 'email' AND name_key = %s", name_key(email))
+    return str(groups[0][0])
 
 
 def join(api: Api, who: Person | str, group_id: str, *, is_editor: bool = False, expires_s: Expiry = None) -> None:
@@ -130,11 +130,11 @@ def token(
     """Put a token; `limits` are the ids of the projects and missions that it reaches."""
     made = Token(str(uuid.uuid4()), f"test_{secrets.token_hex(32)}")
     whose = who.id if isinstance(who, Person) else who
-    kept = hashlib.sha256(made.secret.encode()).digest()
+    digest = hashlib.sha256(made.secret.encode()).digest()
     api.sql(
         "INSERT INTO token (id, person_id, kind, name, prefix, secret_sha256, scopes, is_limited, expires_at)"
         f" VALUES (%s, %s, %s, %s, %s, %s, %s, %s, {_SOON})",
-        *(made.id, whose, kind.value, f"token {made.id[:8]}", made.secret[:12], kept),
+        *(made.id, whose, kind.value, f"token {made.id[:8]}", made.secret[:12], digest),
         *([scope.value for scope in scopes], limits is not None, expires_s),
     )
     for limit in limits or ():
@@ -170,11 +170,11 @@ def session(api: Api, who: Person, *, expires_s: float = 3600) -> str:
 def share(api: Api, mission_id: str, *, file_ids: Sequence[str] | None = None, expires_s: float = 3600) -> Token:
     """Put a link to a mission, or to some of its files; it expires then, below zero for one that has ended."""
     made = Token(str(uuid.uuid4()), f"test_{secrets.token_hex(32)}")
-    kept = hashlib.sha256(made.secret.encode()).digest()
+    digest = hashlib.sha256(made.secret.encode()).digest()
     api.sql(
         "INSERT INTO share (id, mission_id, name, is_whole, prefix, secret_sha256, created_by_id, expires_at)"
         f" VALUES (%s, %s, %s, %s, %s, %s, %s, {_SOON})",
-        *(made.id, mission_id, f"link {made.id[:8]}", file_ids is None, made.secret[:12], kept, OWNER_ID, expires_s),
+        *(made.id, mission_id, f"link {made.id[:8]}", file_ids is None, made.secret[:12], digest, OWNER_ID, expires_s),
     )
     for file_id in file_ids or ():
         api.sql("INSERT INTO share_file (share_id, file_id) VALUES (%s, %s)", made.id, file_id)

@@ -33,9 +33,9 @@ class Sample:
             self._insert("topic", {"blob_id": blob_id, **topic})
         return self.link(mission_id, path, blob_id, labels=labels)
 
-    def blob(self, **given: Any) -> str:
+    def blob(self, **columns: Any) -> str:
         """Put a blob; returns its id."""
-        blob_id = str(given.get("id", uuid.uuid4()))
+        blob_id = str(columns.get("id", uuid.uuid4()))
         values = {
             "id": blob_id,
             "key": f"blobs/{blob_id}",
@@ -45,7 +45,7 @@ class Sample:
             "content": "indexed",
             "format": "mcap",
             "summarised_at": datetime.datetime.now(datetime.timezone.utc),
-            **given,
+            **columns,
         }
         self._insert("blob", values)
         return blob_id
@@ -60,16 +60,18 @@ class Sample:
         self.api.sql("UPDATE mission SET file_count = NULL, duration_ns = NULL WHERE id = %s", mission_id)
         return file_id
 
-    def recording(self, mission_id: str, name: str, file_ids: list[str], **given: Any) -> str:
+    def recording(self, mission_id: str, name: str, file_ids: list[str], **columns: Any) -> str:
         """Put a recording made of files; returns its id."""
         recording_id = str(uuid.uuid4())
-        self._insert("recording", {"id": recording_id, "mission_id": mission_id, "name": name, "kind": "mcap", **given})
+        self._insert(
+            "recording", {"id": recording_id, "mission_id": mission_id, "name": name, "kind": "mcap", **columns}
+        )
         self.api.sql("UPDATE file SET recording_id = %s WHERE id = ANY(%s::uuid[])", recording_id, file_ids)
         return recording_id
 
     def _insert(self, table: str, values: dict[str, Any]) -> None:
-        columns = ", ".join(f'"{name}"' for name in values)
+        names = ", ".join(f'"{name}"' for name in values)
         places = ", ".join(["%s"] * len(values))
         # dicts are for jsonb columns
-        given = [json.dumps(value) if isinstance(value, dict) else value for value in values.values()]
-        self.api.sql(f"INSERT INTO {table} ({columns}) VALUES ({places})", *given)
+        row = [json.dumps(value) if isinstance(value, dict) else value for value in values.values()]
+        self.api.sql(f"INSERT INTO {table} ({names}) VALUES ({places})", *row)

@@ -22,14 +22,14 @@ Klein = Callable[..., "subprocess.CompletedProcess[str]"]
 def klein(api: Api, tmp_path_factory: pytest.TempPathFactory) -> Klein:
     """Run a command, and check its exit code."""
     home = tmp_path_factory.mktemp("home")
-    kept = {key: value for key, value in os.environ.items() if not key.startswith(("KLEINKRAM_", "COLUMNS"))}
+    inherited = {key: value for key, value in os.environ.items() if not key.startswith(("KLEINKRAM_", "COLUMNS"))}
     ours = {name: str(home / name) for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_DATA_HOME")}
     known = {"KLEINKRAM_URL": api.url, "KLEINKRAM_TOKEN": str(api.token)}
 
     def run(*arguments: object, code: int = 0, **environment: str) -> "subprocess.CompletedProcess[str]":
         words = [str(KLEIN), *map(str, arguments)]
         done = subprocess.run(
-            words, env={**kept, **ours, **known, **environment}, capture_output=True, text=True, timeout=100
+            words, env={**inherited, **ours, **known, **environment}, capture_output=True, text=True, timeout=100
         )
         assert done.returncode == code, f"{words}: {done}"
         return done
@@ -38,8 +38,8 @@ def klein(api: Api, tmp_path_factory: pytest.TempPathFactory) -> Klein:
 
 
 def _items(done: "subprocess.CompletedProcess[str]") -> list[Any]:
-    found: list[Any] = json.loads(done.stdout)["items"]
-    return found
+    items: list[Any] = json.loads(done.stdout)["items"]
+    return items
 
 
 @pytest.fixture(scope="module")
@@ -99,10 +99,10 @@ def test_metadata_is_merged_and_the_changes_are_printed(
 
 
 def test_each_topic_is_listed_once(klein: Klein, projects: tuple[str, str]) -> None:
-    found = _items(klein("search", "-p", projects[0], "--show", "topics", "--json"))
-    names = [(row["name"], row["message_type"]) for row in found]
+    items = _items(klein("search", "-p", projects[0], "--show", "topics", "--json"))
+    names = [(row["name"], row["message_type"]) for row in items]
     assert len(names) == len({*names}) > 3
-    assert {row["file_count"] for row in found} == {2}
+    assert {row["file_count"] for row in items} == {2}
     shown = klein("mission", "info", "-p", projects[0], "day").stdout
     assert shown.count("/imu/data ") == 1
 
@@ -113,7 +113,7 @@ def test_statistics_by_an_unknown_field_are_refused(klein: Klein, projects: tupl
     assert "month" in refused.stderr
 
 
-def test_failures_are_json_where_json_is_asked_for(klein: Klein, projects: tuple[str, str]) -> None:
+def test_json_output_reports_errors_as_json(klein: Klein, projects: tuple[str, str]) -> None:
     for arguments, code, word in (
         (("mission", "info", "nope", "-p", projects[0]), 3, "not_found"),
         (("mission", "list", "--nope"), 2, "usage"),
@@ -146,7 +146,7 @@ def test_failures_of_commands_without_a_server_are_json_too(klein: Klein, tmp_pa
         assert error["message"]
 
 
-def test_tables_fit_the_terminal_and_ids_are_shown_when_asked_for(klein: Klein, projects: tuple[str, str]) -> None:
+def test_tables_fit_the_terminal_and_the_ids_option_adds_ids(klein: Klein, projects: tuple[str, str]) -> None:
     for command in (("project", "list"), ("mission", "list"), ("file", "list"), ("search",), ("audit",), ("stats",)):
         shown = klein(*command, COLUMNS="80").stdout
         assert max(map(len, shown.splitlines())) <= 80, command
@@ -156,11 +156,11 @@ def test_tables_fit_the_terminal_and_ids_are_shown_when_asked_for(klein: Klein, 
 
 
 def test_debug_shows_requests_without_secrets(api: Api, klein: Klein, projects: tuple[str, str]) -> None:
-    said = klein("mission", "info", "nope", "-p", projects[0], "--debug", code=3).stderr
-    assert "GET /api/v1/missions: 200 in " in said
-    assert "(request " in said
-    assert "Traceback" in said
-    assert str(api.token) not in said
+    stderr = klein("mission", "info", "nope", "-p", projects[0], "--debug", code=3).stderr
+    assert "GET /api/v1/missions: 200 in " in stderr
+    assert "(request " in stderr
+    assert "Traceback" in stderr
+    assert str(api.token) not in stderr
 
 
 def test_names_are_completed_and_an_absent_server_is_silent(klein: Klein, projects: tuple[str, str]) -> None:

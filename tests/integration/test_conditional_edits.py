@@ -33,7 +33,7 @@ _EDITS: dict[str, list[tuple[Any, Any]]] = {
     "groups": [({"name": "first"}, {"name": "second"})],
     "actions": [({"archived": True}, {"archived": False})],
 }
-_HOLD = {
+_LOCK = {
     "missions": "SELECT 1 FROM mission WHERE id = %s FOR UPDATE",
     "projects": "SELECT 1 FROM project WHERE id = %s FOR UPDATE",
     "files": "SELECT 1 FROM file f JOIN mission m ON m.id = f.mission_id WHERE f.id = %s FOR UPDATE",
@@ -65,46 +65,46 @@ def _change(api: Api, noun: str, seen: Any, body: Any) -> Answer:
 
 
 @pytest.mark.parametrize(
-    ("noun", "first", "second"), [(noun, *each) for noun, those in _EDITS.items() for each in those]
+    ("noun", "first", "second"), [(noun, *pair) for noun, edits in _EDITS.items() for pair in edits]
 )
-def test_whoever_comes_second_is_told(api: Api, made: dict[str, Any], noun: str, first: Any, second: Any) -> None:
+def test_the_second_of_two_edits_is_refused(api: Api, made: dict[str, Any], noun: str, first: Any, second: Any) -> None:
     seen = api.get(f"/{noun}/{made[noun]['id']}").ok()
     if "name" in first:  # so that nobody else has it
-        first, second = ({"name": f"{each['name']} {seen['id']}"} for each in (first, second))
-    with racing(api, _HOLD[noun], seen["id"]) as send:
+        first, second = ({"name": f"{pair['name']} {seen['id']}"} for pair in (first, second))
+    with racing(api, _LOCK[noun], seen["id"]) as send:
         both = [send(_change, api, noun, seen, body) for body in (first, second)]
-    kept = both[0].result(30).ok()
+    edited = both[0].result(30).ok()
     problem = both[1].result(30).refused(412, "edit_conflict")
-    assert problem["etag"] == kept["etag"] != seen["etag"]
+    assert problem["etag"] == edited["etag"] != seen["etag"]
     assert "changed by somebody else" in problem["detail"]
     now = api.get(f"/{noun}/{seen['id']}").ok()
-    assert now == kept
+    assert now == edited
     assert _change(api, noun, now, second).ok()["etag"] != now["etag"], "having looked again, they may"
 
 
 @pytest.mark.parametrize("noun", _EDITS)
 def test_what_is_so_already_is_no_conflict(api: Api, made: dict[str, Any], noun: str) -> None:
     seen, body = made[noun], _EDITS[noun][0][0]
-    kept = _change(api, noun, seen, body).ok()
-    assert _change(api, noun, seen, body).ok()["etag"] == kept["etag"], "an answer was lost, and asked for again"
+    edited = _change(api, noun, seen, body).ok()
+    assert _change(api, noun, seen, body).ok()["etag"] == edited["etag"], "an answer was lost, and asked for again"
 
 
-def test_of_two_who_publish_the_next_version_the_second_is_told(api: Api, made: dict[str, Any]) -> None:
+def test_the_second_of_two_new_versions_is_refused(api: Api, made: dict[str, Any]) -> None:
     seen = made["actions"]
 
     def publish(script: str, etag: str) -> Answer:
         body, headers = {"definition": _definition(script)}, {"If-Match": f'"{etag}"'}
         return api.call("POST", f"/actions/{seen['id']}/versions", body, headers=headers)
 
-    with racing(api, _HOLD["actions"], seen["id"]) as send:
+    with racing(api, _LOCK["actions"], seen["id"]) as send:
         both = [send(publish, script, seen["etag"]) for script in ("2", "3")]
-    kept = both[0].result(30).ok(201)
-    assert both[1].result(30).refused(412, "edit_conflict")["etag"] == kept["etag"] != seen["etag"]
-    assert publish("2", seen["etag"]).ok(201) == kept, "an answer was lost, and asked for again"
-    assert publish("3", kept["etag"]).ok(201)["latest"]["number"] == 3
+    edited = both[0].result(30).ok(201)
+    assert both[1].result(30).refused(412, "edit_conflict")["etag"] == edited["etag"] != seen["etag"]
+    assert publish("2", seen["etag"]).ok(201) == edited, "an answer was lost, and asked for again"
+    assert publish("3", edited["etag"]).ok(201)["latest"]["number"] == 3
 
 
-def test_of_two_who_say_how_somebody_is_in_a_group_the_second_is_told(api: Api, made: dict[str, Any]) -> None:
+def test_the_second_of_two_membership_edits_is_refused(api: Api, made: dict[str, Any]) -> None:
     path = f"/groups/{made['groups']['id']}/members/{person(api).id}"
     put: Callable[[Any, Any], Answer] = lambda body, seen: api.call(  # noqa: E731  (short)
         "PUT", path, body, headers={"If-Match": f'"{seen["etag"]}"'} if seen else None

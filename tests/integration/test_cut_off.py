@@ -104,8 +104,8 @@ def test_who_follows_events_hears_of_all(behind: Behind) -> None:
     made: list[str] = []
 
     def follow() -> None:
-        for each in behind.client.events.follow(for_s=60):
-            heard.extend([str(each.id)] if isinstance(each, Change) else [])
+        for event in behind.client.events.follow(for_s=60):
+            heard.extend([str(event.id)] if isinstance(event, Change) else [])
             if len(made) == 3 and heard[-1:] == made[2:]:
                 return
 

@@ -61,21 +61,19 @@ def test_the_limit_of_a_statement_is_the_database_s_own_or_ours(api: Api, timeou
     assert on_site(api, work) == f"{shown} 7s"
 
 
-def test_a_request_for_which_no_connection_comes_free_is_told_to_try_again(
-    start_api: StartApi, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_request_without_a_free_connection_gets_503(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(db, "_POOL_TIMEOUT_S", 0.2)
     api = start_api(database_connections=2)
     project = api.project()["id"]
     with racing(api, "SELECT 1 FROM project WHERE id = %s FOR UPDATE", project) as send:
-        waiting = [send(api.patch, f"/projects/{project}", {"description": each}) for each in "ab"]
+        waiting = [send(api.patch, f"/projects/{project}", {"description": description}) for description in "ab"]
         answer = api.get("/projects")
     answer.refused(503, "database_unavailable")
     assert answer.headers["retry-after"]
-    assert [each.result().status for each in waiting] == [200, 200]
+    assert [description.result().status for description in waiting] == [200, 200]
 
 
-def test_a_connection_that_the_database_closed_is_not_given_out(api: Api) -> None:
+def test_closed_connections_are_replaced(api: Api) -> None:
     """It is noticed without asking: whoever comes next waits for a new connection, and hears of nothing."""
 
     async def work(context: AppContext) -> None:

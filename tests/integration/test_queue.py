@@ -22,13 +22,13 @@ def test_the_next_of_many_jobs_is_found_without_looking_at_all_for_each(start_ap
         assert api.sql(_NEXT) == [(None,)]
     api.sql(
         "INSERT INTO procrastinate_jobs (queue_name, task_name, status, args)"
-        " SELECT 'long', 'prove_blob', 'todo', jsonb_build_object('ref', n) FROM generate_series(1, %s) n",
+        " SELECT 'long', 'verify_blob', 'todo', jsonb_build_object('ref', n) FROM generate_series(1, %s) n",
         _WAITING,
     )
     api.sql(_READ)
     before = api.sql(_READ)[0][1]
-    found = [api.sql(_NEXT)[0][0] for _ in range(5)]
-    assert found == sorted(found)
-    assert None not in found
+    job_ids = [api.sql(_NEXT)[0][0] for _ in range(5)]
+    assert job_ids == sorted(job_ids)
+    assert None not in job_ids
     api.sql(_READ)
     assert api.sql(_READ)[0][1] - before < 5 * 3 * _WAITING, "rows of the queue read for five jobs"

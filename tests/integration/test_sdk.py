@@ -19,7 +19,7 @@ from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.client.tokens import Reach
 from kleinkram.contract.errors import KleinkramError, MetadataInvalid, NotFound
 from kleinkram.contract.rights import Right, TokenKind
-from kleinkram.recordings.reading import Recording
+from kleinkram.recordings import Recording
 from kleinkram.recordings.sample import Faults, SampleFormat, generate_mission
 from tests.integration.api_server import Api
 from tests.integration.jobs import run_jobs
@@ -101,20 +101,18 @@ def test_a_mission_with_its_project_is_one_name_in_filters_too(client: Client, p
 
 
 def test_an_empty_choice_is_not_everything(client: Client, place: tuple[str, str], tmp_path: Path) -> None:
-    asked: list[Callable[[], object]] = [
+    calls: list[Callable[[], object]] = [
         lambda: client.files.list(project=[]),
         lambda: client.missions.list(topic=[]),
         lambda: client.runs.list(mission=[]),
         lambda: client.download(dest=tmp_path, mission=[]),
     ]
-    for ask in asked:
+    for ask in calls:
         with pytest.raises(InvalidInput, match="it names none"):
             ask()
 
 
-def test_what_is_downloaded_is_said_by_ids_nouns_or_a_list(
-    client: Client, place: tuple[str, str], tmp_path: Path
-) -> None:
+def test_downloads_accept_ids_objects_or_lists(client: Client, place: tuple[str, str], tmp_path: Path) -> None:
     (file,) = client.files.list(project=place[0])
     several = client.files.list(project=place[0])
     for what in (file, file.id, str(file.id), [file.id], several, client.missions.list(project=place[0])):
@@ -129,7 +127,7 @@ def test_one_glob_may_be_excluded_and_limits_must_let_something_through(
     client: Client, place: tuple[str, str], drive: Path, tmp_path: Path
 ) -> None:
     where = "/".join(place)
-    assert [each.path for each in client.upload(drive, where, exclude="*.txt").results] == ["drive/drive.mcap"]
+    assert [result.path for result in client.upload(drive, where, exclude="*.txt").results] == ["drive/drive.mcap"]
     with pytest.raises(InvalidInput, match="at least 1"):
         client.upload(drive, where, connections=0)
     with pytest.raises(InvalidInput, match="above zero"):
@@ -164,7 +162,7 @@ def test_groups_people_links_and_tokens_go_by_name_as_well(client: Client, place
         client.tokens.get(made.token.name)
 
 
-def test_filters_are_said_by_keywords(client: Client, place: tuple[str, str]) -> None:
+def test_filters_are_keyword_arguments(client: Client, place: tuple[str, str]) -> None:
     project, mission = place
     other = client.projects.create(f"{project}-2").name
     client.missions.create("empty", project=other)
@@ -176,7 +174,7 @@ def test_filters_are_said_by_keywords(client: Client, place: tuple[str, str]) ->
     assert client.files.count(project=project, min_size_bytes="1GB") == 0
     assert {row.name for row in client.missions.list(project=[project, other])} == {mission, "empty"}
     assert [row.name for row in client.missions.list(project=other, name=["emp*", "x"])] == ["empty"]
-    assert [found.file_count for found in client.files.topics_found(project=project, topic="/imu/data")] == [1]
+    assert [topic.file_count for topic in client.files.topics_found(project=project, topic="/imu/data")] == [1]
     assert client.stats.get("metadata.robot", project=project).rows[0].group == "anymal"
 
 
@@ -254,11 +252,15 @@ def _methods(client: Client) -> Iterator[tuple[str, Callable[..., object], list[
                 yield f"{noun}.{name}", method, [*inspect.signature(method).parameters.values()]
 
 
-def test_wrong_arguments_are_told_in_plain_words(client: Client) -> None:
-    told: dict[str, str] = {}
+def test_wrong_arguments_raise_plain_messages(client: Client) -> None:
+    messages: dict[str, str] = {}
     tried = 0
     for name, method, parameters in _methods(client):
-        needed = [each for each in parameters if each.default is each.empty and each.kind is each.POSITIONAL_OR_KEYWORD]
+        needed = [
+            result
+            for result in parameters
+            if result.default is result.empty and result.kind is result.POSITIONAL_OR_KEYWORD
+        ]
         for wrong in WRONG:
             try:
                 result = method(*[wrong for _ in needed])
@@ -267,12 +269,12 @@ def test_wrong_arguments_are_told_in_plain_words(client: Client) -> None:
             except ValidationError as error:
                 pytest.fail(f"client.{name}({wrong!r}) shows pydantic's words: {error}")
             except KleinkramError as error:
-                told[f"{name}({str(wrong)[:20]!r})"] = str(error)
+                messages[f"{name}({str(wrong)[:20]!r})"] = str(error)
             except (TypeError, AttributeError, ValueError):
                 pass  # Python's own words for an argument of a wrong type
             tried += 1
     assert tried > 200
-    shown = {call: words for call, words in told.items() if "pydantic" in words or "Input should be" in words}
+    shown = {call: words for call, words in messages.items() if "pydantic" in words or "Input should be" in words}
     assert shown == {}
 
 

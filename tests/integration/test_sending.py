@@ -70,7 +70,7 @@ class Scripted:
             f"{'https' if tls else 'http'}://127.0.0.1:{self.listener.getsockname()[1]}/bucket/key?X-Amz-Signature=ab"
         )
         self.connections = 0
-        self.asked: list[bytes] = []
+        self.requests: list[bytes] = []
         self._answers = [*answers]
         threading.Thread(target=self._serve, daemon=True).start()
 
@@ -83,10 +83,10 @@ class Scripted:
 
     def _converse(self, connection: socket.socket, stream: io.BufferedReader) -> None:
         while self._answers and (line := stream.readline()):
-            self.asked.append(line)
+            self.requests.append(line)
             while (line := stream.readline()) != b"\r\n":
-                self.asked[-1] += line
-            self.asked[-1] += stream.read(4)
+                self.requests[-1] += line
+            self.requests[-1] += stream.read(4)
             answer = self._answers.pop(0)
             middle = answer.find(b"|")  # there it comes in two pieces
             connection.sendall(answer[: max(middle, 0)])
@@ -150,13 +150,13 @@ def test_a_store_that_takes_nothing_is_left_after_a_while(source: Source, monkey
     assert answer.answer is Answer.try_again
 
 
-def test_a_file_that_became_shorter_is_told_as_such(source: Source) -> None:
+def test_a_file_that_became_shorter_is_reported(source: Source) -> None:
     os.truncate(source.file.source, SLICE_BYTES)
     with pytest.raises(FileChanged):
         put(source)
 
 
-def test_a_disk_that_fails_is_told_as_such(source: Source, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failing_disk_is_reported(source: Source, monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object) -> int:
         raise OSError(errno.EIO, "Input/output error")
 
@@ -172,9 +172,9 @@ def test_one_connection_serves_one_put_after_the_other() -> None:
     assert store.connections == 1
     host = store.url.split("/")[2].encode()
     head = b"PUT /bucket/key?X-Amz-Signature=ab HTTP/1.1\r\nHost: " + host
-    assert [asked.startswith(head) and asked.endswith(b"abcd") for asked in store.asked] == [True] * 3
-    assert b"\r\nX-Checksum: 1\r\n" in store.asked[0]
-    assert b"\r\nContent-Length: 4\r\n" in store.asked[0]
+    assert [requests.startswith(head) and requests.endswith(b"abcd") for requests in store.requests] == [True] * 3
+    assert b"\r\nX-Checksum: 1\r\n" in store.requests[0]
+    assert b"\r\nContent-Length: 4\r\n" in store.requests[0]
 
 
 _BUSY = b"<Error><Code>SlowDown</Code></Error>"
@@ -192,8 +192,8 @@ _BUSY = b"<Error><Code>SlowDown</Code></Error>"
         (b"HTTP/1.1 412 Precondition Failed\r\nContent-Length: 0\r\n\r\n", None),
     ],
 )
-def test_whatever_else_is_answered_the_connection_serves_the_next(said: bytes, expected: str | None) -> None:
-    (first, second), store = put_each(said, _TAKEN)
+def test_whatever_else_is_answered_the_connection_serves_the_next(reply: bytes, expected: str | None) -> None:
+    (first, second), store = put_each(reply, _TAKEN)
     assert first.answer is (Answer.try_again if expected else Answer.taken)
     assert first.reason == (f"the store answered {expected}" if expected else "")
     assert second == PutAnswer(Answer.taken, etag="e")
@@ -208,8 +208,8 @@ def test_whatever_else_is_answered_the_connection_serves_the_next(said: bytes, e
         b"HTTP/1.0 200 OK, and I close\r\nETag: e\r\nContent-Length: 0\r\n\r\n",
     ],
 )
-def test_a_connection_that_the_store_ends_is_followed_by_another(said: bytes) -> None:
-    answers, store = put_each(said, _TAKEN)
+def test_a_connection_that_the_store_ends_is_followed_by_another(reply: bytes) -> None:
+    answers, store = put_each(reply, _TAKEN)
     assert answers == [PutAnswer(Answer.taken, etag="e")] * 2
     assert store.connections == 2
 
@@ -217,8 +217,8 @@ def test_a_connection_that_the_store_ends_is_followed_by_another(said: bytes) ->
 @pytest.mark.parametrize(
     "said", [b"close", b"rubbish, close\r\n\r\n", b"HTTP/1.1 200 OK\r\nContent-Length: 9\r\n\r\nclose"]
 )
-def test_no_answer_is_a_reason_to_try_again(said: bytes) -> None:
-    (first, second), store = put_each(said, _TAKEN)
+def test_no_answer_is_a_reason_to_try_again(reply: bytes) -> None:
+    (first, second), store = put_each(reply, _TAKEN)
     assert first.answer is Answer.try_again
     assert first.why
     assert second.answer is Answer.taken
@@ -242,7 +242,7 @@ def test_nothing_slips_into_a_request(target: str, headers: dict[str, str]) -> N
     finally:
         door.close()
         store.listener.close()
-    assert store.asked == []
+    assert store.requests == []
 
 
 @pytest.mark.parametrize("is_known", [True, False])
@@ -266,8 +266,8 @@ def test_a_put_goes_to_a_store_whose_certificate_is_known(
         store.listener.close()
     if is_known:
         assert answers == [PutAnswer(Answer.taken, etag="e")] * 2
-        assert [asked[-4:] for asked in store.asked] == [b"abcd"] * 2
+        assert [requests[-4:] for requests in store.requests] == [b"abcd"] * 2
     else:
         assert [answer.answer for answer in answers] == [Answer.try_again] * 2
         assert "certificate" in answers[0].why
-        assert store.asked == []
+        assert store.requests == []

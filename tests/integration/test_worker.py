@@ -14,7 +14,7 @@ import psycopg
 import pytest
 import urllib3
 
-from kleinkram.server.migrations.upgrading import migrate
+from kleinkram.server.migrations.migrate import migrate
 from kleinkram.standalone import binaries, child
 from kleinkram.standalone import postgres as pg
 from tests.integration.upload_client import wait_until
@@ -147,7 +147,7 @@ def test_a_worker_outlives_restarts_of_postgresql(database: _Cluster, store: Run
     assert database.sql("SELECT count(*) FROM worker_process WHERE ended_at IS NULL") == "0"
 
 
-def test_a_worker_stops_when_asked_to_although_postgresql_is_away(
+def test_a_worker_stops_on_request_while_postgresql_is_unavailable(
     database: _Cluster, store: RunningStore, tmp_path: Path
 ) -> None:
     with _working(database, store, tmp_path / "log") as worker:

@@ -7,8 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import urllib3
-from awscrt.checksums import crc64nvme
 
+from kleinkram.contract.checksums import crc64nvme
 from tests.integration.api_server import Answer, Api
 
 _POOL = urllib3.PoolManager(retries=False, timeout=30, maxsize=4)
@@ -36,11 +36,11 @@ def checksum(kind: str, body: bytes) -> str:
 
 def begin(api: Api, mission_id: str, files: Mapping[str, bytes], *, hashed: bool = True, **more: Any) -> list[Any]:
     """Announce files; returns the decisions."""
-    wanted = [
+    requested = [
         {"path": path, "size_bytes": len(body), **({"sha256": sha256(body)} if hashed else {}), **more}
         for path, body in files.items()
     ]
-    return list(api.post(f"/missions/{mission_id}/uploads", {"files": wanted}).ok()["items"])
+    return list(api.post(f"/missions/{mission_id}/uploads", {"files": requested}).ok()["items"])
 
 
 def parts_of(upload: Mapping[str, Any], body: bytes) -> list[tuple[int, bytes]]:
@@ -51,11 +51,11 @@ def parts_of(upload: Mapping[str, Any], body: bytes) -> list[tuple[int, bytes]]:
 
 def sign(api: Api, upload: Mapping[str, Any], parts: Sequence[tuple[int, bytes]]) -> Answer:
     """Ask where to send parts."""
-    wanted = [
+    requested = [
         {"upload_id": upload["id"], "number": number, "checksum": checksum(upload["checksum"], body)}
         for number, body in parts
     ]
-    return api.post("/uploads/parts", {"parts": wanted})
+    return api.post("/uploads/parts", {"parts": requested})
 
 
 def put(signed: Mapping[str, Any], body: bytes, headers: Mapping[str, str] | None = None) -> int:
@@ -92,16 +92,18 @@ def upload(api: Api, mission_id: str, path: str, body: bytes) -> Any:
 def upload_all(api: Api, mission_id: str, files: Mapping[str, bytes]) -> dict[str, Any]:
     """Upload many small files with few requests; returns the files by path."""
     decisions = dict(zip(files, begin(api, mission_id, files), strict=True))
-    ready = {path: each["file"] for path, each in decisions.items() if each["decision"] in {"present", "linked"}}
-    uploads = {path: each["upload"] for path, each in decisions.items() if path not in ready}
+    ready = {
+        path: decision["file"] for path, decision in decisions.items() if decision["decision"] in {"present", "linked"}
+    }
+    uploads = {path: decision["upload"] for path, decision in decisions.items() if path not in ready}
     if not uploads:
         return ready
     parts = [(uploads[path], part) for path in uploads for part in parts_of(uploads[path], files[path])]
-    wanted = [
+    requested = [
         {"upload_id": upload["id"], "number": number, "checksum": checksum(upload["checksum"], body)}
         for upload, (number, body) in parts
     ]
-    signed = api.post("/uploads/parts", {"parts": wanted}).ok()["items"]
+    signed = api.post("/uploads/parts", {"parts": requested}).ok()["items"]
     with ThreadPoolExecutor(4) as threads:
         statuses = threads.map(put, signed, [body for _, (_, body) in parts])
     assert set(statuses) <= {200}
@@ -110,8 +112,8 @@ def upload_all(api: Api, mission_id: str, files: Mapping[str, bytes]) -> dict[st
         for path, upload in uploads.items()
     ]
     outcomes = api.post("/uploads/complete", {"uploads": finished}).ok()["items"]
-    assert {each["outcome"] for each in outcomes} <= {"completed"}, outcomes
-    return ready | {path: each["file"] for path, each in zip(uploads, outcomes, strict=True)}
+    assert {decision["outcome"] for decision in outcomes} <= {"completed"}, outcomes
+    return ready | {path: decision["file"] for path, decision in zip(uploads, outcomes, strict=True)}
 
 
 def fetch(url: str, **headers: str) -> tuple[int, bytes]:

@@ -10,71 +10,71 @@ import psycopg
 from kleinkram.server.blobs.jobs import sweep_once
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
-from kleinkram.server.runs.jobs import tend_once as tend_runs
+from kleinkram.server.runs.jobs import maintain_runs_once as tend_runs
+from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings
-from kleinkram.server.storage import open_storage
-from kleinkram.server.uploads.jobs import tend_uploads
+from kleinkram.server.uploads.jobs import maintain_uploads
 from kleinkram.standalone.data_dir import DataDir, load_secrets
 from kleinkram.standalone.postgres import DATABASE, SERVE
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 
 T = TypeVar("T")
 # What start-up probes write and delete: a kill between the two leaves one, of a few bytes.
 _PROBES = ("probe/", ".kleinkram-probe")
 
 
-def sql(house: House, statement: str, *values: object) -> list[tuple[Any, ...]]:
+def sql(cluster: Cluster, statement: str, *values: object) -> list[tuple[Any, ...]]:
     """Ask its database."""
-    with psycopg.connect(_database_url(house)) as connection:
+    with psycopg.connect(_database_url(cluster)) as connection:
         return connection.execute(statement, values).fetchall()
 
 
-def tidy(house: House) -> None:
+def tidy(cluster: Cluster) -> None:
     """Do at once what the worker's periodic jobs do in time: see to uploads and runs, sweep what nothing refers to."""
 
     async def all_rounds(context: AppContext) -> None:
-        await tend_uploads(context, stale_s=0)
+        await maintain_uploads(context, stale_after_s=0)
         await tend_runs(context)
         for _ in range(2):
             await sweep_once(context)
 
-    on_site(house, all_rounds)
+    on_site(cluster, all_rounds)
 
 
-def objects(house: House) -> dict[str, int]:
+def objects(cluster: Cluster) -> dict[str, int]:
     """Return what its store holds for users: sizes in bytes by key."""
-    found = on_site(house, lambda context: context.storage.sizes(""))
+    found = on_site(cluster, lambda context: context.storage.sizes(""))
     return {key: size for key, size in found.items() if not key.startswith(_PROBES)}
 
 
-def open_multiparts(house: House) -> list[tuple[str, str]]:
+def list_multiparts(cluster: Cluster) -> list[tuple[str, str]]:
     """Return the multipart uploads that its store still keeps parts of."""
-    found = on_site(house, lambda context: context.storage.open_multiparts(""))
+    found = on_site(cluster, lambda context: context.storage.list_multiparts(""))
     return [(key, multipart_id) for key, multipart_id in found if not key.startswith(_PROBES)]
 
 
-def held_bytes(house: House) -> int:
+def held_bytes(cluster: Cluster) -> int:
     """Return how many bytes its store holds, also of parts that are no objects yet."""
 
     async def weigh(context: AppContext) -> int:
         while True:
             objects = await context.storage.sizes("")
             parts = [
-                await context.storage.held_parts(*each) or [] for each in await context.storage.open_multiparts("")
+                await context.storage.list_parts(*each) or [] for each in await context.storage.list_multiparts("")
             ]
             # What was joined meanwhile would count twice, as parts and as an object.
             if await context.storage.sizes("") == objects:
                 return sum(objects.values()) + sum(part.size_bytes for each in parts for part in each)
 
-    return on_site(house, weigh)
+    return on_site(cluster, weigh)
 
 
-def on_site(house: House, work: Callable[[AppContext], Awaitable[T]]) -> T:
+def on_site(cluster: Cluster, work: Callable[[AppContext], Awaitable[T]]) -> T:
     """Do something with its database and its store, as a job would."""
-    secrets = load_secrets(DataDir(house.data_dir))
+    secrets = load_secrets(DataDir(cluster.data_dir))
     settings = Settings(
-        database_url=_database_url(house),
-        s3_internal_url=house.told()["store_url"],
+        database_url=_database_url(cluster),
+        s3_internal_url=cluster.runtime_info()["store_url"],
         s3_access_key=secrets.s3_access_key,
         s3_secret_key=secrets.s3_secret_key,
         sweep_grace_s=0,
@@ -91,6 +91,6 @@ def on_site(house: House, work: Callable[[AppContext], Awaitable[T]]) -> T:
     return asyncio.run(run())
 
 
-def _database_url(house: House) -> str:
-    password = quote(load_secrets(DataDir(house.data_dir)).postgres_serve)
-    return f"postgresql://{SERVE}:{password}@127.0.0.1:{house.told()['ports']['postgres']}/{DATABASE}"
+def _database_url(cluster: Cluster) -> str:
+    password = quote(load_secrets(DataDir(cluster.data_dir)).postgres_serve)
+    return f"postgresql://{SERVE}:{password}@127.0.0.1:{cluster.runtime_info()['ports']['postgres']}/{DATABASE}"

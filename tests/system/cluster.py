@@ -25,7 +25,7 @@ def environment(home: Path, **more: str) -> dict[str, str]:
 
 
 @dataclass
-class House:
+class Cluster:
     """A data directory under `home`, and the supervisor that runs on it now, if one does."""
 
     home: Path
@@ -60,10 +60,10 @@ class House:
         if process.poll() is not None:
             pytest.fail(f"klein up failed: {(self.home / 'up.err').read_text()}")
 
-    def told(self) -> dict[str, Any]:
+    def runtime_info(self) -> dict[str, Any]:
         """What it says of itself."""
-        told: dict[str, Any] = json.loads((self.data_dir / "instance.json").read_text())
-        return told
+        runtime_info: dict[str, Any] = json.loads((self.data_dir / "instance.json").read_text())
+        return runtime_info
 
     def kill(self, part: str) -> None:
         """Kill a part, or the `supervisor`, as a crash would. A part that is not running now is left alone."""
@@ -71,7 +71,7 @@ class House:
             assert self.process is not None
             self.process.kill()
             self.process.wait()
-        elif pid := self.told()["parts"][part]:
+        elif pid := self.runtime_info()["parts"][part]:
             os.kill(pid, signal.SIGKILL)
 
     def start_again_if_dead(self) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from tests.acceptance.conftest import Terminal
 from tests.requirements import missing, need
-from tests.system.cluster import House, environment
+from tests.system.cluster import Cluster, environment
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,11 @@ def other_machine() -> Iterator[OtherMachine]:
 
 
 @pytest.fixture
-def house(tmp_path: Path) -> Iterator[House]:
+def cluster(tmp_path: Path) -> Iterator[Cluster]:
     """A Kleinkram that is not started yet; ended after the test."""
-    house = House(tmp_path)
-    yield house
-    house.end()
+    cluster = Cluster(tmp_path)
+    yield cluster
+    cluster.end()
 
 
 def _require_ip() -> None:

@@ -12,23 +12,23 @@ import pytest
 
 from kleinkram.standalone.procs import marked_processes
 from tests.acceptance.conftest import KLEIN, wait_until
-from tests.system.cluster import House, environment
+from tests.system.cluster import Cluster, environment
 
 _LARGE_BYTES, _RATE = 40_000_000, "4M"
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(400)
-def test_a_lost_machine_comes_back(house: House) -> None:
+def test_a_lost_machine_comes_back(cluster: Cluster) -> None:
     chance = random.Random(1)
-    house.options.append("--no-runner")
-    house.start()
-    me, backups = house.terminal, house.home / "backups"
-    day = house.home / "day"
+    cluster.options.append("--no-runner")
+    cluster.start()
+    me, backups = cluster.terminal, cluster.home / "backups"
+    day = cluster.home / "day"
     day.mkdir()
     for number in range(20):
         (day / f"{number}.bin").write_bytes(chance.randbytes(50_000 * number))
-    large = house.home / "large.bin"
+    large = cluster.home / "large.bin"
     large.write_bytes(chance.randbytes(_LARGE_BYTES))
     me.run("project", "create", "p")
     me.run("upload", day, "-p", "p", "-m", "drive", "--create")
@@ -38,29 +38,29 @@ def test_a_lost_machine_comes_back(house: House) -> None:
     sending = me.start(*send, "--limit-rate", _RATE)
     wait_until(lambda: me.parts_sent() >= 1, "a part of the large file to be sent")
     sending.send_signal(signal.SIGSTOP)  # it is under way for as long as the backup takes
-    told = me.run("backup", "create", backups, "--json").json()
-    assert (told["objects"], told["problems"]) == (20, [])
+    runtime_info = me.run("backup", "create", backups, "--json").json()
+    assert (runtime_info["objects"], runtime_info["problems"]) == (20, [])
     sending.kill()
     sending.communicate()
 
-    _lose(house)
+    _lose(cluster)
     assert me.run("backup", "verify", backups, "--read-all", "--json").json()["ok"]
-    _restore_and_kill(house, backups)
-    refused = _up(house)
+    _restore_and_kill(cluster, backups)
+    refused = _up(cluster)
     assert refused.returncode == 1
     assert "was not finished" in refused.stderr
-    me.run("restore", backups, "--data-dir", house.data_dir)
-    again = me.run("restore", backups, "--data-dir", house.data_dir, code=1)
+    me.run("restore", backups, "--data-dir", cluster.data_dir)
+    again = me.run("restore", backups, "--data-dir", cluster.data_dir, code=1)
     assert "is not empty" in again.err
 
-    house.start()
-    out = house.home / "out"
+    cluster.start()
+    out = cluster.home / "out"
     me.run("download", "-p", "p", "-m", "drive", "--dest", out)
     found = {path.name: path.read_bytes() for path in out.rglob("*.bin")}
     assert found == {path.name: path.read_bytes() for path in day.iterdir()}
-    url = house.told()["url"]
+    url = cluster.runtime_info()["url"]
     assert me.run("whoami", "--json").json()  # the owner's token is a new one
-    stranger = type(me)(house.home, environment(house.home, KLEINKRAM_URL=url, KLEINKRAM_TOKEN=robot))
+    stranger = type(me)(cluster.home, environment(cluster.home, KLEINKRAM_URL=url, KLEINKRAM_TOKEN=robot))
     assert stranger.run("project", "list", "--json").json()["items"][0]["name"] == "p"
     me.run(*send)  # the parts that were sent are gone, and nothing is in its way
     me.run("verify", large, "-p", "p", "-m", "drive")
@@ -69,24 +69,26 @@ def test_a_lost_machine_comes_back(house: House) -> None:
     assert me.run("backup", "create", backups, "--json").json()["copied"] == 1
 
 
-def _lose(house: House) -> None:
+def _lose(cluster: Cluster) -> None:
     """All that runs is killed, and the disk is gone."""
-    house.kill("supervisor")
-    for pid in marked_processes(house.data_dir):
+    cluster.kill("supervisor")
+    for pid in marked_processes(cluster.data_dir):
         with contextlib.suppress(ProcessLookupError):  # they end with the supervisor, by themselves
             os.kill(pid, signal.SIGKILL)
-    wait_until(lambda: marked_processes(house.data_dir) == [], "all parts to be gone")
-    shutil.rmtree(house.data_dir)
+    wait_until(lambda: marked_processes(cluster.data_dir) == [], "all parts to be gone")
+    shutil.rmtree(cluster.data_dir)
 
 
-def _restore_and_kill(house: House, backups: Path) -> None:
+def _restore_and_kill(cluster: Cluster, backups: Path) -> None:
     """A restore is killed as soon as its database has begun."""
-    restoring = house.terminal.start("restore", backups, "--data-dir", house.data_dir)
-    wait_until(lambda: (house.data_dir / "postgres" / "PG_VERSION").exists(), "a restore to begin")
+    restoring = cluster.terminal.start("restore", backups, "--data-dir", cluster.data_dir)
+    wait_until(lambda: (cluster.data_dir / "postgres" / "PG_VERSION").exists(), "a restore to begin")
     restoring.kill()
     restoring.communicate()
 
 
-def _up(house: House) -> "subprocess.CompletedProcess[str]":
-    command = [str(KLEIN), "up", "--data-dir", str(house.data_dir)]
-    return subprocess.run(command, env=environment(house.home), capture_output=True, text=True, check=False, timeout=60)
+def _up(cluster: Cluster) -> "subprocess.CompletedProcess[str]":
+    command = [str(KLEIN), "up", "--data-dir", str(cluster.data_dir)]
+    return subprocess.run(
+        command, env=environment(cluster.home), capture_output=True, text=True, check=False, timeout=60
+    )

@@ -16,7 +16,7 @@ import pytest
 
 from tests.acceptance.conftest import Terminal, wait_until
 from tests.system.chaos.link import SlowLink, slow_link
-from tests.system.cluster import House, environment
+from tests.system.cluster import Cluster, environment
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -36,7 +36,7 @@ class AppContext:
     """A lab at one end of a slow link, and a robot at the other."""
 
     link: SlowLink
-    house: House
+    cluster: Cluster
     robot: Terminal
 
     def file(self, name: str, size_bytes: int) -> Path:
@@ -51,19 +51,19 @@ class AppContext:
 def context(tmp_path_factory: pytest.TempPathFactory) -> Iterator[AppContext]:
     home = tmp_path_factory.mktemp("bad-link")
     with slow_link(rate_bytes_per_s=_RATE_BYTES_PER_S) as link:
-        house = House(home)
-        house.inside = link.command(link.lab)
-        house.options += ["--listen", "0.0.0.0", "--public-url", f"http://{link.lab_address}:{house.port}"]
+        cluster = Cluster(home)
+        cluster.inside = link.command(link.lab)
+        cluster.options += ["--listen", "0.0.0.0", "--public-url", f"http://{link.lab_address}:{cluster.port}"]
         try:
-            house.start()
+            cluster.start()
             (home / "robot").mkdir()
             robot = Terminal(home / "robot", environment(home / "robot"), link.command(link.robot))
-            token = (house.data_dir / "owner-token").read_text()
-            robot.run("endpoint", "add", "lab", house.told()["url"], stdin=token)
+            token = (cluster.data_dir / "owner-token").read_text()
+            robot.run("endpoint", "add", "lab", cluster.runtime_info()["url"], stdin=token)
             robot.run("project", "create", "p")
-            yield AppContext(link, house, robot)
+            yield AppContext(link, cluster, robot)
         finally:
-            house.end()
+            cluster.end()
 
 
 @dataclass
@@ -153,8 +153,8 @@ def test_a_link_that_is_dark_for_a_while_is_noticed_told_and_used_again(context:
 def test_a_download_goes_on_from_the_byte_where_the_address_changed(context: AppContext, tmp_path: Path) -> None:
     file = context.file("back.bin", 8 * MB)
     lab = Terminal(
-        context.house.home,
-        environment(context.house.home, KLEINKRAM_DATA_DIR=str(context.house.data_dir)),
+        context.cluster.home,
+        environment(context.cluster.home, KLEINKRAM_DATA_DIR=str(context.cluster.data_dir)),
         context.link.command(context.link.lab),
     )
     lab.run("upload", "-p", "p", "-m", "back", "--create", file)

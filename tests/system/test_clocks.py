@@ -16,7 +16,7 @@ import urllib3
 from tests.acceptance.browser import Browser, line_with
 from tests.acceptance.conftest import Terminal, end
 from tests.system.chaos.clocks import wrong_at_server, wrong_clock
-from tests.system.cluster import House, environment
+from tests.system.cluster import Cluster, environment
 
 pytestmark = pytest.mark.slow
 
@@ -25,15 +25,15 @@ _MEANWHILE = datetime.timedelta(minutes=5)
 
 
 @pytest.mark.parametrize("hours", [1, pytest.param(-1, marks=pytest.mark.soak)])
-def test_all_goes_well_and_ends_by_the_server_s_clock(house: House, tmp_path: Path, hours: int) -> None:
+def test_all_goes_well_and_ends_by_the_server_s_clock(cluster: Cluster, tmp_path: Path, hours: int) -> None:
     """The server is an hour off from its store and its database, and the client an hour to the other side."""
-    house.settings |= wrong_at_server(tmp_path / "server", hours)
-    house.start()
-    url = house.told()["url"]
+    cluster.settings |= wrong_at_server(tmp_path / "server", hours)
+    cluster.start()
+    url = cluster.runtime_info()["url"]
     home = tmp_path / "client"
     home.mkdir()
     client = Terminal(home, environment(home, **wrong_clock(-hours), BROWSER="true"))
-    _sign_in_by_a_code(house, client, url)
+    _sign_in_by_a_code(cluster, client, url)
     mission = ["-p", "p", "-m", "m"]
     client.run("project", "create", "p")
     files = [_file(tmp_path / "large.bin", 20 * _MIB), _file(tmp_path / "small.bin", 1000)]
@@ -49,11 +49,11 @@ def test_all_goes_well_and_ends_by_the_server_s_clock(house: House, tmp_path: Pa
     a_day_on = _time_at(url) + datetime.timedelta(days=1)
     assert abs(ending - a_day_on) < _MEANWHILE
     assert abs(_time_at(url) - datetime.datetime.now(datetime.timezone.utc)) > datetime.timedelta(minutes=50)
-    _is_told(house, hours)
+    _is_told(cluster, hours)
 
 
-def _sign_in_by_a_code(house: House, client: Terminal, url: str) -> None:
-    link = urlsplit(house.terminal.run("session", "link").out.strip())
+def _sign_in_by_a_code(cluster: Cluster, client: Terminal, url: str) -> None:
+    link = urlsplit(cluster.terminal.run("session", "link").out.strip())
     with urllib3.PoolManager(retries=False, timeout=20) as pool:
         stranger = Browser(url, "", pool)
         browser = replace(stranger, cookie=stranger.sign_in("/auth/link", {"code": link.fragment}))
@@ -65,14 +65,16 @@ def _sign_in_by_a_code(house: House, client: Terminal, url: str) -> None:
     assert endpoint["person"] == "owner"
 
 
-def _is_told(house: House, hours: int) -> None:
+def _is_told(cluster: Cluster, hours: int) -> None:
     """The server's log and the doctor say so, in a sentence."""
-    lines = [json.loads(line) for line in (house.data_dir / "logs" / "api.log").read_text().splitlines()]
-    (said,) = [line for line in lines if "clocks of this server and of the store are apart" in line["message"]]
+    lines = [json.loads(line) for line in (cluster.data_dir / "logs" / "api.log").read_text().splitlines()]
+    (said,) = [line for line in lines if "clocks of this server and of the store differ" in line["message"]]
     assert abs(said["store_ahead_s"] + hours * 3600) < _MEANWHILE.total_seconds()
-    command = house.terminal.command("doctor", "--data-dir", house.data_dir)
-    told = subprocess.run(command, check=False, capture_output=True, text=True, env=house.terminal.environment).stdout
-    (line,) = [line for line in told.splitlines() if "clock against the API" in line]
+    command = cluster.terminal.command("doctor", "--data-dir", cluster.data_dir)
+    runtime_info = subprocess.run(
+        command, check=False, capture_output=True, text=True, env=cluster.terminal.environment
+    ).stdout
+    (line,) = [line for line in runtime_info.splitlines() if "clock against the API" in line]
     assert line.startswith("PROBLEM")
     assert "let both machines set their clocks (NTP)" in line
 

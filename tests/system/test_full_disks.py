@@ -20,7 +20,7 @@ from kleinkram.standalone.postgres import ADMIN
 from tests.acceptance.conftest import end, wait_until
 from tests.system import backend
 from tests.system.chaos.disks import MIB, SmallDisk, need_small_disks, small_disk
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -30,18 +30,18 @@ _EXIT_UNREACHABLE, _EXIT_DESTINATION = 7, 11
 
 
 @pytest.fixture(scope="module")
-def disk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[House, SmallDisk]]:
+def disk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Cluster, SmallDisk]]:
     """A Kleinkram whose database has a small disk of its own."""
     need_small_disks()
-    house = House(tmp_path_factory.mktemp("house"))
-    house.start()
-    house.terminal.run("project", "create", "p")
-    house.end()
-    with small_disk(house.data_dir / "postgres", _DATABASE_MB * MIB) as disk:
-        house.inside = disk.inside
-        house.start()
-        yield house, disk
-        house.end()
+    cluster = Cluster(tmp_path_factory.mktemp("house"))
+    cluster.start()
+    cluster.terminal.run("project", "create", "p")
+    cluster.end()
+    with small_disk(cluster.data_dir / "postgres", _DATABASE_MB * MIB) as disk:
+        cluster.inside = disk.inside
+        cluster.start()
+        yield cluster, disk
+        cluster.end()
 
 
 def _file(path: Path, size_bytes: int) -> Path:
@@ -51,7 +51,7 @@ def _file(path: Path, size_bytes: int) -> Path:
 
 
 def test_a_download_says_that_there_is_no_room_and_goes_on_when_there_is(
-    disk: tuple[House, SmallDisk], tmp_path: Path
+    disk: tuple[Cluster, SmallDisk], tmp_path: Path
 ) -> None:
     terminal, size_bytes = disk[0].terminal, 40 * MIB
     file = _file(tmp_path / "large.bin", size_bytes)
@@ -80,23 +80,23 @@ def test_a_download_says_that_there_is_no_room_and_goes_on_when_there_is(
 
 
 def test_a_database_without_room_says_so_and_comes_back_when_there_is_some(
-    disk: tuple[House, SmallDisk], tmp_path: Path
+    disk: tuple[Cluster, SmallDisk], tmp_path: Path
 ) -> None:
-    house, small = disk
-    terminal = house.terminal
+    cluster, small = disk
+    terminal = cluster.terminal
     kept = _file(tmp_path / "kept.bin", 9 * MIB)
     terminal.run("upload", "-p", "p", "-m", "m", "--create", kept)
-    with _administrator(house) as administrator:
+    with _administrator(cluster) as administrator:
         small.fill()
-        _fill_a_table(house)
+        _fill_a_table(cluster)
         terminal.run("verify", "-p", "p", "-m", "m", kept)  # what is there can be read
         with pytest.raises(psycopg.OperationalError):
             _fill_the_log(administrator)
-    wait_until(lambda: _postgres_complains(house), "the supervisor to say why PostgreSQL does not start")
+    wait_until(lambda: _postgres_complains(cluster), "the supervisor to say why PostgreSQL does not start")
     findings: dict[str, Any] = {}
 
     def is_said() -> bool:  # not while it is being started once more
-        findings.update({each["check"]: each for each in _doctor(house, small)})
+        findings.update({each["check"]: each for each in _doctor(cluster, small)})
         return "No space left on device" in findings["part postgres"]["message"]
 
     wait_until(is_said, "the doctor to say why PostgreSQL does not run")
@@ -109,14 +109,14 @@ def test_a_database_without_room_says_so_and_comes_back_when_there_is_some(
     wait_until(lambda: terminal.run("project", "list", code=None).code == 0, "the database to be back")
     terminal.run("upload", "-p", "p", "-m", "m", coming)
     terminal.run("verify", "-p", "p", "-m", "m", kept, coming)
-    backend.tidy(house)
-    assert backend.objects(house) == dict(backend.sql(house, "SELECT key, size_bytes FROM blob"))
+    backend.tidy(cluster)
+    assert backend.objects(cluster) == dict(backend.sql(cluster, "SELECT key, size_bytes FROM blob"))
 
 
-def _fill_a_table(house: House) -> None:
+def _fill_a_table(cluster: Cluster) -> None:
     """Make missions until there is no room for their rows, and see what is said then."""
-    token = (house.data_dir / "owner-token").read_text().strip()
-    with connect(house.told()["url"], token) as client, pytest.raises(DatabaseUnavailable) as refused:
+    token = (cluster.data_dir / "owner-token").read_text().strip()
+    with connect(cluster.runtime_info()["url"], token) as client, pytest.raises(DatabaseUnavailable) as refused:
         _make_missions(client)
     assert "its disk is full: whoever runs the server has to make room on it" in str(refused.value)
     assert "Nothing was lost" in str(refused.value)
@@ -128,12 +128,12 @@ def _make_missions(client: Client) -> None:
         client.missions.create(f"m{number}", project_id=project_id, notes=secrets.token_hex(4000))
 
 
-def _administrator(house: House) -> "psycopg.Connection[tuple[object, ...]]":
+def _administrator(cluster: Cluster) -> "psycopg.Connection[tuple[object, ...]]":
     return psycopg.connect(
         host="127.0.0.1",
-        port=house.told()["ports"]["postgres"],
+        port=cluster.runtime_info()["ports"]["postgres"],
         user=ADMIN,
-        password=load_secrets(DataDir(house.data_dir)).postgres_admin,
+        password=load_secrets(DataDir(cluster.data_dir)).postgres_admin,
         dbname="postgres",
         autocommit=True,
     )
@@ -145,13 +145,13 @@ def _fill_the_log(administrator: "psycopg.Connection[tuple[object, ...]]") -> No
         administrator.execute("SELECT pg_logical_emit_message(false, 'w', 'x'), pg_switch_wal()")
 
 
-def _postgres_complains(house: House) -> bool:
-    said = (house.home / "up.err").read_text()
+def _postgres_complains(cluster: Cluster) -> bool:
+    said = (cluster.home / "up.err").read_text()
     return "postgres has ended" in said and "No space left on device; starting it again in" in said
 
 
-def _doctor(house: House, small: SmallDisk) -> list[dict[str, str]]:
-    command = [*small.inside, *house.terminal.command("doctor", "--data-dir", house.data_dir, "--json")]
-    done = subprocess.run(command, check=False, capture_output=True, text=True, env=house.terminal.environment)
+def _doctor(cluster: Cluster, small: SmallDisk) -> list[dict[str, str]]:
+    command = [*small.inside, *cluster.terminal.command("doctor", "--data-dir", cluster.data_dir, "--json")]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, env=cluster.terminal.environment)
     found: list[dict[str, str]] = json.loads(done.stdout)["checks"]
     return found

@@ -16,7 +16,7 @@ from kleinkram.contract.uploads import MIN_PART_BYTES
 from tests.acceptance.conftest import wait_until
 from tests.system import backend
 from tests.system.chaos.kill_rounds import CONNECTIONS, MB, Round, fill, say, turns, upload_under_fire
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 
 # Of ten rounds in CI one is of the full size. Each has what a full one has: large files of several parts, and more
 # small ones than are announced at once. What more bytes add is time.
@@ -26,9 +26,9 @@ _ROUNDS_A_HOUSE = 10
 _UNFINISHED = "SELECT path, state, failure FROM upload WHERE state IN ('open', 'completing')"
 _FILES = """
     SELECT file.path, encode(blob.sha256, 'hex') FROM file JOIN blob ON blob.id = file.blob_id
-    JOIN mission ON mission.id = mission_id WHERE mission.name = %s AND blob.state = 'proven'
+    JOIN mission ON mission.id = mission_id WHERE mission.name = %s AND blob.state = 'verified'
 """
-_UNPROVEN = "SELECT count(*) FROM blob WHERE state <> 'proven'"
+_UNVERIFIED = "SELECT count(*) FROM blob WHERE state <> 'verified'"
 _LASTING = """
 import time
 from kleinkram.action import out
@@ -41,10 +41,10 @@ for step in range(20):
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_ten_rounds(house: House) -> None:
+def test_ten_rounds(cluster: Cluster) -> None:
     first = _first_seed()
     sizes = {seed: _FULL_MB for seed in range(first, first + _ROUNDS_A_HOUSE) if seed % _ROUNDS_A_HOUSE == 1}
-    _rounds(house, [*_planned(house.home, first, _ROUNDS_A_HOUSE, sizes)])
+    _rounds(cluster, [*_planned(cluster.home, first, _ROUNDS_A_HOUSE, sizes)])
 
 
 @pytest.mark.soak
@@ -55,11 +55,11 @@ def test_many_rounds_of_the_full_size(tmp_path: Path) -> None:
     for begin in range(0, count, _ROUNDS_A_HOUSE):  # a new house now and then: a hundred rounds fill a disk
         home = tmp_path / f"house{begin}"
         home.mkdir()
-        house = House(home)
+        cluster = Cluster(home)
         try:
-            _rounds(house, planned[begin : begin + _ROUNDS_A_HOUSE])
+            _rounds(cluster, planned[begin : begin + _ROUNDS_A_HOUSE])
         finally:
-            house.end()
+            cluster.end()
         shutil.rmtree(home)
 
 
@@ -73,53 +73,53 @@ def _planned(home: Path, first: int, count: int, sizes: dict[int, int]) -> Itera
         yield Round(seed, victims, home / f"m{seed}", sizes.get(seed, _SMALL_MB) * MB)
 
 
-def _rounds(house: House, rounds: list[Round]) -> None:
+def _rounds(cluster: Cluster, rounds: list[Round]) -> None:
     # A client whose announcement was lost waits for the lease that it got; a minute of that shows no more than seconds.
-    house.settings["KLEINKRAM_UPLOAD_LEASE_S"] = "5"
-    house.settings["DOCKER_HOST"] = f"unix://{house.home}/nothing"  # runs are processes
-    house.start()
-    house.terminal.run("project", "create", "p")
-    (house.home / "lasting.py").write_text(_LASTING)
-    (house.home / "notes.txt").write_text("notes of a drive")
-    house.terminal.run("upload", "-p", "p", "-m", "drive", "--create", house.home / "notes.txt")
+    cluster.settings["KLEINKRAM_UPLOAD_LEASE_S"] = "5"
+    cluster.settings["DOCKER_HOST"] = f"unix://{cluster.home}/nothing"  # runs are processes
+    cluster.start()
+    cluster.terminal.run("project", "create", "p")
+    (cluster.home / "lasting.py").write_text(_LASTING)
+    (cluster.home / "notes.txt").write_text("notes of a drive")
+    cluster.terminal.run("upload", "-p", "p", "-m", "drive", "--create", cluster.home / "notes.txt")
     for one in rounds:
         say(f"\nround {one.seed}: {', '.join(one.victims)}, {one.size_bytes // MB} MB")
         chance = random.Random(one.seed)
         fill(one, chance)
         if "runner" in one.victims and "supervisor" not in one.victims:
-            one.runs = [_launch(house) for _ in "ab"]
-        upload_under_fire(house, one, chance, rate_mb_s=_rate(one))
+            one.runs = [_launch(cluster) for _ in "ab"]
+        upload_under_fire(cluster, one, chance, rate_mb_s=_rate(one))
         assert one.sent_again_bytes <= CONNECTIONS * MIN_PART_BYTES, "more than a part a connection was sent again"
         shutil.rmtree(one.folder)
-    _all_is_well(house, rounds)
+    _all_is_well(cluster, rounds)
 
 
 def _rate(one: Round) -> int:
     return _FULL_RATE_MB_S if one.size_bytes == _FULL_MB * MB else _SMALL_RATE_MB_S
 
 
-def _launch(house: House) -> str:
-    script = house.home / "lasting.py"
-    launched = house.terminal.run("action", "run", script, "-p", "p", "-m", "drive", "--force", "--json").json()
+def _launch(cluster: Cluster) -> str:
+    script = cluster.home / "lasting.py"
+    launched = cluster.terminal.run("action", "run", script, "-p", "p", "-m", "drive", "--force", "--json").json()
     return str(launched["items"][0]["run"]["id"])
 
 
-def _all_is_well(house: House, rounds: list[Round]) -> None:
-    wait_until(lambda: all(house.told()["parts"].values()), "every part to run")
-    backend.tidy(house)
-    assert backend.sql(house, _UNFINISHED) == [], "no name is blocked"
-    wait_until(lambda: backend.sql(house, _UNPROVEN) == [(0,)], "the server to have read all bytes")
+def _all_is_well(cluster: Cluster, rounds: list[Round]) -> None:
+    wait_until(lambda: all(cluster.runtime_info()["parts"].values()), "every part to run")
+    backend.tidy(cluster)
+    assert backend.sql(cluster, _UNFINISHED) == [], "no name is blocked"
+    wait_until(lambda: backend.sql(cluster, _UNVERIFIED) == [(0,)], "the server to have read all bytes")
     for one in rounds:
-        assert dict(backend.sql(house, _FILES, one.mission)) == one.sha256, f"round {one.seed}"
-    wait_until(lambda: all(_is_over(house, run) for one in rounds for run in one.runs), "the runs to end")
+        assert dict(backend.sql(cluster, _FILES, one.mission)) == one.sha256, f"round {one.seed}"
+    wait_until(lambda: all(_is_over(cluster, run) for one in rounds for run in one.runs), "the runs to end")
     for run in (run for one in rounds for run in one.runs):
-        said = house.terminal.run("run", "info", run, "--json").json()
+        said = cluster.terminal.run("run", "info", run, "--json").json()
         assert (said["state"], said["artifact_count"]) == ("done", 1), said
-    backend.tidy(house)
-    kept = dict(backend.sql(house, "SELECT key, size_bytes FROM blob"))
-    assert backend.objects(house) == kept, "objects that nobody refers to, or none where one should be"
-    assert backend.open_multiparts(house) == []
+    backend.tidy(cluster)
+    kept = dict(backend.sql(cluster, "SELECT key, size_bytes FROM blob"))
+    assert backend.objects(cluster) == kept, "objects that nobody refers to, or none where one should be"
+    assert backend.list_multiparts(cluster) == []
 
 
-def _is_over(house: House, run: str) -> bool:
-    return backend.sql(house, "SELECT ended_at IS NOT NULL FROM run WHERE id = %s", run) == [(True,)]
+def _is_over(cluster: Cluster, run: str) -> bool:
+    return backend.sql(cluster, "SELECT ended_at IS NOT NULL FROM run WHERE id = %s", run) == [(True,)]

@@ -1,4 +1,4 @@
-"""A store that lies: scrub and proof say so, and uploading the same files again mends them. As a lab would see it."""
+"""A store that loses or alters objects: scrub and verification report it, and uploading the same files repairs them."""
 
 import os
 import time
@@ -10,34 +10,34 @@ import pytest
 from kleinkram.client import connect
 from kleinkram.server.context import AppContext
 from tests.system import backend
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 _HARM = {"gone.bin": ("lost", "no longer"), "cut.bin": ("corrupt", "1000 bytes"), "altered.bin": ("corrupt", "CRC-64")}
 
 
-def _harm(house: House, bodies: dict[str, bytes]) -> None:
+def _harm(cluster: Cluster, bodies: dict[str, bytes]) -> None:
     """Do behind the server's back to each object what its file's name says."""
-    keys = dict(backend.sql(house, "SELECT f.path, b.key FROM file f JOIN blob b ON b.id = f.blob_id"))
+    keys = dict(backend.sql(cluster, "SELECT f.path, b.key FROM file f JOIN blob b ON b.id = f.blob_id"))
     altered = bodies["altered.bin"]
 
     async def do(context: AppContext) -> None:
         await context.storage.delete(keys["gone.bin"])
-        await context.storage.put_small(keys["cut.bin"], bodies["cut.bin"][:1000])
-        await context.storage.put_small(keys["altered.bin"], altered[:-1] + bytes([altered[-1] ^ 1]))
+        await context.storage.put_object(keys["cut.bin"], bodies["cut.bin"][:1000])
+        await context.storage.put_object(keys["altered.bin"], altered[:-1] + bytes([altered[-1] ^ 1]))
 
-    backend.on_site(house, do)
+    backend.on_site(cluster, do)
 
 
 def _states(terminal: Any) -> dict[str, tuple[str, str | None]]:
-    told = terminal.run("mission", "info", "-p", "p", "-m", "m", "--json").json()
-    return {file["path"]: (file["state"], file["state_reason"]) for file in told["files"]}
+    runtime_info = terminal.run("mission", "info", "-p", "p", "-m", "m", "--json").json()
+    return {file["path"]: (file["state"], file["state_reason"]) for file in runtime_info["files"]}
 
 
-def test_what_a_store_loses_cuts_and_alters_is_told_and_mended(house: House, tmp_path: Path) -> None:
-    house.start()
-    terminal, folder = house.terminal, tmp_path / "day"
+def test_what_a_store_loses_cuts_and_alters_is_told_and_mended(cluster: Cluster, tmp_path: Path) -> None:
+    cluster.start()
+    terminal, folder = cluster.terminal, tmp_path / "day"
     folder.mkdir()
     bodies = {name: os.urandom(5000) for name in (*_HARM, "good.bin", "better.bin")}
     for name, body in bodies.items():
@@ -46,7 +46,7 @@ def test_what_a_store_loses_cuts_and_alters_is_told_and_mended(house: House, tmp
     terminal.run("upload", *sorted(folder.iterdir()), "-p", "p", "-m", "m", "--create")
     terminal.run("verify", "--remote", "-p", "p", "-m", "m")
     assert terminal.run("admin", "scrub", "--json").json()["last"]["compared"] == len(bodies)
-    _harm(house, bodies)
+    _harm(cluster, bodies)
 
     scrubbed = terminal.run("admin", "scrub", code=9)
     assert "newly lost:    1" in scrubbed.out
@@ -58,25 +58,25 @@ def test_what_a_store_loses_cuts_and_alters_is_told_and_mended(house: House, tmp
         assert states[name][0] == state
         assert why in str(states[name][1])
         assert why in terminal.run("file", "info", name, "-p", "p", "-m", "m").out
-    assert states["good.bin"] == ("proven", None)
+    assert states["good.bin"] == ("verified", None)
     shown = terminal.run("mission", "info", "-p", "p", "-m", "m").out
     assert "WHAT DIFFERS" in shown
     terminal.run("download", "-p", "p", "-m", "m", "--dest", tmp_path / "none", code=9)
 
     terminal.run("upload", *sorted(folder.iterdir()), "-p", "p", "-m", "m")
     assert "same" in terminal.run("verify", "--remote", "-p", "p", "-m", "m").out
-    assert set(_states(terminal).values()) == {("proven", None)}
+    assert set(_states(terminal).values()) == {("verified", None)}
     again = terminal.run("admin", "scrub", "--json").json()
     assert (again["last"]["lost"], again["last"]["corrupt"], again["last"]["stopped"]) == (0, 0, None)
     terminal.run("download", "-p", "p", "-m", "m", "--dest", tmp_path / "back")
     assert {path.name: path.read_bytes() for path in (tmp_path / "back").rglob("*.bin")} == bodies
-    backend.tidy(house)
-    assert len(backend.objects(house)) == len(bodies), "what was damaged went with the sweep"
+    backend.tidy(cluster)
+    assert len(backend.objects(cluster)) == len(bodies), "what was damaged went with the sweep"
 
 
-def _flip_byte(house: House, needle: bytes) -> None:
+def _flip_byte(cluster: Cluster, needle: bytes) -> None:
     """Change one byte of an object on the store's disk, where its content has `needle`."""
-    for path in house.data_dir.rglob("*.dat"):
+    for path in cluster.data_dir.rglob("*.dat"):
         at = path.read_bytes().find(needle)
         if at >= 0:
             with path.open("r+b") as file:
@@ -86,9 +86,9 @@ def _flip_byte(house: House, needle: bytes) -> None:
     raise AssertionError("no object on disk has it")
 
 
-def test_a_damaged_object_is_told_within_a_minute_by_whoever_reads_it(house: House, tmp_path: Path) -> None:
-    house.start()
-    terminal, folder = house.terminal, tmp_path / "day"
+def test_a_damaged_object_is_told_within_a_minute_by_whoever_reads_it(cluster: Cluster, tmp_path: Path) -> None:
+    cluster.start()
+    terminal, folder = cluster.terminal, tmp_path / "day"
     folder.mkdir()
     needle = os.urandom(32)
     (folder / "drive.bin").write_bytes(os.urandom(20_000) + needle + os.urandom(300_000))
@@ -96,7 +96,7 @@ def test_a_damaged_object_is_told_within_a_minute_by_whoever_reads_it(house: Hou
     terminal.run("project", "create", "p")
     terminal.run("upload", *sorted(folder.iterdir()), "-p", "p", "-m", "m", "--create")
     terminal.run("verify", "--remote", "-p", "p", "-m", "m")
-    _flip_byte(house, needle)
+    _flip_byte(cluster, needle)
     began = time.monotonic()
     ran = terminal.run("download", "-p", "p", "-m", "m", "--dest", tmp_path / "back", code=9)
     assert time.monotonic() - began < 75, "a minute, and the start of a program on a busy machine"
@@ -105,7 +105,7 @@ def test_a_damaged_object_is_told_within_a_minute_by_whoever_reads_it(house: Hou
     assert [path.name for path in (tmp_path / "back").rglob("*.bin")] == ["other.bin"]
     state, why = _states(terminal)["drive.bin"]
     assert (state, "serves others" in str(why)) == ("corrupt", True)
-    token = (house.data_dir / "owner-token").read_text().strip()
-    with connect(house.told()["url"], token) as client:
+    token = (cluster.data_dir / "owner-token").read_text().strip()
+    with connect(cluster.runtime_info()["url"], token) as client:
         needs = {(each.need.value, each.count) for each in client.home.get().attention}
     assert ("files_corrupt", 1) in needs

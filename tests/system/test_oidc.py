@@ -14,7 +14,7 @@ from urllib.parse import parse_qs, urlencode, urlsplit
 import pytest
 import urllib3
 
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 from tests.system.oidc_sign_in import CLIENT_ID, CLIENT_SECRET, Chromium, RealProvider, _chromium, _driver, _node
 
 __all__ = ["_chromium", "_driver", "_node"]
@@ -26,17 +26,17 @@ _CALLBACK = "/sign-in/callback/lab"
 class Place:
     """A Kleinkram that trusts a provider for lab.example, and the provider."""
 
-    house: House
+    cluster: Cluster
     provider: RealProvider
 
     @property
     def url(self) -> str:
         """The server's address."""
-        return f"http://127.0.0.1:{self.house.port}"
+        return f"http://127.0.0.1:{self.cluster.port}"
 
     def ask(self, method: str, path: str, body: object = None, token: str | None = None) -> Any:
         """Make a request of a program, as the owner unless a token is given."""
-        owner = (self.house.data_dir / "owner-token").read_text().strip()
+        owner = (self.cluster.data_dir / "owner-token").read_text().strip()
         headers = {"Authorization": f"Bearer {token or owner}", "Content-Type": "application/json"}
         data = None if body is None else json.dumps(body)
         answer = urllib3.request(method, f"{self.url}/api/v1{path}", body=data, headers=headers)
@@ -51,18 +51,18 @@ class Place:
 
 @pytest.fixture(name="place", scope="module")
 def _place(node: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
-    house = House(tmp_path_factory.mktemp("oidc"))
-    provider = RealProvider(node, f"http://127.0.0.1:{house.port}{_CALLBACK}")
+    cluster = Cluster(tmp_path_factory.mktemp("oidc"))
+    provider = RealProvider(node, f"http://127.0.0.1:{cluster.port}{_CALLBACK}")
     known = {"name": "lab", "title": "The Lab", "issuer": provider.url, "client_id": CLIENT_ID}
     settings = [{**known, "client_secret": CLIENT_SECRET, "trusted_domains": ["lab.example"], "timeout_s": 3}]
-    house.settings["KLEINKRAM_OIDC_PROVIDERS"] = json.dumps(settings)
-    house.settings["KLEINKRAM_SIGN_INS_PER_MINUTE"] = "0"
+    cluster.settings["KLEINKRAM_OIDC_PROVIDERS"] = json.dumps(settings)
+    cluster.settings["KLEINKRAM_SIGN_INS_PER_MINUTE"] = "0"
     provider.start()
     try:
-        house.start()
-        yield Place(house, provider)
+        cluster.start()
+        yield Place(cluster, provider)
     finally:
-        house.end()
+        cluster.end()
         provider.end()
 
 
@@ -235,8 +235,8 @@ def test_a_program_on_this_machine_signs_in_when_somebody_agrees(place: Place, c
     chromium.click("[data-act=approve]")
     brought = parse_qs(urlsplit(chromium.kept()).query)
     assert brought["state"] == ["a" * 20]
-    told = place.ask("POST", "/auth/cli/token", {"code": brought["code"][0], "code_verifier": verifier})
-    assert place.ask("GET", "/me", token=told["token"])["person"]["name"] == "ada"
+    runtime_info = place.ask("POST", "/auth/cli/token", {"code": brought["code"][0], "code_verifier": verifier})
+    assert place.ask("GET", "/me", token=runtime_info["token"])["person"]["name"] == "ada"
 
 
 def test_a_program_on_this_machine_hears_that_somebody_refused(place: Place, chromium: Chromium) -> None:
@@ -264,5 +264,5 @@ def test_a_robot_signs_in_by_a_code_that_somebody_types(place: Place, chromium: 
     chromium.see("klein on spot")
     chromium.click("[data-act=approve]")
     chromium.see("You can close this page")
-    told = place.ask("POST", "/auth/device/token", {"device_code": began["device_code"]})
-    assert place.ask("GET", "/me", token=told["token"])["person"]["name"] == "ada"
+    runtime_info = place.ask("POST", "/auth/device/token", {"device_code": began["device_code"]})
+    assert place.ask("GET", "/me", token=runtime_info["token"])["person"]["name"] == "ada"

@@ -23,7 +23,7 @@ from kleinkram.client import Client, connect
 from kleinkram.contract.uploads import MIN_PART_BYTES, PartToSign, Send, UploadFile, UploadFinish, UploadRead
 from kleinkram.standalone.binaries import locate_weed
 from tests.integration.upload_client import checksum, crc64, sha256
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 
 # What SeaweedFS is to drop, it marks within a second or so; the bytes can be read until their volume is cleared up.
 _MARKED_S = 3
@@ -111,28 +111,28 @@ def _outcomes(together: ThreadPoolExecutor, client: Client, finish: UploadFinish
     return {each.outcome for answer in asked for each in answer.result().items}
 
 
-def _clear_up(house: House) -> None:
+def _clear_up(cluster: Cluster) -> None:
     """Have the store give back the room of all that it has marked, which it does by itself where that is a third."""
-    ports = json.loads((house.data_dir / "ports.json").read_text())
+    ports = json.loads((cluster.data_dir / "ports.json").read_text())
     shell = [str(locate_weed()), "shell", "-master", f"127.0.0.1:{ports['master']}.{ports['master_grpc']}"]
     text = "lock\nvolume.vacuum -garbageThreshold 0.00001\nunlock\n"
     said = subprocess.run(shell, input=text, capture_output=True, text=True, timeout=60, check=False)
     assert said.returncode == 0, said.stderr
 
 
-def _live_all(house: House, folder: Path, histories: Sequence[History], mission: str) -> None:
+def _live_all(cluster: Cluster, folder: Path, histories: Sequence[History], mission: str) -> None:
     """Live them in one mission, have the store clear up, and fetch everything back."""
-    terminal = house.terminal
+    terminal = cluster.terminal
     mission_id = terminal.run("mission", "create", mission, "-p", "p", "--json").json()["id"]
-    token = (house.data_dir / "owner-token").read_text().strip()
+    token = (cluster.data_dir / "owner-token").read_text().strip()
     sent = folder / mission
     sent.mkdir()
     names = {f"{number:03}.bin": history for number, history in enumerate(histories)}
-    with connect(house.told()["url"], token) as client:
+    with connect(cluster.runtime_info()["url"], token) as client:
         for name, history in names.items():
             _live(client, uuid.UUID(mission_id), history, sent / name)
     time.sleep(_MARKED_S)
-    _clear_up(house)
+    _clear_up(cluster)
     back = folder / f"{mission}-back"
     terminal.run("download", "-p", "p", "-m", mission, "--dest", back)
     for name, history in names.items():
@@ -141,18 +141,18 @@ def _live_all(house: House, folder: Path, histories: Sequence[History], mission:
 
 @pytest.mark.slow
 @pytest.mark.timeout(280)
-def test_parts_of_every_history_are_there_once_the_store_has_cleared_up(house: House, tmp_path: Path) -> None:
-    house.start()
-    house.terminal.run("project", "create", "p")
+def test_parts_of_every_history_are_there_once_the_store_has_cleared_up(cluster: Cluster, tmp_path: Path) -> None:
+    cluster.start()
+    cluster.terminal.run("project", "create", "p")
     chance = random.Random(1)
     drawn = [_draw(chance) for _ in range(6)]
-    _live_all(house, tmp_path, [_OTHER_BYTES_FIRST_THEN_TWICE, _JOINED_BY_TWO, *drawn], "m")
+    _live_all(cluster, tmp_path, [_OTHER_BYTES_FIRST_THEN_TWICE, _JOINED_BY_TWO, *drawn], "m")
 
 
 @pytest.mark.soak
-def test_parts_of_very_many_histories(house: House, tmp_path: Path) -> None:
-    house.start()
-    house.terminal.run("project", "create", "p")
+def test_parts_of_very_many_histories(cluster: Cluster, tmp_path: Path) -> None:
+    cluster.start()
+    cluster.terminal.run("project", "create", "p")
     for seed in range(1, int(os.environ.get("KLEINKRAM_SOAK_ROUNDS", "20")) + 1):
         chance = random.Random(seed)
-        _live_all(house, tmp_path, [_draw(chance) for _ in range(20)], f"m{seed}")
+        _live_all(cluster, tmp_path, [_draw(chance) for _ in range(20)], f"m{seed}")

@@ -22,7 +22,7 @@ from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.contract.files import FileFilter
 from tests.acceptance.conftest import wait_until
 from tests.system import backend
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -35,33 +35,33 @@ _FILES_OF_ALL = """
 
 
 @pytest.fixture(scope="module")
-def house(tmp_path_factory: pytest.TempPathFactory) -> Iterator[House]:
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
     """A Kleinkram for this module."""
-    house = House(tmp_path_factory.mktemp("house"))
+    cluster = Cluster(tmp_path_factory.mktemp("house"))
     # Whose announcement was lost waits for the lease that it got; a minute of that shows no more than seconds.
-    house.settings["KLEINKRAM_UPLOAD_LEASE_S"] = "5"
-    house.start()
-    house.terminal.run("project", "create", "p")
-    yield house
-    house.end()
+    cluster.settings["KLEINKRAM_UPLOAD_LEASE_S"] = "5"
+    cluster.start()
+    cluster.terminal.run("project", "create", "p")
+    yield cluster
+    cluster.end()
 
 
-def _connected(house: House) -> Client:
-    return connect(house.told()["url"], (house.data_dir / "owner-token").read_text().strip())
+def _connected(cluster: Cluster) -> Client:
+    return connect(cluster.runtime_info()["url"], (cluster.data_dir / "owner-token").read_text().strip())
 
 
 def test_twenty_clients_read_and_upload_while_the_api_and_the_database_come_and_go(
-    house: House, tmp_path: Path
+    cluster: Cluster, tmp_path: Path
 ) -> None:
     files = [_write(tmp_path / f"{number}.bin") for number in range(_FILES)]
-    with _connected(house) as owner:
+    with _connected(cluster) as owner:
         project_id = owner.projects.get("p").id
         missions = [owner.missions.create(f"client {number}", project_id=project_id) for number in range(_CLIENTS)]
     begun = threading.Event()
 
     def work(number: int) -> None:
         mission_id = missions[number].id
-        with _connected(house) as client:
+        with _connected(cluster) as client:
             for count, file in enumerate(files, start=1):
                 (sent,) = upload(client, mission_id, plan_upload([file])).results
                 assert sent.error is None, sent
@@ -73,13 +73,13 @@ def test_twenty_clients_read_and_upload_while_the_api_and_the_database_come_and_
         working = [pool.submit(work, number) for number in range(_CLIENTS)]
         begun.wait(60)
         for part, sign in (("api", signal.SIGKILL), ("api", signal.SIGTERM), ("postgres", signal.SIGKILL)):
-            _end_and_wait(house, part, sign)
+            _end_and_wait(cluster, part, sign)
         for each in working:
             each.result()
-    counted = Counter(backend.sql(house, _FILES_OF_ALL))
+    counted = Counter(backend.sql(cluster, _FILES_OF_ALL))
     assert counted == Counter((f"client {number}", file.name) for number in range(_CLIENTS) for file in files)
-    backend.tidy(house)
-    assert backend.objects(house) == dict(backend.sql(house, "SELECT key, size_bytes FROM blob"))
+    backend.tidy(cluster)
+    assert backend.objects(cluster) == dict(backend.sql(cluster, "SELECT key, size_bytes FROM blob"))
 
 
 def _write(path: Path) -> Path:
@@ -97,38 +97,40 @@ def _read(ask: Callable[[], T]) -> T:
     return ask()
 
 
-def _end_and_wait(house: House, part: str, sign: signal.Signals) -> None:
-    pid = house.told()["parts"][part]
+def _end_and_wait(cluster: Cluster, part: str, sign: signal.Signals) -> None:
+    pid = cluster.runtime_info()["parts"][part]
     os.kill(pid, sign)
-    wait_until(lambda: house.told()["parts"][part] not in {None, pid}, f"{part} to be started again")
-    wait_until(lambda: _status(house, "GET", "/health/ready", "")[0] == 200, "the API to be ready")
+    wait_until(lambda: cluster.runtime_info()["parts"][part] not in {None, pid}, f"{part} to be started again")
+    wait_until(lambda: _status(cluster, "GET", "/health/ready", "")[0] == 200, "the API to be ready")
 
 
-def test_while_the_database_is_away_it_is_said_so_and_when_to_come_back(house: House) -> None:
-    token = (house.data_dir / "owner-token").read_text().strip()
+def test_while_the_database_is_away_it_is_said_so_and_when_to_come_back(cluster: Cluster) -> None:
+    token = (cluster.data_dir / "owner-token").read_text().strip()
     change = ("POST", "/api/v1/projects", token, {"name": "made while it was away"})
     reading = ("GET", "/api/v1/projects", token)
-    assert house.process is not None
-    house.process.send_signal(signal.SIGSTOP)  # who would start it again
+    assert cluster.process is not None
+    cluster.process.send_signal(signal.SIGSTOP)  # who would start it again
     try:
-        house.kill("postgres")
+        cluster.kill("postgres")
         for asked in (change, reading):
-            status, retry_after, said = _status(house, *asked)
+            status, retry_after, said = _status(cluster, *asked)
             assert (status, said["code"]) == (503, "database_unavailable")
             assert int(retry_after) > 0
-        refused = house.terminal.run("project", "list", code=7).err
-        assert "The database cannot be used (it does not answer). Nothing was lost; try again in a moment." in refused
+        refused = cluster.terminal.run("project", "list", code=7).err
+        assert "The database is not available (it does not answer). Nothing was lost; try again in a moment." in refused
     finally:
-        house.process.send_signal(signal.SIGCONT)
-    wait_until(lambda: _status(house, "GET", "/health/ready", "")[0] == 200, "the database to be back")
-    assert _status(house, *change)[0] == 201, "it had not been made"
+        cluster.process.send_signal(signal.SIGCONT)
+    wait_until(lambda: _status(cluster, "GET", "/health/ready", "")[0] == 200, "the database to be back")
+    assert _status(cluster, *change)[0] == 201, "it had not been made"
 
 
-def _status(house: House, method: str, path: str, token: str, body: object = None) -> tuple[int, str, dict[str, str]]:
+def _status(
+    cluster: Cluster, method: str, path: str, token: str, body: object = None
+) -> tuple[int, str, dict[str, str]]:
     headers = {"Authorization": f"Bearer {token}"} if token else {}
     try:
         answer = urllib3.request(
-            method, house.told()["url"] + path, json=body, headers=headers, timeout=30, retries=False
+            method, cluster.runtime_info()["url"] + path, json=body, headers=headers, timeout=30, retries=False
         )
     except urllib3.exceptions.HTTPError:
         return 0, "", {}

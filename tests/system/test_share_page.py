@@ -8,7 +8,7 @@ import pytest
 
 from kleinkram.recordings.sample import generate_mcap
 from tests.requirements import need, path_of
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 
 _PIXEL = base64.b64decode(
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
@@ -29,9 +29,9 @@ def _seen(browser: list[str], address: str) -> str:
 
 
 @pytest.mark.slow
-def test_the_page_shows_what_the_link_shows(house: House, browser: list[str], tmp_path: Path) -> None:
-    house.start()
-    terminal = house.terminal
+def test_the_page_shows_what_the_link_shows(cluster: Cluster, browser: list[str], tmp_path: Path) -> None:
+    cluster.start()
+    terminal = cluster.terminal
     folder = tmp_path / "day"
     folder.mkdir()
     for name, size in (("<b>bold<b>.bin", 1500), ("plain.bin", 20), ("hidden.bin", 5)):
@@ -52,15 +52,15 @@ def test_the_page_shows_what_the_link_shows(house: House, browser: list[str], tm
 
     terminal.run("share", "revoke", link)
     assert "This link has ended" in _seen(browser, link)
-    assert link.partition("#")[2] not in (house.data_dir / "logs").joinpath("api.log").read_text()
+    assert link.partition("#")[2] not in (cluster.data_dir / "logs").joinpath("api.log").read_text()
 
 
 @pytest.mark.slow
 def test_the_page_of_a_whole_mission_shows_its_metadata_topics_and_a_picture(
-    house: House, browser: list[str], tmp_path: Path
+    cluster: Cluster, browser: list[str], tmp_path: Path
 ) -> None:
-    house.start()
-    terminal = house.terminal
+    cluster.start()
+    terminal = cluster.terminal
     folder = tmp_path / "day"
     folder.mkdir()
     generate_mcap(folder / "drive.mcap", duration_s=5)

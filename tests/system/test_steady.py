@@ -14,7 +14,7 @@ from benchmarks.scale import seed
 from benchmarks.scale.places import seeded
 
 from tests.system.chaos.kill_rounds import say
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 
 _SECONDS = float(os.environ.get("KLEINKRAM_SOAK_S", "3600"))
 _CLIENTS, _LOOKS = 10, 60
@@ -24,13 +24,13 @@ _MOST_GROWTH, _SLACK_MB = 1.1, 10
 
 @pytest.mark.soak
 def test_an_hour_of_many_people_leaves_memory_steady(tmp_path: Path) -> None:
-    house = House(tmp_path, settings={"KLEINKRAM_SEARCHES_PER_MINUTE": "0"})
-    house.start()
+    cluster = Cluster(tmp_path, settings={"KLEINKRAM_SEARCHES_PER_MINUTE": "0"})
+    cluster.start()
     try:
-        parts = {name: psutil.Process(house.told()["parts"][name]) for name in ("api", "worker")}
+        parts = {name: psutil.Process(cluster.runtime_info()["parts"][name]) for name in ("api", "worker")}
         seed.fill(parts["worker"].environ()["KLEINKRAM_DATABASE_URL"], seed.Size(1), say=lambda _text: None)
-        token = (house.data_dir / "owner-token").read_text().strip()
-        asked = [house.told()["url"], token, str(_CLIENTS), str(_SECONDS), str(seeded("project1"))]
+        token = (cluster.data_dir / "owner-token").read_text().strip()
+        asked = [cluster.runtime_info()["url"], token, str(_CLIENTS), str(_SECONDS), str(seeded("project1"))]
         taken: dict[str, list[float]] = {name: [] for name in parts}
         with subprocess.Popen(
             [sys.executable, "-m", "benchmarks.scale.crowd", *asked], stdout=subprocess.PIPE
@@ -42,18 +42,18 @@ def test_an_hour_of_many_people_leaves_memory_steady(tmp_path: Path) -> None:
                     time.sleep(_SECONDS / _LOOKS)
             finally:
                 crowd.kill()
-            told = json.loads(crowd.communicate()[0])
+            runtime_info = json.loads(crowd.communicate()[0])
     finally:
-        house.end()
-    say(f"{told['answers']} answers in {_SECONDS:.0f} s")
+        cluster.end()
+    say(f"{runtime_info['answers']} answers in {_SECONDS:.0f} s")
     thirds = {}
     for name, mb in taken.items():
         third = len(mb) // 3
         middle, last = statistics.median(mb[third : 2 * third]), statistics.median(mb[2 * third :])
         say(f"{name}: {mb[0]:.0f} MB at first, {middle:.0f} in the second third, {last:.0f} in the last")
         thirds[name] = middle, last
-    assert told["answers"] > 0
-    assert told["errors"] == []
+    assert runtime_info["answers"] > 0
+    assert runtime_info["errors"] == []
     for name, (middle, last) in thirds.items():
         assert last <= middle * _MOST_GROWTH + _SLACK_MB, (
             f"{name} grew from {middle:.0f} to {last:.0f} MB: {taken[name]}"

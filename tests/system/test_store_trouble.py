@@ -13,7 +13,7 @@ import pytest
 from tests.acceptance.conftest import end, wait_until
 from tests.system import backend
 from tests.system.chaos.disks import MIB, SmallDisk, need_small_disks, small_disk
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -27,29 +27,29 @@ def _file(path: Path, size_bytes: int) -> Path:
     return path
 
 
-def _files_of(house: House, mission: str) -> list[str]:
+def _files_of(cluster: Cluster, mission: str) -> list[str]:
     statement = "SELECT path FROM file JOIN mission ON mission.id = mission_id WHERE mission.name = %s"
-    return [path for (path,) in backend.sql(house, statement, mission)]
+    return [path for (path,) in backend.sql(cluster, statement, mission)]
 
 
-def _away(house: House) -> None:
+def _away(cluster: Cluster) -> None:
     """The store is away for half a minute: at first it takes connections, and no byte moves; then it dies, and again.
 
     Dying, it is started again after ever longer pauses, the last of which ends a moment after its last death.
     """
-    pid = house.told()["parts"]["store"]
+    pid = cluster.runtime_info()["parts"]["store"]
     os.kill(pid, signal.SIGSTOP)
     threading.Event().wait(_SILENT_S)
     ends_at = time.monotonic() + _DYING_S
     while time.monotonic() < ends_at:
         with contextlib.suppress(ProcessLookupError):
-            house.kill("store")
+            cluster.kill("store")
         threading.Event().wait(0.1)
 
 
-def test_a_store_that_is_away_for_half_a_minute_is_waited_for(house: House, tmp_path: Path) -> None:
-    house.start()
-    terminal = house.terminal
+def test_a_store_that_is_away_for_half_a_minute_is_waited_for(cluster: Cluster, tmp_path: Path) -> None:
+    cluster.start()
+    terminal = cluster.terminal
     terminal.run("project", "create", "p")
     there = _file(tmp_path / "there.bin", 60 * MIB)
     terminal.run("upload", "-p", "p", "-m", "old", "--create", there)
@@ -61,7 +61,7 @@ def test_a_store_that_is_away_for_half_a_minute_is_waited_for(house: House, tmp_
         terminal.start("download", "-p", "p", "-m", "old", "--dest", back, *slowly),
     ]
     wait_until(lambda: terminal.parts_sent() >= 1 and _fetched(back) >= 1, "both transfers to be half-way")
-    _away(house)
+    _away(cluster)
     assert [transfer.poll() for transfer in transfers] == [None, None], "nobody gave up"
     for transfer in transfers:
         ended = end(transfer)
@@ -78,29 +78,29 @@ def _fetched(back: Path) -> int:
 
 def test_a_store_without_room_says_so_and_goes_on_when_there_is_some(tmp_path: Path) -> None:
     need_small_disks()
-    house = House(tmp_path)
-    house.start()
-    house.end()
-    with small_disk(house.data_dir / "store", _ROOM) as disk:
-        house.inside = disk.inside
+    cluster = Cluster(tmp_path)
+    cluster.start()
+    cluster.end()
+    with small_disk(cluster.data_dir / "store", _ROOM) as disk:
+        cluster.inside = disk.inside
         try:
-            _fill_a_store(house, disk)
+            _fill_a_store(cluster, disk)
         finally:
-            house.end()
+            cluster.end()
 
 
-def _fill_a_store(house: House, disk: SmallDisk) -> None:
-    house.start()
-    terminal = house.terminal
+def _fill_a_store(cluster: Cluster, disk: SmallDisk) -> None:
+    cluster.start()
+    terminal = cluster.terminal
     terminal.run("project", "create", "p")
-    kept = _file(house.home / "kept.bin", 20 * MIB)
+    kept = _file(cluster.home / "kept.bin", 20 * MIB)
     terminal.run("upload", "-p", "p", "-m", "m", "--create", kept)
     disk.fill()
-    large = _file(house.home / "large.bin", 40 * MIB)
+    large = _file(cluster.home / "large.bin", 40 * MIB)
     process = terminal.start("upload", "-p", "p", "-m", "m", large)
     assert process.stderr is not None
     assert "waiting for the store, which is away or full" in process.stderr.readline()
-    assert _files_of(house, "m") == ["kept.bin"], "what did not arrive is not there"
+    assert _files_of(cluster, "m") == ["kept.bin"], "what did not arrive is not there"
     terminal.run("verify", "-p", "p", "-m", "m", kept)
     disk.make_room()
     ended = end(process)

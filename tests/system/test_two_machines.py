@@ -13,7 +13,7 @@ import pytest
 from kleinkram.standalone.procs import marked_processes
 from tests.acceptance.conftest import Terminal
 from tests.certificate import make_certificate
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 from tests.system.conftest import OtherMachine
 
 pytestmark = pytest.mark.slow
@@ -46,42 +46,44 @@ print(json.dumps([port for port in map(int, sys.argv[2:]) if opens(port)]))
 """
 
 
-def test_over_plain_http(house: House, other_machine: OtherMachine, tmp_path: Path) -> None:
-    _listen(house, other_machine, "http")
-    house.start()
-    _tell_the_story(house, other_machine.terminal(_folder(tmp_path / "robot")))
-    assert _ports_that_open(house, other_machine) == {house.port, house.s3_port}
+def test_over_plain_http(cluster: Cluster, other_machine: OtherMachine, tmp_path: Path) -> None:
+    _listen(cluster, other_machine, "http")
+    cluster.start()
+    _tell_the_story(cluster, other_machine.terminal(_folder(tmp_path / "robot")))
+    assert _ports_that_open(cluster, other_machine) == {cluster.port, cluster.s3_port}
 
 
-def test_over_tls_with_a_certificate_of_our_own(house: House, other_machine: OtherMachine, tmp_path: Path) -> None:
+def test_over_tls_with_a_certificate_of_our_own(cluster: Cluster, other_machine: OtherMachine, tmp_path: Path) -> None:
     certificate, key = make_certificate(tmp_path, other_machine.our_address)
-    _listen(house, other_machine, "https")
-    house.options += ["--tls-cert", str(certificate), "--tls-key", str(key)]
-    house.start()
-    url = house.told()["url"]
+    _listen(cluster, other_machine, "https")
+    cluster.options += ["--tls-cert", str(certificate), "--tls-key", str(key)]
+    cluster.start()
+    url = cluster.runtime_info()["url"]
     stranger = other_machine.terminal(_folder(tmp_path / "stranger"), KLEINKRAM_URL=url, KLEINKRAM_TOKEN="klein_x")
     assert "certificate" in stranger.run("project", "list", code=None).err.lower()
     # The way that OpenSSL gives every program; the client has no setting of its own.
     robot = other_machine.terminal(_folder(tmp_path / "robot"), SSL_CERT_FILE=str(certificate))
-    _tell_the_story(house, robot)
-    assert _ports_that_open(house, other_machine) == {house.port, house.s3_port}
+    _tell_the_story(cluster, robot)
+    assert _ports_that_open(cluster, other_machine) == {cluster.port, cluster.s3_port}
     (tmp_path / "asking.py").write_text(_ASKING)
     place = ("-p", "alpine", "-m", "day")
-    told = robot.run("action", "run", tmp_path / "asking.py", *place, "--follow")
-    assert "day it is" in told.out + told.err, "a run believes whom its runner believes"
+    runtime_info = robot.run("action", "run", tmp_path / "asking.py", *place, "--follow")
+    assert "day it is" in runtime_info.out + runtime_info.err, "a run believes whom its runner believes"
 
 
-def _listen(house: House, machine: OtherMachine, scheme: str) -> None:
-    house.options += ["--listen", "0.0.0.0", "--public-url", f"{scheme}://{machine.our_address}:{house.port}"]
+def _listen(cluster: Cluster, machine: OtherMachine, scheme: str) -> None:
+    cluster.options += ["--listen", "0.0.0.0", "--public-url", f"{scheme}://{machine.our_address}:{cluster.port}"]
 
 
-def _tell_the_story(house: House, robot: Terminal) -> None:
+def _tell_the_story(cluster: Cluster, robot: Terminal) -> None:
     source, back = _folder(robot.home / "day"), robot.home / "back"
     sizes = {"large.bin": 20 * _MIB + 7, "small.bin": 1000, "empty.bin": 0}
     for name, size in sizes.items():
         (source / name).write_bytes(os.urandom(size))
         os.utime(source / name, (1_700_000_000, 1_700_000_000))
-    robot.run("endpoint", "add", "lab", house.told()["url"], stdin=(house.data_dir / "owner-token").read_text())
+    robot.run(
+        "endpoint", "add", "lab", cluster.runtime_info()["url"], stdin=(cluster.data_dir / "owner-token").read_text()
+    )
     robot.run("project", "create", "alpine")
     mission = ["-p", "alpine", "-m", "day"]
     robot.run("upload", *mission, "--create", source)
@@ -93,11 +95,16 @@ def _tell_the_story(house: House, robot: Terminal) -> None:
         assert filecmp.cmp(source / name, copy, shallow=False)
 
 
-def _ports_that_open(house: House, machine: OtherMachine) -> set[int]:
+def _ports_that_open(cluster: Cluster, machine: OtherMachine) -> set[int]:
     """Of all ports that any part listens on, those that let the other machine in."""
-    connections = [it for pid in marked_processes(house.data_dir) for it in psutil.Process(pid).net_connections("tcp")]
+    connections = [
+        it for pid in marked_processes(cluster.data_dir) for it in psutil.Process(pid).net_connections("tcp")
+    ]
     ports = {it.laddr.port for it in connections if it.status == psutil.CONN_LISTEN}
-    assert {*house.told()["ports"].values()} - ports <= {house.told()["ports"]["s3_tls"], house.told()["ports"]["s3"]}
+    assert {*cluster.runtime_info()["ports"].values()} - ports <= {
+        cluster.runtime_info()["ports"]["s3_tls"],
+        cluster.runtime_info()["ports"]["s3"],
+    }
     knock = [sys.executable, "-c", _KNOCK, machine.our_address, *map(str, sorted(ports))]
     done = subprocess.run(machine.command(*knock), check=True, capture_output=True, text=True)
     return set(json.loads(done.stdout))

@@ -49,8 +49,7 @@ from typing import Any, NamedTuple
 
 from kleinkram.action import context, inputs, out, parameters, progress, report
 from kleinkram.action.places import given
-from kleinkram.recordings import FileSource, RecordingGroup, group
-from kleinkram.recordings.reading import Message, NotARecording, Recording
+from kleinkram.recordings import FileSource, Message, NotARecording, Recording, RecordingGroup, group
 
 NS = 10**9
 MOST_POINTS = 5000
@@ -190,23 +189,23 @@ class Seen:
         return min(moving, key=lambda track: (order.index(track.kind), -track.count), default=None)
 
 
-def opened(found: RecordingGroup, stack: ExitStack) -> Recording:
+def opened(group: RecordingGroup, stack: ExitStack) -> Recording:
     """Open a recording among the inputs, whatever number of files it has."""
-    paths = [given / path for path in (found.metadata_path, *found.members) if path is not None]
-    if found.metadata_path is not None and "/" in found.metadata_path:
+    paths = [given / path for path in (group.metadata_path, *group.members) if path is not None]
+    if group.metadata_path is not None and "/" in group.metadata_path:
         return stack.enter_context(Recording.open(paths[0].parent))
     if len(paths) == 1:
         return stack.enter_context(Recording.open(paths[0]))
     return stack.enter_context(Recording.open([stack.enter_context(FileSource(path)) for path in paths]))
 
 
-def look(found: RecordingGroup, share: tuple[float, float]) -> Seen | None:
+def look(group: RecordingGroup, share: tuple[float, float]) -> Seen | None:
     """Read one recording; None where there is nothing in it."""
-    name, (begin, width) = found.name, share
-    wanted = str(parameters()["topic"])
+    name, (begin, width) = group.name, share
+    chosen = str(parameters()["topic"])
     shortest_m, fastest_m_s = float(parameters()["gps_step"]), float(parameters()["fastest"])
     with ExitStack() as stack:
-        recording = opened(found, stack)
+        recording = opened(group, stack)
         types = {topic.name: (topic.message_type or "").rpartition("/")[2] for topic in recording.topics}
         sensors = {SENSORS[kind] for kind in types.values() if kind in SENSORS}
         if recording.start_ns is None or recording.end_ns is None:
@@ -214,9 +213,9 @@ def look(found: RecordingGroup, share: tuple[float, float]) -> Seen | None:
         tracks = {
             topic: Track(name, topic, KINDS[kind])
             for topic, kind in types.items()
-            if kind in KINDS and wanted in {"", topic}
+            if kind in KINDS and chosen in {"", topic}
         }
-        span_ns, said = max(recording.end_ns - recording.start_ns, 1), 0.0
+        span_ns, reported = max(recording.end_ns - recording.start_ns, 1), 0.0
         for message in recording.messages([*tracks]) if tracks else ():
             track = tracks[message.topic]
             if isinstance(message.value, bytes):
@@ -228,18 +227,18 @@ def look(found: RecordingGroup, share: tuple[float, float]) -> Seen | None:
             else:
                 track.add(place, shortest_m, fastest_m_s)
             done = (message.log_time_ns - recording.start_ns) / span_ns
-            if done > said + 0.05:
-                said = done
+            if done > reported + 0.05:
+                reported = done
                 progress(min(begin + width * done, 1.0), name)
-        file = given / found.members[0] if len(found.members) == 1 else None
+        file = given / group.members[0] if len(group.members) == 1 else None
         return Seen(name, file, recording.start_ns, recording.end_ns, sensors, [*tracks.values()])
 
 
 def drives(recordings: Iterable[Seen]) -> Iterator[list[Seen]]:
     """Yield the recordings that overlap in time together."""
     together: list[Seen] = []
-    for seen in sorted(recordings, key=lambda each: each.start_ns):
-        if together and seen.start_ns > max(each.end_ns for each in together):
+    for seen in sorted(recordings, key=lambda seen: seen.start_ns):
+        if together and seen.start_ns > max(earlier.end_ns for earlier in together):
             yield together
             together = []
         together.append(seen)
@@ -387,13 +386,13 @@ def main() -> None:
     """Read all recordings of the mission, and say what they tell."""
     recordings: list[Seen] = []
     paths = [path.relative_to(given).as_posix() for path in inputs()]
-    groups = [each for each in group(paths) if each.members]
-    for number, each in enumerate(groups):
-        progress(number / len(groups), each.name)
+    groups = [candidate for candidate in group(paths) if candidate.members]
+    for number, recording_group in enumerate(groups):
+        progress(number / len(groups), recording_group.name)
         try:
-            seen = look(each, (number / len(groups), 1 / len(groups)))
+            seen = look(recording_group, (number / len(groups), 1 / len(groups)))
         except NotARecording as error:
-            report.finding("error", "recording.unreadable", str(error), file=given / each.members[0])
+            report.finding("error", "recording.unreadable", str(error), file=given / recording_group.members[0])
             continue
         if seen is None:
             continue
@@ -406,14 +405,14 @@ def main() -> None:
     views = [*drives(recordings)]
     duration_s = sum(max(e.end_ns for e in view) - min(e.start_ns for e in view) for view in views) / NS
     report.metric("mission_duration", duration_s, unit="s")
-    told: dict[str, Any] = {"duration_s": round(duration_s, 3)}
-    told["sensors"] = sorted({sensor for seen in recordings for sensor in seen.sensors})
+    facts: dict[str, Any] = {"duration_s": round(duration_s, 3)}
+    facts["sensors"] = sorted({sensor for seen in recordings for sensor in seen.sensors})
     best = [[track.distance_m for seen in view if (track := seen.best())] for view in views]
     if any(best):
         distance_m = sum(max(view) for view in best if view)
         report.metric("mission_distance", distance_m, unit="m")
-        told["distance_m"] = round(distance_m, 3)
-    report.propose(**told, **write_tracks(recordings))
+        facts["distance_m"] = round(distance_m, 3)
+    report.propose(**facts, **write_tracks(recordings))
 
 
 if __name__ == "__main__":

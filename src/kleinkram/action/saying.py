@@ -8,7 +8,16 @@ from typing import TypeVar
 from pydantic import BaseModel, JsonValue, ValidationError
 
 from kleinkram.action import places
-from kleinkram.contract.reports import EVENTS_FILE, MAX_EVENT_BYTES, Event, Finding, Metric, Preview, Progress, PutBack
+from kleinkram.contract.reports import (
+    EVENTS_FILE,
+    MAX_EVENT_BYTES,
+    Finding,
+    Metric,
+    Preview,
+    Progress,
+    PutBack,
+    ReportEvent,
+)
 from kleinkram.contract.wording import in_plain_words
 
 T = TypeVar("T", bound=BaseModel)
@@ -34,7 +43,7 @@ class Reporting:
         """
         path = None if file is None else _within(file, places.given)
         found = _made(Finding, severity=severity, code=code, message=message, file=path, topic=topic, time_ns=time_ns)
-        _say(Event(finding=found))
+        _say(ReportEvent(finding=found))
 
     def metric(self, name: str, value: float, *, unit: str | None = None, file: AnyPath | None = None) -> None:
         """Say a number, such as `metric("ate_rmse", 0.12, unit="m")`. Said again, it takes the earlier one's place.
@@ -44,15 +53,15 @@ class Reporting:
                 the number is NaN or infinite: say so by `finding`.
         """
         path = None if file is None else _within(file, places.given)
-        _say(Event(metric=_made(Metric, name=name, value=value, unit=unit, file=path)))
+        _say(ReportEvent(metric=_made(Metric, name=name, value=value, unit=unit, file=path)))
 
     def preview(self, path: AnyPath, title: str = "") -> None:
         """Show an artifact with the run: PNG, JPEG, SVG, CSV or GeoJSON under `/out`."""
-        _say(Event(preview=_made(Preview, path=_within(path, places.out), title=title)))
+        _say(ReportEvent(preview=_made(Preview, path=_within(path, places.out), title=title)))
 
     def propose(self, **metadata: JsonValue) -> None:
         """Propose metadata of the mission. People take it over, or do not."""
-        _say(_made(Event, metadata=metadata))
+        _say(_made(ReportEvent, metadata=metadata))
 
     def put_back(self, path: AnyPath, to: str | None = None, *, made_from: list[AnyPath] | None = None) -> None:
         """Make a file of the mission out of an artifact, at `to` (its path under `/out`, if not said).
@@ -61,12 +70,12 @@ class Reporting:
         """
         artifact = _within(path, places.out)
         sources = [_within(each, places.given) for each in made_from or []]
-        _say(Event(put_back=_made(PutBack, path=artifact, to=to or artifact, made_from=sources)))
+        _say(ReportEvent(put_back=_made(PutBack, path=artifact, to=to or artifact, made_from=sources)))
 
 
 def progress(fraction: float, message: str = "") -> None:
     """Say how far the run is, from 0 to 1, and what it is at."""
-    _say(Event(progress=_made(Progress, fraction=fraction, message=message)))
+    _say(ReportEvent(progress=_made(Progress, fraction=fraction, message=message)))
 
 
 class ReportRefused(ValueError):
@@ -89,7 +98,7 @@ def _within(path: AnyPath, folder: Path) -> str:
     return Path(os.path.normpath(folder / path)).relative_to(folder).as_posix()
 
 
-def _say(event: Event) -> None:
+def _say(event: ReportEvent) -> None:
     line = event.model_dump_json(exclude_unset=True, exclude_none=True).encode() + b"\n"
     if len(line) > MAX_EVENT_BYTES:
         raise ValueError(f"this has {len(line)} bytes; {MAX_EVENT_BYTES} can be said at once")

@@ -30,7 +30,7 @@ from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import MissionRead, MissionRef
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
-from kleinkram.contract.reports import EVENTS_FILE, REPORT_FILE, Event, Report
+from kleinkram.contract.reports import EVENTS_FILE, REPORT_FILE, Report, ReportEvent
 from kleinkram.contract.rights import Right
 from kleinkram.contract.runs import CONTEXT_FILE, ActionRef, Cause, RunContext
 
@@ -143,7 +143,7 @@ def _said(out: Path) -> Report:
     """Return what was said while it lasted, then what the report says."""
     events_file, report_file = out / EVENTS_FILE, out / REPORT_FILE
     lines = events_file.read_bytes().splitlines() if events_file.exists() else []
-    events = [Event.model_validate_json(line) for line in lines]
+    events = [ReportEvent.model_validate_json(line) for line in lines]
     last = Report.model_validate_json(report_file.read_bytes()) if report_file.exists() else Report()
     metadata = {name: value for event in events for name, value in (event.metadata or {}).items()}
     return Report(

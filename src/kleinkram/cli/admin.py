@@ -124,7 +124,7 @@ def health(as_json: AsJson = False) -> None:
             ("heard of", moment(told.worker_last_at) if told.worker_last_at else "never"),
             ("runs", told.runs_problem),
             ("invitations", told.invitation_warning),
-            ("store", f"proves by {told.store_checksum}"),
+            ("store", f"verifies {told.store_checksum}"),
             ("overwrites", "the store refuses them" if told.store_writes_once else "the store takes them"),
             ("pages", "may send to the store" if told.store_takes_pages else "may not send to the store"),
             ("clocks apart", f"{told.clock_skew_s:.2f} s"),

@@ -25,8 +25,8 @@ from kleinkram.cli.units import count, instant, size, span
 from kleinkram.cli.upload import upload
 from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.client.files import file_label
-from kleinkram.contract.errors import from_problem
 from kleinkram.contract.files import FileLoss, FileRead, FileSort, ReadDepth
+from kleinkram.contract.problems import from_problem
 from kleinkram.contract.searching import FileLabelled
 
 _DEPTHS = {ReadDepth.summary: "its index", ReadDepth.scan: "every byte"}
@@ -210,7 +210,7 @@ def _show(file: FileRead) -> None:
             ("sha256", file.sha256),
             ("md5", file.md5),
             ("crc64nvme", file.crc64nvme),
-            ("proven", file.proven_at),
+            ("verified", file.verified_at),
             ("labels", file.labels),
             ("uploaded", f"{file.created_at:%Y-%m-%d %H:%M}Z by {file.uploaded_by.name} ({file.origin})"),
             *((f"{fact.name} ({fact.unit})" if fact.unit else fact.name, fact.value) for fact in file.facts),

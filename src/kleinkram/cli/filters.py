@@ -43,7 +43,7 @@ class Choice:
     message_type: Annotated[Many, typer.Option("--type", metavar="GLOB", help="Has such a message type.")] = None
     file_format: Annotated[Many, typer.Option("--format", metavar="FORMAT", help="mcap, rosbag1, db3, …")] = None
     label: Annotated[Many, typer.Option("--label", metavar="LABEL", help="Has this label.")] = None
-    state: Annotated[Many, typer.Option("--state", metavar="STATE", help="Bytes: stored, proven, lost, corrupt.")] = (
+    state: Annotated[Many, typer.Option("--state", metavar="STATE", help="Bytes: stored, verified, lost, corrupt.")] = (
         None
     )
     content: Annotated[

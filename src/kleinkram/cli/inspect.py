@@ -29,7 +29,7 @@ def inspect(
     """
     try:
         with watching(deep) as watch:
-            found = inspect_paths(paths, depth=Depth.scan if deep else Depth.summary, watch=watch)
+            found = inspect_paths(paths, depth=Depth.scan if deep else Depth.summary, progress=watch)
     except FileNotFoundError as error:
         raise InvalidInput(what=f"The path {error.filename}", reason="there is no such file or folder") from error
     if as_json:

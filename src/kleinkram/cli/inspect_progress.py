@@ -6,14 +6,14 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from kleinkram.cli.render import escape
-from kleinkram.recordings.inspect import Watch
+from kleinkram.recordings.inspect import ScanProgress
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
 
 @contextlib.contextmanager
-def watching(deep: bool) -> Iterator[Watch | None]:
+def watching(deep: bool) -> Iterator[ScanProgress | None]:
     """Show a bar for each file that is scanned, for as long as it is."""
     if not deep or not sys.stderr.isatty():
         yield None

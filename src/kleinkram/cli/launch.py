@@ -19,9 +19,9 @@ from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.client.manifest import read_manifest
 from kleinkram.contract.actions import ActionDefinition, ActionRead, ParameterValues
-from kleinkram.contract.errors import from_problem
 from kleinkram.contract.missions import MissionRead
-from kleinkram.contract.runs import RunDetail, RunMade, RunRead, RunRefused, RunState, SayingFilter
+from kleinkram.contract.problems import from_problem
+from kleinkram.contract.runs import ReportFilter, RunCreated, RunDetail, RunRead, RunRefused, RunState
 
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A parameter; may be given several times.")
@@ -128,7 +128,7 @@ def follow_all(client: Client, runs: Sequence[RunRead], *, as_json: bool) -> lis
     if not as_json:
         show_runs(ended)
     if len(ended) == 1 and not as_json:
-        matching = SayingFilter(run_id=ended[0].id)
+        matching = ReportFilter(run_id=ended[0].id)
         show_results([*client.runs.metrics(matching)], [*client.runs.findings(matching)])
     if len(ended) == 1 and ended[0].artifact_count:
         note(f"`klein run artifacts {ended[0].id} --download DIR` fetches what it left.")
@@ -177,12 +177,12 @@ def _wanted(client: Client, ref: str, missions: Sequence[MissionRead]) -> _Wante
 def _show(
     client: Client,
     missions: Sequence[MissionRead],
-    outcomes: Sequence[RunMade | RunRefused],
+    outcomes: Sequence[RunCreated | RunRefused],
     *,
     follow_it: bool,
     as_json: bool,
 ) -> None:
-    made = [each.run for each in outcomes if isinstance(each, RunMade)]
+    made = [each.run for each in outcomes if isinstance(each, RunCreated)]
     refused = [each for each in outcomes if isinstance(each, RunRefused)]
     names = {each.id: f"{each.project.name}/{each.name}" for each in missions}
     failures = [from_problem(each.problem) for each in refused]
@@ -194,7 +194,7 @@ def _show(
         _say_made(made, as_json=as_json)
     if as_json:
         now = {each.id: each for each in made}
-        items = [RunMade(run=now[each.run.id]) if isinstance(each, RunMade) else each for each in outcomes]
+        items = [RunCreated(run=now[each.run.id]) if isinstance(each, RunCreated) else each for each in outcomes]
         show_json({"items": items})
     code = exit_code_of(failures) or (code_of(made) if follow_it else 0)
     if code:

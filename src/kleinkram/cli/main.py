@@ -34,7 +34,7 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "person": ("kleinkram.cli.person", "app", "People: list, info, and for admins deactivate."),
     "upload": ("kleinkram.cli.upload", "upload", "Upload files and folders into a mission."),
     "download": ("kleinkram.cli.download", "download", "Download files, verified."),
-    "verify": ("kleinkram.cli.verify", "verify", "Compare local files with a mission, or prove those in the store."),
+    "verify": ("kleinkram.cli.verify", "verify", "Compare local files with a mission, or verify the stored bytes."),
     "search": ("kleinkram.cli.search", "search", "Find files, missions or topics."),
     "stats": ("kleinkram.cli.stats", "stats", "Hours, bytes, files and messages, grouped."),
     "action": ("kleinkram.cli.action", "app", "What to run on the data: init, run-local, create, run, list, info."),

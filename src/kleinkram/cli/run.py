@@ -24,7 +24,7 @@ from kleinkram.client import Client
 from kleinkram.client.checking import checked
 from kleinkram.client.errors import NothingToDo
 from kleinkram.contract.reports import Severity
-from kleinkram.contract.runs import RunFilter, RunState, SayingFilter
+from kleinkram.contract.runs import ReportFilter, RunFilter, RunState
 
 _SHOWN = 50
 
@@ -231,8 +231,8 @@ def metrics(
     )
 
 
-def _saying(client: Client, run: str | None, project: Many, mission: Many, **more: object) -> SayingFilter:
+def _saying(client: Client, run: str | None, project: Many, mission: Many, **more: object) -> ReportFilter:
     given: dict[str, object] = {**more, **ids_of(client, project, mission)}
     if run is not None:
         given["run_id"] = client.runs.get(run).id
-    return checked(SayingFilter, "The filter", **{key: value for key, value in given.items() if value})
+    return checked(ReportFilter, "The filter", **{key: value for key, value in given.items() if value})

@@ -49,7 +49,7 @@ def start(
     cache: Annotated[str | None, typer.Option(metavar="SIZE", help="For inputs. Default: 30 % of the same.")] = None,
     gpus: Annotated[int, typer.Option(metavar="N", min=0, help="For runs.")] = 0,
     executor: Annotated[Executor, typer.Option(help="auto: containers where an engine answers.")] = Executor.auto,
-    stock_image: Annotated[
+    default_image: Annotated[
         str | None, typer.Option(metavar="IMAGE", help="What scripts run on. Default: kleinkram/action-python.")
     ] = None,
     registry: Annotated[
@@ -62,8 +62,7 @@ def start(
 ) -> None:
     """Run actions on this machine. Ctrl-C ends it and its runs; SIGTERM leaves them to the next one."""
     from kleinkram.client.config import find_endpoint
-    from kleinkram.runner.__main__ import STOCK_IMAGE, Arguments
-    from kleinkram.runner.choosing import ExecutorChoice
+    from kleinkram.runner.__main__ import DEFAULT_IMAGE, Arguments, ExecutorChoice
 
     arguments = Arguments(
         url=url or find_endpoint().url,
@@ -77,7 +76,7 @@ def start(
         cache_bytes=parse_size(cache) if cache else None,
         gpus=gpus,
         executor=ExecutorChoice(executor.value),
-        stock_image=stock_image or STOCK_IMAGE,
+        default_image=default_image or DEFAULT_IMAGE,
         registries=registry or None,
         once=once,
         log_format="json" if as_json else "text",

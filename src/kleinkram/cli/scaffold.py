@@ -30,7 +30,7 @@ _CODE = '''\
 from collections import Counter
 
 from kleinkram.action import inputs, out, parameters, progress, report
-from kleinkram.recordings.reading import NotARecording, Recording
+from kleinkram.recordings import NotARecording, Recording
 
 
 def main() -> None:
@@ -103,7 +103,7 @@ COPY main.py /action/main.py
 CMD ["python3", "/action/main.py"]
 """
 
-STOCK_IMAGE = "kleinkram/action-python:latest"
+DEFAULT_IMAGE = "kleinkram/action-python:latest"
 
 
 def init(
@@ -116,7 +116,7 @@ def init(
     files = {"main.py": _CODE, f"test_{name.replace('-', '_')}.py": _TEST}
     if image:
         files["action.yaml"] = _MANIFEST.format(name=name, image=f"{name}:1")
-        files["Dockerfile"] = _DOCKERFILE.format(base=STOCK_IMAGE)
+        files["Dockerfile"] = _DOCKERFILE.format(base=DEFAULT_IMAGE)
     else:
         files["main.py"] = _HEADER.format(name=name) + _CODE
     _write(directory, files)

@@ -39,8 +39,8 @@ def show_scrub(state: ScrubState) -> None:
         details(_found(state.last))
     details(
         [
-            ("oldest proof", state.oldest_proof_at),
-            ("proven again", f"after {state.again_after_days} days" if state.again_after_days else "only when asked"),
+            ("oldest verification", state.oldest_verification_at),
+            ("verified again", f"after {state.again_after_days} days" if state.again_after_days else "only when asked"),
             ("scrubs", f"every {state.every_hours:g} hours" if state.every_hours else "only when asked"),
         ]
     )

@@ -27,7 +27,7 @@ def verify(
     timeout: Annotated[float, typer.Option("--timeout", metavar="SECONDS", help="How long to wait for it.")] = 600.0,
     as_json: AsJson = False,
 ) -> None:
-    """Compare local files with a mission's, byte for byte (by sha256); or prove those in the store again."""
+    """Compare local files with a mission's by SHA-256; with --remote, have the server verify its stored bytes again."""
     left_out: Sequence[ClientError] = ()
     with connect() as client:
         if remote:

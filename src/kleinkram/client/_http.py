@@ -29,7 +29,8 @@ from kleinkram.client.errors import (
     StoreUnreachable,
     remember_request,
 )
-from kleinkram.contract.errors import KleinkramError, NotAuthenticated, ProblemDocument, from_problem
+from kleinkram.contract.errors import KleinkramError, NotAuthenticated
+from kleinkram.contract.problems import ProblemDocument, from_problem
 from kleinkram.contract.wording import first_problem
 
 T = TypeVar("T", bound=BaseModel)

@@ -43,7 +43,7 @@ def as_datetime(what: str, time: object) -> datetime.datetime | None:
         return None
     if isinstance(time, datetime.datetime):
         return time if time.tzinfo else time.replace(tzinfo=datetime.timezone.utc)
-    from kleinkram.recordings.reading.times import to_ns  # who gives no time does not pay for the readers
+    from kleinkram.recordings.messages import to_ns  # who gives no time does not pay for the readers
 
     try:
         moment: datetime.datetime = _EPOCH + datetime.timedelta(microseconds=to_ns(cast(Time, time)) // 1000)

@@ -150,9 +150,12 @@ class Files:
         answer = self._api.delete(f"/files/{self.id_of(file_id)}", query_of(None, dry_run=dry_run or None))
         return self._api.understood(Deleted, "DELETE file", answer)
 
-    def prove(self, file_id: Ref) -> FileRead:
-        """Have the server read the file's bytes again; `state` and `proven_at` tell when it has."""
-        return self._api.understood(FileRead, "prove", self._api.post_empty(f"/files/{self.id_of(file_id)}/prove"))
+    def verify(self, file_id: Ref) -> FileRead:
+        """Have the server verify the stored bytes again; `state` and `verified_at` change when it has read them all.
+
+        Compares no local file: `kleinkram.client.transfer.verify_local` does.
+        """
+        return self._api.understood(FileRead, "verify", self._api.post_empty(f"/files/{self.id_of(file_id)}/verify"))
 
     def links(self, file_ids: Sequence[Ref]) -> DownloadLinks:
         """Return where to read the bytes of up to 500 files, in the order asked.

@@ -41,7 +41,7 @@ class Me:
 
         Raises:
             NotFound: none of one's own has that id.
-            LastWayIn: without it there would be no way to sign in.
+            LastSignInMethod: without it there would be no way to sign in.
         """
         self._api.delete(f"/me/identities/{identity_id}")
 

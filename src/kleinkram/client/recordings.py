@@ -15,7 +15,7 @@ from kleinkram.contract.files import FileFilter, FileRead, RecordingRead
 from kleinkram.contract.names import is_id
 
 if TYPE_CHECKING:
-    from kleinkram.recordings.reading import Recording
+    from kleinkram.recordings import Recording
 
 _METADATA = "metadata.yaml"
 
@@ -69,7 +69,7 @@ class Recordings:
             SourceError: the store does not give the bytes.
         """
         from kleinkram.client._remote import RemoteFiles
-        from kleinkram.recordings.reading import Recording  # only who reads pays for importing it
+        from kleinkram.recordings import Recording  # only who reads pays for importing it
 
         found = self._find(what, mission, project)
         if isinstance(found, FileRead):

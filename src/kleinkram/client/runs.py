@@ -26,18 +26,18 @@ from kleinkram.contract.runs import (
     ArtifactUrl,
     ArtifactUrls,
     FindingRead,
-    LogPiece,
+    LogChunkRead,
     MetricRead,
+    ReportFilter,
+    RunCreated,
     RunDetail,
     RunFilter,
     RunInput,
-    RunMade,
     RunRead,
     RunRefused,
     RunsCreate,
-    RunsMade,
+    RunsCreated,
     RunState,
-    SayingFilter,
 )
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class RunFields(TypedDict, total=False):
 
 
 class SayingFields(TypedDict, total=False):
-    """The keywords that say which findings or metrics: `SayingFilter`'s, with places as in `RunFields`."""
+    """The keywords that say which findings or metrics: `ReportFilter`'s, with places as in `RunFields`."""
 
     run: Ref
     project: Ref | Sequence[Ref]
@@ -72,7 +72,7 @@ class SayingFields(TypedDict, total=False):
     severity: Severity | str | Sequence[Severity | str]
 
 
-FilterKind = TypeVar("FilterKind", RunFilter, SayingFilter)
+FilterKind = TypeVar("FilterKind", RunFilter, ReportFilter)
 
 
 class Runs:
@@ -89,7 +89,7 @@ class Runs:
         version: int | None = None,
         parameters: ParameterValues | None = None,
         force: bool = False,
-    ) -> Sequence[RunMade | RunRefused]:
+    ) -> Sequence[RunCreated | RunRefused]:
         """Run an action on each of some missions, and return how it went with each, in order, however many they are.
 
         The action is a published one by its id, in its latest version unless another is named; or a definition, which
@@ -111,7 +111,7 @@ class Runs:
         ids, outcomes = [missions.id_of(each) for each in mission_ids], []
         for start in range(0, len(ids), MAX_LAUNCHED):
             body = checked(RunsCreate, "The run", mission_ids=ids[start : start + MAX_LAUNCHED], **said)
-            outcomes += self._api.send("POST", "/runs", RunsMade, body).items
+            outcomes += self._api.send("POST", "/runs", RunsCreated, body).items
         return outcomes
 
     def list(
@@ -209,22 +209,22 @@ class Runs:
         return fetch(links, self._api.endpoint.url, plan, overwrite=overwrite, watcher=watcher)
 
     def findings(
-        self, matching: SayingFilter | None = None, *, limit: int | None = None, **fields: Unpack[SayingFields]
+        self, matching: ReportFilter | None = None, *, limit: int | None = None, **fields: Unpack[SayingFields]
     ) -> Listing[FindingRead]:
         """Yield what runs have noticed."""
         return pages(
-            self._api, "/findings", FindingRead, query_of(self._filter(SayingFilter, matching, fields)), limit=limit
+            self._api, "/findings", FindingRead, query_of(self._filter(ReportFilter, matching, fields)), limit=limit
         )
 
     def metrics(
-        self, matching: SayingFilter | None = None, *, limit: int | None = None, **fields: Unpack[SayingFields]
+        self, matching: ReportFilter | None = None, *, limit: int | None = None, **fields: Unpack[SayingFields]
     ) -> Listing[MetricRead]:
         """Yield the numbers that runs have found; the filter's `code` is a metric's name."""
         return pages(
-            self._api, "/run-metrics", MetricRead, query_of(self._filter(SayingFilter, matching, fields)), limit=limit
+            self._api, "/run-metrics", MetricRead, query_of(self._filter(ReportFilter, matching, fields)), limit=limit
         )
 
-    def log(self, run_id: Ref, *, follow: bool = False) -> Iterator[LogPiece]:
+    def log(self, run_id: Ref, *, follow: bool = False) -> Iterator[LogChunkRead]:
         """Yield what a run has written, from the beginning, in pieces of whole lines; with `follow`, until it is over.
 
         Where a lost runner made it begin anew, the pieces of the next attempt follow, and `attempt` says so.
@@ -233,7 +233,7 @@ class Runs:
         while True:
             asked_at = time.monotonic()
             query = query_of(None, offset=offset, wait_s=wait_s)
-            piece = self._api.get(f"/runs/{_run_id(run_id)}/log", LogPiece, query)
+            piece = self._api.get(f"/runs/{_run_id(run_id)}/log", LogChunkRead, query)
             begins_anew = piece.attempt != attempt and offset > 0
             attempt, offset = piece.attempt, 0 if begins_anew else piece.next_offset
             if begins_anew:

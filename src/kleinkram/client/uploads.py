@@ -67,7 +67,7 @@ class Uploads:
         return self._api.repeat("/uploads/parts", SignedParts, body, patience_s=self._patience_s, wait=self._wait)
 
     def complete(self, uploads: Sequence[UploadFinish]) -> UploadOutcomes:
-        """Finish up to 200 uploads whose parts are all sent; the store proves each. In the order given."""
+        """Finish up to 200 uploads whose parts are all sent; the store verifies each. In the order given."""
         body = UploadsComplete(uploads=[*uploads])
         return self._api.repeat("/uploads/complete", UploadOutcomes, body, patience_s=self._patience_s, wait=self._wait)
 

@@ -46,7 +46,7 @@ class ParameterType(str, enum.Enum):
 
 
 class Parameter(Request):
-    """What an action can be told. Without default it must be. `minimum` and `maximum` are inclusive."""
+    """A parameter of an action; required where it has no default. `minimum` and `maximum` are inclusive."""
 
     name: ParameterName
     type: ParameterType
@@ -69,14 +69,14 @@ class Parameter(Request):
         return self
 
     def check(self, value: ParameterValue) -> ParameterValue:
-        """Return a value as the action gets it, or say why it cannot be this parameter's.
+        """Return a value, converted to the type of this parameter.
 
         Raises:
-            ValueError: another type, none of the choices, or out of bounds.
+            ValueError: it has another type, is none of the choices, or is out of range.
         """
-        wanted, accepted = _PYTHON_TYPES[self.type]
+        type_name, accepted = _PYTHON_TYPES[self.type]
         if not isinstance(value, accepted) or (isinstance(value, bool) and self.type is not ParameterType.boolean):
-            raise ValueError(f"{self.name!r} is {wanted}, not {value!r}")
+            raise ValueError(f"{self.name!r} is {type_name}, not {value!r}")
         if isinstance(value, str) and len(check_text(value)) > MAX_VALUE_CHARACTERS:
             raise ValueError(f"{self.name!r} has {len(value)} characters; {MAX_VALUE_CHARACTERS} are allowed")
         if self.choices is not None and value not in self.choices:
@@ -92,12 +92,12 @@ class Parameter(Request):
         return value
 
     def read(self, text: str) -> ParameterValue:
-        """Return the value that a text stands for, such as one of a command line.
+        """Parse a value, as on a command line.
 
         Raises:
-            ValueError: it stands for none.
+            ValueError: it is not valid for this parameter.
         """
-        wanted, _ = _PYTHON_TYPES[self.type]
+        type_name, _ = _PYTHON_TYPES[self.type]
         try:
             if self.type is ParameterType.boolean:
                 return self.check({"true": True, "false": False}[text.lower()])
@@ -105,7 +105,7 @@ class Parameter(Request):
                 return self.check(int(text))
             return self.check(float(text) if self.type is ParameterType.number else text)
         except KeyError:
-            raise ValueError(f"{self.name!r} is {wanted}, not {text!r}") from None
+            raise ValueError(f"{self.name!r} is {type_name}, not {text!r}") from None
 
 
 _PYTHON_TYPES: dict[ParameterType, tuple[str, tuple[type, ...]]] = {
@@ -119,7 +119,7 @@ _PYTHON_TYPES: dict[ParameterType, tuple[str, tuple[type, ...]]] = {
 
 
 class Network(str, enum.Enum):
-    """What a run can reach: nothing, the API and the store by its own token, or everything its machine reaches."""
+    """What a run can reach: nothing, the API and the store with its own token, or everything its machine reaches."""
 
     none = "none"
     api = "api"
@@ -127,10 +127,7 @@ class Network(str, enum.Enum):
 
 
 class Inputs(Request):
-    """Which files of a mission a run gets: those of which the path, a topic and a message type match.
-
-    Globs as in filters; an empty list matches all. By default, all files.
-    """
+    """The input files of an action: those that match all three lists of globs; an empty list matches all."""
 
     paths: Globs = []
     topics: Globs = []
@@ -152,7 +149,7 @@ def _whole(amount: Fraction) -> int:
 
 
 class Resources(Request):
-    """What a run may use at most, and what a runner sets aside for it. In manifests also as `memory: 4GB`, `time: 30m`.
+    """The limits of a run, which its runner reserves. In manifests also as `memory: 4GB`, `time: 30m`.
 
     `disk_bytes` is for `/out` and `/tmp` together.
     """
@@ -176,7 +173,7 @@ class Resources(Request):
 
 
 class ParametersWrong(ValueError):
-    """What is wrong with the values given to an action, as a sentence by the name of each parameter."""
+    """Invalid parameter values of an action: a sentence by the name of each parameter."""
 
     def __init__(self, problems: Mapping[str, str]) -> None:
         super().__init__("; ".join(problems.values()))
@@ -184,11 +181,11 @@ class ParametersWrong(ValueError):
 
 
 class ActionDefinition(Request):
-    """What one version of an action is. Either an `image` with its `command`, or a `script` on the stock image.
+    """One version of an action: either an `image` with its `command`, or a `script` on the default image.
 
-    `command` is a list that nobody splits; without it the image's own is run. A script is started with Python, and its
-    `dependencies` (PEP 508) must be there: on the stock image, or on the image that it names.
-    `right` is what whoever launches it must hold on the mission, and all that the run's token has there.
+    `command` is an argument list; empty: the image's own command. A script is started with Python, and its
+    `dependencies` (PEP 508) must be installed in the default image, or in the image that it names.
+    `right` is the right on the mission that launching requires, and the right of the run's token.
     """
 
     name: Name
@@ -216,24 +213,24 @@ class ActionDefinition(Request):
             raise ValueError(f"the parameter {twice[0]!r} is declared twice")
         return self
 
-    def fill_in(self, given: ParameterValues) -> ParameterValues:
-        """Return the values of all parameters: those given, checked, and the defaults of the others.
+    def fill_in(self, values_by_name: ParameterValues) -> ParameterValues:
+        """Return the values of all parameters: those passed, checked, and the defaults of the others.
 
         Raises:
-            ParametersWrong: some are unknown, missing or not what they should be.
+            ParametersWrong: some are unknown, missing or invalid.
         """
         known = {parameter.name: parameter for parameter in self.parameters}
         choices = ", ".join(known) or "none at all"
-        unknown = sorted(set(given) - set(known))
+        unknown = sorted(set(values_by_name) - set(known))
         problems = {name: f"{self.name} has no parameter {name!r}; it has {choices}" for name in unknown}
         values: ParameterValues = {}
         for name, parameter in known.items():
-            value = given.get(name, parameter.default)
+            value = values_by_name.get(name, parameter.default)
             try:
                 if value is not None:
                     values[name] = parameter.check(value)
                 else:
-                    problems[name] = f"{self.name} must be told its parameter {name!r}"
+                    problems[name] = f"{self.name} requires its parameter {name!r}"
             except ValueError as error:
                 problems[name] = str(error)
         if problems:
@@ -242,20 +239,20 @@ class ActionDefinition(Request):
 
 
 class ActionCreate(Request):
-    """An action to publish, as its first version: in a project, or without one, for the whole lab."""
+    """An action to publish: in a project, or without one for the whole lab."""
 
     project_id: uuid.UUID | None = None
     definition: ActionDefinition
 
 
 class VersionCreate(Request):
-    """A further version of an action; its name stays."""
+    """A further version of an action; the name is unchanged."""
 
     definition: ActionDefinition
 
 
 class ActionUpdate(Request):
-    """What to change of an action. An archived one is not listed and starts no new runs; its runs stay."""
+    """A change of an action. An archived action is not listed and starts no runs; its runs stay."""
 
     archived: bool
 
@@ -264,7 +261,7 @@ class ActionVersionRead(Response):
     """One version of an action, which never changes.
 
     `image_digest` is what the image's name was first resolved to (`sha256:…`), from then on used by every run; null
-    before, and for a script on the stock image.
+    before, and for a script on the default image.
     """
 
     id: uuid.UUID
@@ -299,7 +296,7 @@ class ActionRead(Response):
 
 
 class ActionFilter(Request):
-    """Which actions are wanted. `name` may be a glob; `project_id`: those of a project and the whole lab's."""
+    """A filter for actions. `name` may be a glob; `project_id`: those of a project and those of the whole lab."""
 
     name: Term | None = None
     project_id: uuid.UUID | None = None

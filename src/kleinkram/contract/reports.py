@@ -1,6 +1,6 @@
-"""What a run says in a form that is understood: findings, metrics, previews, and what it proposes for the mission.
+"""The report of a run: findings, metrics, previews, and metadata that it proposes for the mission.
 
-`/out/report.json` holds a `Report`; while a run lasts, each line of `/out/.kleinkram/events.jsonl` is an `Event`.
+`/out/report.json` holds a `Report`; while a run lasts, each line of `/out/.kleinkram/events.jsonl` is a `ReportEvent`.
 """
 
 import enum
@@ -37,7 +37,7 @@ class Severity(str, enum.Enum):
 
 
 class Finding(Request):
-    """Something that a run noticed. `file` is a path of its inputs; times are log times, in ns since 1970."""
+    """An observation of a run. `file` is the path of an input; times are log times, in ns since 1970."""
 
     severity: Severity
     code: Code
@@ -48,7 +48,7 @@ class Finding(Request):
 
 
 class Metric(Request):
-    """A number that a run found. One of a name and a file: a later one takes the place of an earlier."""
+    """A number that a run measured. A later one of the same name and file replaces an earlier one."""
 
     name: Code
     value: FiniteFloat
@@ -57,14 +57,14 @@ class Metric(Request):
 
 
 class Preview(Request):
-    """A picture (PNG, JPEG, SVG), a table (CSV) or a track (GeoJSON) among the artifacts, to be shown with the run."""
+    """A picture (PNG, JPEG, SVG), table (CSV) or track (GeoJSON) among the artifacts that is shown with the run."""
 
     path: FilePath
     title: Annotated[str, AfterValidator(check_text), Field(max_length=200)] = ""
 
 
 class PutBack(Request):
-    """An artifact that becomes a file of the mission, at `to`, made from the inputs `made_from` (none named: all)."""
+    """An artifact that becomes the file `to` of the mission, made from the inputs `made_from` (empty: all)."""
 
     path: FilePath
     to: FilePath
@@ -72,7 +72,7 @@ class PutBack(Request):
 
 
 class Report(Request):
-    """All that a run says. `metadata` is proposed to people, never taken over by itself."""
+    """The whole report of a run. `metadata` is a proposal; a person accepts or ignores it."""
 
     findings: Annotated[list[Finding], Field(max_length=MAX_FINDINGS)] = []
     metrics: Annotated[list[Metric], Field(max_length=MAX_METRICS)] = []
@@ -82,14 +82,14 @@ class Report(Request):
 
 
 class Progress(Request):
-    """How far a run is: `fraction` from 0 to 1, and what it is at."""
+    """The progress of a run: `fraction` from 0 to 1, and a message."""
 
     fraction: Annotated[float, Field(ge=0, le=1)]
     message: Annotated[str, AfterValidator(check_text), Field(max_length=200)] = ""
 
 
-class Event(Request):
-    """One thing that a run says while it lasts: exactly one of these is there."""
+class ReportEvent(Request):
+    """A single report while the run lasts: exactly one field is set."""
 
     finding: Finding | None = None
     metric: Metric | None = None
@@ -99,7 +99,7 @@ class Event(Request):
     put_back: PutBack | None = None
 
     @model_validator(mode="after")
-    def _says_one_thing(self) -> Self:
+    def _has_one_field(self) -> Self:
         if len(self.model_fields_set) != 1:
-            raise ValueError("an event says one thing")
+            raise ValueError("an event has exactly one field")
         return self

@@ -1,6 +1,6 @@
-"""What runners and the server say to each other. A runner asks, over HTTPS, with a runner's token; nothing calls it.
+"""The protocol between runners and the server: HTTPS requests that a runner makes with its token; nothing calls it.
 
-All that it says about a run carries the attempt by which it holds the run, and is refused once another one counts.
+Every request about a run carries the attempt number of the runner's lease and is refused once that is outdated.
 """
 
 import datetime
@@ -14,31 +14,31 @@ from kleinkram.contract.actions import Network, ParameterValues, Resources
 from kleinkram.contract.names import Label
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.reports import Progress, Report
-from kleinkram.contract.runs import ActionRef, EndReason, RunState, Sample, Usage
+from kleinkram.contract.runs import ActionRef, EndReason, RunState, Usage, UsageSample
 from kleinkram.contract.uploads import Crc64, Sha256, UploadFile
 from kleinkram.contract.wire import Request, Response
 
-# A run is held for so long after its runner was last heard of, by the database's clock.
+# The length of a lease, by the database's clock; every heartbeat renews it.
 LEASE_S = 60
-# So often a runner says what its runs are at; so soon it hears that one is to be cancelled.
-BEAT_S = 2.0
+# The interval of heartbeats, and so the delay with which a runner learns of a cancellation.
+HEARTBEAT_S = 2.0
 MAX_WAIT_S = 25
-# The path of a run's whole log among what a runner sends at its end; no artifact can have it.
+# The path under which a runner uploads the complete log of a run; no artifact can have it.
 LOG_PATH = ".kleinkram/log"
 
 Attempt = Annotated[int, Field(ge=1, lt=2**31)]
 
 
 class Isolation(str, enum.Enum):
-    """How well a run is kept away from its machine and from others."""
+    """What separates a run from its machine and from other runs."""
 
     container = "container"
     namespaces = "namespaces"
     none = "none"
 
 
-class Abilities(Response):
-    """What an executor can do. `images`: run container images, not only scripts."""
+class ExecutorAbilities(Response):
+    """What an executor supports. `images`: it runs container images, not only scripts."""
 
     executor: Annotated[str, Field(pattern=r"^[a-z]{1,32}$")]
     isolation: Isolation
@@ -50,7 +50,7 @@ class Abilities(Response):
 
 
 class Capacity(Response):
-    """What a machine has, or has free, for runs."""
+    """Resources of a machine for runs: all of them, or those that are free."""
 
     cores: Annotated[float, Field(ge=0, le=100_000)]
     memory_bytes: Annotated[int, Field(ge=0, lt=2**63)]
@@ -58,26 +58,23 @@ class Capacity(Response):
     gpus: Annotated[int, Field(ge=0, le=1000)]
 
 
-class RunnerHello(Request):
-    """A runner says what it is, whenever it starts. `id` is its own for good: it keeps it in its folder.
+class RunnerRegistration(Request):
+    """A runner's description of itself, sent whenever it starts. `id` is permanent; its state directory holds it.
 
-    `stock_image` is the digest of the image that it runs scripts on; null where it has none.
+    `default_image` is the digest of the image that it runs scripts on; null where it has none.
     """
 
     id: uuid.UUID
     name: Label
     labels: Annotated[list[Label], Field(max_length=50)] = []
     capacity: Capacity
-    abilities: Abilities
-    stock_image: Annotated[str, Field(max_length=200)] | None = None
+    abilities: ExecutorAbilities
+    default_image: Annotated[str, Field(max_length=200)] | None = None
     version: Annotated[str, Field(max_length=64)]
 
 
 class RunnerToken(Response):
-    """The token of a runner, and what it is limited to: runs on these projects, that ask for one of these labels.
-
-    `projects` and `labels` are null where it is not limited by them.
-    """
+    """The token of a runner and its limits: runs of these projects that require one of these labels; null: any."""
 
     id: uuid.UUID
     name: str
@@ -87,14 +84,14 @@ class RunnerToken(Response):
 
 
 class RunnerRead(Response):
-    """A runner, as admins see it. `token` is null until it says hello again after an update of the server."""
+    """A runner, as admins see it. `token` is null until it registers again after an update of the server."""
 
     id: uuid.UUID
     name: str
     labels: list[str]
     capacity: Capacity
-    abilities: Abilities
-    stock_image: str | None
+    abilities: ExecutorAbilities
+    default_image: str | None
     version: str
     last_seen_at: datetime.datetime
     is_alive: bool
@@ -102,27 +99,27 @@ class RunnerRead(Response):
     token: RunnerToken | None = None
 
 
-class ClaimAsk(Request):
-    """What is free for a further run, and how long to wait for one. `held`: the runs that the runner knows it has."""
+class ClaimRequest(Request):
+    """A runner's free resources, and how long to wait for a run. `active_run_ids`: the runs that it already has."""
 
     free: Capacity
     wait_s: Annotated[float, Field(ge=0, le=MAX_WAIT_S)] = 0
-    held: Annotated[list[uuid.UUID], Field(max_length=10_000)] = []
+    active_run_ids: Annotated[list[uuid.UUID], Field(max_length=10_000)] = []
 
 
-class ClaimInput(Response):
-    """A file that a run is given."""
+class AssignedInput(Response):
+    """An input file of a run."""
 
     path: str
     size_bytes: int
     sha256: Sha256
 
 
-class Claim(Response):
-    """A run that is this runner's until its lease ends.
+class RunAssignment(Response):
+    """A run that is leased to a runner.
 
-    `image_digest` is what the image's name was first resolved to, by whichever runner: no other may be run under it.
-    `token` is there unless the network is `none`: it is the run's own, and good as long as the run lasts.
+    `image_digest` is what the image's name was first resolved to, by any runner: only that image may be run.
+    `token` is the run's own and valid while the run lasts; null where the network is `none`.
     """
 
     run_id: uuid.UUID
@@ -138,19 +135,19 @@ class Claim(Response):
     parameters: ParameterValues
     resources: Resources
     network: Network
-    inputs: list[ClaimInput]
+    inputs: list[AssignedInput]
     token: Annotated[str | None, Field(repr=False)]
     lease_s: float
 
 
-class Claimed(Response):
-    """The answer to a claim; null where nothing came that fits."""
+class ClaimReply(Response):
+    """The answer to a claim; `run` is null where no run fits."""
 
-    claim: Claim | None
+    run: RunAssignment | None
 
 
-class Beat(Request):
-    """What one run is at. `started`: its container was. Samples are those since the last beat."""
+class Heartbeat(Request):
+    """The state of one run. `samples` are those since the last heartbeat."""
 
     run_id: uuid.UUID
     attempt: Attempt
@@ -158,54 +155,54 @@ class Beat(Request):
     progress: Progress | None = None
     image_digest: Annotated[str, Field(max_length=200)] | None = None
     usage: Usage | None = None
-    samples: Annotated[list[Sample], Field(max_length=100)] = []
+    samples: Annotated[list[UsageSample], Field(max_length=100)] = []
 
 
-class Beats(Request):
-    """What all runs of a runner are at."""
+class Heartbeats(Request):
+    """The states of all runs of a runner."""
 
-    runs: Annotated[list[Beat], Field(max_length=1000)]
+    runs: Annotated[list[Heartbeat], Field(max_length=1000)]
 
 
-class Verdict(str, enum.Enum):
-    """What becomes of a run: it goes on, it is to be ended because somebody says so, or it is not this runner's."""
+class LeaseStatus(str, enum.Enum):
+    """The lease of a run: renewed; renewed, and the run is to be cancelled; or no longer this runner's."""
 
-    go_on = "go_on"
+    active = "active"
     cancel = "cancel"
-    gone = "gone"
+    lost = "lost"
 
 
-class BeatAnswer(Response):
-    """What becomes of one run."""
+class HeartbeatReply(Response):
+    """The lease of one run."""
 
     run_id: uuid.UUID
     attempt: Attempt
-    verdict: Verdict
+    status: LeaseStatus
 
 
-class BeatAnswers(Response):
-    """What becomes of each, and how long they are held from now on."""
+class HeartbeatReplies(Response):
+    """The leases of all runs, and their length from now on."""
 
-    runs: list[BeatAnswer]
+    runs: list[HeartbeatReply]
     lease_s: float
 
 
-class InputsAsk(Request):
-    """Inputs to be fetched."""
+class InputsRequest(Request):
+    """Inputs to fetch."""
 
     attempt: Attempt
     paths: Annotated[list[Annotated[str, Field(max_length=1024)]], Field(min_length=1, max_length=1000)]
 
 
 class InputUrls(Response):
-    """Where to GET each, in the order asked, before `expires_at`."""
+    """URLs to GET the inputs from before `expires_at`, in the requested order."""
 
     urls: list[str]
     expires_at: datetime.datetime
 
 
-class SegmentAsk(Request):
-    """A piece of the log about to be stored: where it begins in the log, its size, and its checksums."""
+class LogChunkCreate(Request):
+    """A chunk of the log to upload: its offset in the log, its size and its checksums."""
 
     attempt: Attempt
     offset: Annotated[int, Field(ge=0, lt=2**40)]
@@ -215,30 +212,30 @@ class SegmentAsk(Request):
     md5: Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
 
 
-class SegmentPut(Response):
-    """PUT the piece's bytes to `url` with exactly these headers, then say so."""
+class LogChunkUpload(Response):
+    """Where to PUT the bytes of a chunk, with exactly these headers; confirm the chunk afterwards."""
 
     url: str
     headers: dict[str, str]
 
 
-class SegmentKept(Request):
-    """A piece of the log that was stored: from now on people see it."""
+class LogChunkConfirm(Request):
+    """A chunk of the log that was uploaded and becomes visible."""
 
     attempt: Attempt
     offset: Annotated[int, Field(ge=0, lt=2**40)]
     size_bytes: Annotated[int, Field(ge=1, le=8 * 2**20)]
 
 
-class ArtifactsBegin(Request):
-    """Artifacts to upload, and the whole log under `LOG_PATH`: by the same protocol as files of a mission."""
+class ArtifactUploadsCreate(Request):
+    """Artifacts to upload, and the complete log as `LOG_PATH`, by the same protocol as files of a mission."""
 
     attempt: Attempt
     files: Annotated[list[UploadFile], Field(min_length=1, max_length=200)]
 
 
 class RunFinish(Request):
-    """How a run ended, once all that it left is uploaded. Said again, the same answer comes."""
+    """How a run ended, sent once its artifacts are uploaded. Idempotent."""
 
     attempt: Attempt
     reason: EndReason
@@ -247,10 +244,10 @@ class RunFinish(Request):
     report: Report = Report()
     problems: Annotated[list[Annotated[str, Field(max_length=2000)]], Field(max_length=200)] = []
     usage: Usage | None = None
-    samples: Annotated[list[Sample], Field(max_length=100)] = []
+    samples: Annotated[list[UsageSample], Field(max_length=100)] = []
 
 
 class RunFinished(Response):
-    """What became of the run."""
+    """The final state of a run."""
 
     state: RunState

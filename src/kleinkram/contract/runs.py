@@ -1,4 +1,4 @@
-"""Runs: executions of an action on a mission, and what they say and leave."""
+"""Runs: executions of an action on a mission, their reports and artifacts."""
 
 import datetime
 import enum
@@ -9,12 +9,12 @@ from pydantic import Field, model_validator
 from typing_extensions import Self
 
 from kleinkram.contract.actions import ActionDefinition, Network, ParameterValues
-from kleinkram.contract.errors import ProblemDocument
 from kleinkram.contract.files import FileRead, RecordingRead, TopicRead
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import MissionRead, MissionRef
 from kleinkram.contract.names import Ids, Term
 from kleinkram.contract.people import PersonRef
+from kleinkram.contract.problems import ProblemDocument
 from kleinkram.contract.reports import Finding, Metric, Preview, Progress, Severity
 from kleinkram.contract.wire import Request, Response
 
@@ -23,12 +23,12 @@ MAX_LAUNCHED = 1000
 MAX_SAMPLES = 720
 # Metrics that a run in a list carries.
 MAX_LISTED_METRICS = 12
-# What a run may write to stdout and stderr; what comes after is dropped, and the log says so.
+# The most that is stored of the output of a run; the log says where it was cut.
 LOG_BYTES = 100 * 2**20
 
 
 class RunState(str, enum.Enum):
-    """Where a run is. `preparing` fetches image and inputs, `collecting` keeps what it left; three are ends."""
+    """The state of a run. `preparing` fetches image and inputs, `collecting` uploads results; three are final."""
 
     queued = "queued"
     preparing = "preparing"
@@ -40,7 +40,7 @@ class RunState(str, enum.Enum):
 
 
 class EndReason(str, enum.Enum):
-    """Why a run is over. `exit_code`: the command said so itself; all after it are not the command's word."""
+    """Why a run ended. `done` and `exit_code` come from the command itself."""
 
     done = "done"
     exit_code = "exit_code"
@@ -59,7 +59,7 @@ class EndReason(str, enum.Enum):
 
 
 class ActionRef(Response):
-    """An action in one version; id and version are null where it is run from a folder that nobody has published."""
+    """A version of an action; id and version are null where the action is not published."""
 
     id: uuid.UUID | None = None
     name: str
@@ -67,16 +67,16 @@ class ActionRef(Response):
 
 
 class Cause(Response):
-    """Why a run is: who asked for it, and of which run it is another try."""
+    """Who launched a run, and which run it retries."""
 
     person: PersonRef | None = None
     retry_of_id: uuid.UUID | None = None
 
 
 class RunContext(Response):
-    """What `/in/mission.json` says: the mission, the files that the run gets with what is known of them, and its task.
+    """The content of `/in/mission.json`: the mission, the input files with their topics, the parameters.
 
-    `run_id` is null where no server knows of the run. `topics` are of the files, `recordings` of the mission.
+    `run_id` is null for a local run. `topics` belong to the files, `recordings` to the mission.
     """
 
     contract: Literal[1] = 1
@@ -91,10 +91,10 @@ class RunContext(Response):
 
 
 class RunsCreate(Request):
-    """An action to run on each of some missions: a published one by its id, in its latest version unless another is
-    named; or as a definition, which is then run without being published.
+    """An action to run on each of some missions: a published one by id, in its latest version unless `version` is set;
+    or an unpublished definition.
 
-    Results of an earlier good run of the very same (version, image, parameters, inputs) are reused unless `force`.
+    Results of an earlier successful run with the same version, image, parameters and inputs are reused unless `force`.
     """
 
     mission_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=MAX_LAUNCHED)]
@@ -114,7 +114,7 @@ class RunsCreate(Request):
 
 
 class Usage(Response):
-    """What a run has used so far. `memory_bytes` is now, `peak_memory_bytes` the most seen."""
+    """Resource usage of a run. `memory_bytes` is the current value, `peak_memory_bytes` the maximum."""
 
     cpu_s: Annotated[float, Field(ge=0)]
     memory_bytes: Annotated[int, Field(ge=0)]
@@ -123,8 +123,8 @@ class Usage(Response):
     written_bytes: Annotated[int, Field(ge=0)]
 
 
-class Sample(Response):
-    """What a run used at some moment, `at_s` after its container was started."""
+class UsageSample(Response):
+    """Resource usage of a run `at_s` seconds after its start."""
 
     at_s: Annotated[float, Field(ge=0)]
     usage: Usage
@@ -133,10 +133,10 @@ class Sample(Response):
 class RunRead(Response):
     """A run.
 
-    `reason`, `message` and `exit_code` say how it ended; `waits_for` why it has not begun. `image_digest` is of the
-    image that was run. `reuses_id` names the earlier run whose results stand for this one's, which has none itself.
-    `metrics` are the first that it reported, those of the whole run before those of one file; empty in a lineage.
-    `may_cancel`: the asker may, and it is not over.
+    `reason`, `message` and `exit_code` say how it ended; `waits_for` why it is still queued. `image_digest` is of the
+    image that was run. `reuses_id` names the earlier run whose results this run reuses; it has none of its own.
+    `metrics` are the first reported ones, those of the whole run before those of single files; empty in a lineage.
+    `may_cancel`: the reader may cancel it, and it has not ended.
     """
 
     id: uuid.UUID
@@ -172,43 +172,43 @@ class RunRead(Response):
 
 
 class RunDetail(RunRead):
-    """A run with all that fits one answer. `problems` say what of its words or files could not be taken.
+    """A run with its details. `problems` name the results that could not be stored.
 
-    `metadata` is what it proposes for the mission. `samples` are thinned out: at most 720.
+    `metadata` is what the run proposes for the mission. There are at most 720 `samples`.
     """
 
     definition: ActionDefinition
     problems: list[str]
     metadata: Metadata
     previews: list[Preview]
-    samples: list[Sample]
+    samples: list[UsageSample]
 
 
-class RunMade(Response):
-    """A run that was made; one that reuses results is over already."""
+class RunCreated(Response):
+    """A run that was created; one that reuses results has already ended."""
 
-    outcome: Literal["made"] = "made"
+    outcome: Literal["created"] = "created"
     run: RunRead
 
 
 class RunRefused(Response):
-    """Why no run was made on a mission; those on the others were."""
+    """Why no run was created on a mission; runs on the other missions were."""
 
     outcome: Literal["refused"] = "refused"
     mission_id: uuid.UUID
     problem: ProblemDocument
 
 
-class RunsMade(Response):
-    """One outcome a mission, in the order asked."""
+class RunsCreated(Response):
+    """One outcome per mission, in the requested order."""
 
-    items: list[Annotated[RunMade | RunRefused, Field(discriminator="outcome")]]
+    items: list[Annotated[RunCreated | RunRefused, Field(discriminator="outcome")]]
 
 
 class RunFilter(Request):
-    """Which runs are wanted: those that satisfy all that is given. `action` may be a glob of its name.
+    """A filter for runs: all criteria must match. `action` may be a glob of the name.
 
-    Of several projects, or several missions, any may hold.
+    Of several projects or missions, any may match.
     """
 
     project_id: uuid.UUID | None = None
@@ -223,7 +223,7 @@ class RunFilter(Request):
 
 
 class RunInput(Response):
-    """A file that a run was given, as it was then. `file_id` is null where it is no longer there."""
+    """An input of a run, as it was at launch. `file_id` is null where the file no longer exists."""
 
     path: str
     size_bytes: int
@@ -232,7 +232,7 @@ class RunInput(Response):
 
 
 class ArtifactRead(Response):
-    """A file that a run left. `file_id` is that of the mission's file that was made of it, where one was."""
+    """A file that a run produced. `file_id` is the file of the mission that was created from it, if any."""
 
     id: uuid.UUID
     run_id: uuid.UUID
@@ -243,7 +243,7 @@ class ArtifactRead(Response):
 
 
 class ArtifactUrl(Response):
-    """Where to GET an artifact, before `expires_at`."""
+    """A URL to GET an artifact from before `expires_at`."""
 
     artifact: ArtifactRead
     url: str
@@ -251,19 +251,19 @@ class ArtifactUrl(Response):
 
 
 class ArtifactsRequest(Request):
-    """Artifacts of a run to fetch."""
+    """Artifacts of a run to download."""
 
     artifact_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=500)]
 
 
 class ArtifactUrls(Response):
-    """Where to fetch them, in the order asked."""
+    """URLs of artifacts, in the requested order."""
 
     items: list[ArtifactUrl]
 
 
 class FindingRead(Response):
-    """A finding, and the run that said it."""
+    """A finding and the run that reported it."""
 
     id: int
     run_id: uuid.UUID
@@ -273,7 +273,7 @@ class FindingRead(Response):
 
 
 class MetricRead(Response):
-    """A metric, and the run that said it."""
+    """A metric and the run that reported it."""
 
     id: int
     run_id: uuid.UUID
@@ -282,8 +282,8 @@ class MetricRead(Response):
     metric: Metric
 
 
-class SayingFilter(Request):
-    """Which findings or metrics are wanted. `code` (a metric's name) may be a glob; any of several places may hold."""
+class ReportFilter(Request):
+    """A filter for findings or metrics. `code` (or a metric's name) may be a glob."""
 
     run_id: uuid.UUID | None = None
     mission_id: uuid.UUID | None = None
@@ -294,10 +294,10 @@ class SayingFilter(Request):
     severity: Annotated[list[Severity], Field(max_length=len(Severity))] = []
 
 
-class LogPiece(Response):
-    """A piece of what a run wrote, from the byte `offset` on; the next one begins at `next_offset`.
+class LogChunkRead(Response):
+    """A chunk of the log of a run from the byte `offset` on; the next one begins at `next_offset`.
 
-    It ends with a whole line, unless the log ends or a line is very long. `is_over`: nothing comes after `next_offset`.
+    It ends with a whole line, unless the log ends or the line is very long. `is_over`: the log ends at `next_offset`.
     """
 
     attempt: int
@@ -308,7 +308,7 @@ class LogPiece(Response):
 
 
 class LineageFile(Response):
-    """A file in a lineage. `id` is null where it is no longer there, or not for the asker."""
+    """A file in a lineage. `id` is null where it no longer exists or is not visible to the reader."""
 
     id: uuid.UUID | None
     path: str
@@ -316,7 +316,7 @@ class LineageFile(Response):
 
 
 class LineageRun(Response):
-    """A run in a lineage: what it was given, and the files of the mission and the artifacts that it made."""
+    """A run in a lineage: its inputs, and the files of the mission that were created from its artifacts."""
 
     run: RunRead
     inputs: list[LineageFile]
@@ -325,7 +325,7 @@ class LineageRun(Response):
 
 
 class LineageRead(Response):
-    """Where a file comes from and what came from it, one step each way; `truncated` where more runs read it."""
+    """The run that produced a file and the runs that read it; `truncated` where more runs read it."""
 
     file: LineageFile
     made_by: LineageRun | None

@@ -61,12 +61,12 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _migrate(settings: Settings) -> None:
-    from kleinkram.server.migrations.upgrading import MigrationBlocked, SchemaTooNew, migrate
+    from kleinkram.server.migrations.migrate import MigrationBlocked, SchemaUnsupported, migrate
 
     url = plain_dsn(settings.migration_database_url or settings.database_url).replace("://", "+psycopg://", 1)
     try:
         migrate(url, settings.serving_role)
-    except (MigrationBlocked, SchemaTooNew) as error:
+    except (MigrationBlocked, SchemaUnsupported) as error:
         sys.exit(str(error))
 
 
@@ -78,7 +78,7 @@ def _check(*, as_json: bool) -> NoReturn:
 
 def _work(settings: Settings) -> None:
     with _loading():
-        from kleinkram.server.metrics_port import MetricsPortUnusable
+        from kleinkram.server.health.metrics_server import MetricsPortUnusable
         from kleinkram.server.worker import run_worker
 
     # Whatever people wait for goes first: uploads, downloads, requests. What reads recordings inherits this.
@@ -95,7 +95,7 @@ def _serve(settings: Settings, arguments: argparse.Namespace) -> None:
         import uvicorn
 
         from kleinkram.server.app import create_app
-        from kleinkram.server.serving import ApiServer
+        from kleinkram.server.http.web_server import ApiServer
 
         app = create_app(settings)
     if arguments.when_told and not sys.stdin.readline():

@@ -110,8 +110,8 @@ class Plan:
             "token_file": str(self.data_dir.runner_token_file),
             "log_format": "json",
         }
-        if stock_image := os.environ.get("KLEINKRAM_STOCK_IMAGE"):
-            said["stock_image"] = stock_image
+        if default_image := os.environ.get("KLEINKRAM_DEFAULT_IMAGE"):
+            said["default_image"] = default_image
         given = str(certificate) if certificate else None
         part = RunnerPart(self.local_url, given, str(self.data_dir.token_file), said)
         return Command(

@@ -40,7 +40,7 @@ def _state(cluster: PostgresCluster) -> str | None:
 
 def _fingerprint() -> str:
     digest = hashlib.sha256()
-    for path in sorted((Path(kleinkram.__file__).parent / "server" / "migrations").rglob("*.py")):
+    for path in sorted((Path(kleinkram.__file__).parent / "server" / "migrations").rglob("*.*")):
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     try:
         digest.update(version("procrastinate").encode())  # the queue's tables are its own

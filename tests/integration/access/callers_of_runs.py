@@ -22,7 +22,7 @@ def _hello(by: Asker) -> Any:
         "id": str(uuid.uuid5(uuid.NAMESPACE_OID, str(by))),  # a token is for one runner
         "name": "runner",
         "capacity": _CAPACITY,
-        "stock_image": "sha256:stock",
+        "default_image": "sha256:stock",
         "abilities": abilities | {"bounds_memory": False, "bounds_disk": False},
         "version": "0",
     }
@@ -34,7 +34,7 @@ def _launch(by: Asker) -> Any:
 
 def _launched(answer: Any) -> int:
     item = answer["items"][0]
-    return 200 if item["outcome"] == "made" else int(item["problem"]["status"])
+    return 200 if item["outcome"] == "created" else int(item["problem"]["status"])
 
 
 def _segment(**more: Any) -> Any:
@@ -73,11 +73,13 @@ OF_RUNS: dict[str, tuple[Caller, ...]] = {
     "list_run_metrics": (Caller(get("/run-metrics", mission_id="{mission}"), About.mission, shows=has_items),),
     "get_lineage": (Caller(get("/files/{file}/lineage"), About.file),),
     "list_runners": (Caller(get("/runners"), About.server),),
-    "say_hello": (Caller(post("/runners", _hello), About.server),),
+    "register_runner": (Caller(post("/runners", _hello), About.server),),
     "claim_run": (
         Caller(post(f"/runners/{_NOBODY}/claims", lambda _: {"free": _FREE}), About.server, passes="not_found"),
     ),
-    "beat": (Caller(post(f"/runners/{_NOBODY}/beats", lambda _: {"runs": []}), About.server, passes="not_found"),),
+    "send_heartbeats": (
+        Caller(post(f"/runners/{_NOBODY}/heartbeats", lambda _: {"runs": []}), About.server, passes="not_found"),
+    ),
     "get_run_context": (Caller(get("/runner/runs/{run}/context", attempt="1"), About.server, passes="run_gone"),),
     "sign_inputs": (
         Caller(
@@ -86,13 +88,13 @@ OF_RUNS: dict[str, tuple[Caller, ...]] = {
             passes="run_gone",
         ),
     ),
-    "sign_log_segment": (
-        Caller(post("/runner/runs/{run}/log/sign", lambda _: _segment(**_SUMS)), About.server, passes="run_gone"),
+    "create_log_chunk": (
+        Caller(post("/runner/runs/{run}/log-chunks", lambda _: _segment(**_SUMS)), About.server, passes="run_gone"),
     ),
-    "keep_log_segment": (
-        Caller(post("/runner/runs/{run}/log/kept", lambda _: _segment()), About.server, passes="run_gone"),
+    "confirm_log_chunk": (
+        Caller(post("/runner/runs/{run}/log-chunks/confirm", lambda _: _segment()), About.server, passes="run_gone"),
     ),
-    "begin_artifacts": (
+    "create_artifact_uploads": (
         Caller(
             post("/runner/runs/{run}/uploads", lambda _: {"attempt": 1, "files": [{"path": "a", "size_bytes": 1}]}),
             About.server,

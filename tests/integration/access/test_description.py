@@ -39,7 +39,7 @@ _HEAD_TOO_LARGE, _MOST_HEAD_BYTES = 431, 64 * 1024
 
 
 @dataclass(frozen=True)
-class Asked:
+class ProxiedRequest:
     """The API, who asks by what headers, and ids that lead to something."""
 
     api: Api
@@ -48,7 +48,7 @@ class Asked:
 
 
 @pytest.fixture(scope="module")
-def asked(start_api: StartApi) -> Asked:
+def asked(start_api: StartApi) -> ProxiedRequest:
     api = start_api()
     things = worlds.put_things(api, is_public=False)
     member, group = people.person(api), people.group(api)
@@ -79,10 +79,10 @@ def asked(start_api: StartApi) -> Asked:
         "name": "none",
     }
     askers = {name: {"Authorization": f"Bearer {secret}"} for name, secret in secrets.items()}
-    return Asked(api, {**askers, "stranger": {}}, known)
+    return ProxiedRequest(api, {**askers, "stranger": {}}, known)
 
 
-def _ask(asked: Asked, case: Case[Any], who: str, *, is_known: bool) -> None:
+def _ask(asked: ProxiedRequest, case: Case[Any], who: str, *, is_known: bool) -> None:
     case.headers.pop("Authorization", None)
     if is_known:
         case.path_parameters.update({name: asked.known[name] for name in case.path_parameters if name in asked.known})
@@ -102,7 +102,7 @@ def _ask(asked: Asked, case: Case[Any], who: str, *, is_known: bool) -> None:
     assert_is_described(case.method, path, response.status_code, body)
 
 
-def _ask_much(asked: Asked, examples: int, *, operations: int | None = None) -> list[str]:
+def _ask_much(asked: ProxiedRequest, examples: int, *, operations: int | None = None) -> list[str]:
     """Ask each operation, or so many of them, so many things, and return what went wrong."""
     described = schemathesis.openapi.from_dict(asked.api.app.openapi())
     found = []
@@ -133,19 +133,19 @@ def _ask_much(asked: Asked, examples: int, *, operations: int | None = None) -> 
     return wrong
 
 
-def test_everything_is_answered_as_described(asked: Asked) -> None:
+def test_everything_is_answered_as_described(asked: ProxiedRequest) -> None:
     wrong = _ask_much(asked, _FEW, operations=_SOME)
     assert not wrong, "\n\n".join(wrong)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_much_is_answered_as_described(asked: Asked) -> None:
+def test_much_is_answered_as_described(asked: ProxiedRequest) -> None:
     wrong = _ask_much(asked, _MANY)
     assert not wrong, "\n\n".join(wrong)
 
 
 @pytest.mark.soak
-def test_very_much_is_answered_as_described(asked: Asked) -> None:
+def test_very_much_is_answered_as_described(asked: ProxiedRequest) -> None:
     wrong = _ask_much(asked, _VERY_MANY)
     assert not wrong, "\n\n".join(wrong)

@@ -14,12 +14,12 @@ import psycopg
 from kleinkram.server.backup.creating import Made, Making, create
 from kleinkram.server.backup.restoring import Restored, Wish, restore
 from kleinkram.server.backup.verifying import Looking, Verified, verify
+from kleinkram.server.s3.storage import Storage, open_storage
 from kleinkram.server.settings import Settings, plain_dsn
-from kleinkram.server.storage import Storage, open_storage
 from tests.integration.api_server import Api
 from tests.services import RunningPostgres, RunningStore
 
-# What a restored site says anew: nothing has been proven at its store, and nobody is sending or running anything there.
+# What a restored site resets: nothing is verified at its store yet, and no upload or run is active there.
 ANEW = {
     "blob": ("state", "state_reason", "damaged_at"),
     "upload": ("state", "completing_since"),
@@ -101,7 +101,7 @@ def contents(settings: Settings) -> dict[str, str]:
     """The SHA-256 of every object that a blob or a piece of a log names, by key; `lost` where it is not."""
     dsn = plain_dsn(settings.migration_database_url or settings.database_url)
     with psycopg.connect(dsn) as database:
-        keys = [row[0] for row in database.execute("SELECT key FROM blob UNION SELECT key FROM log_segment").fetchall()]
+        keys = [row[0] for row in database.execute("SELECT key FROM blob UNION SELECT key FROM log_chunk").fetchall()]
     return asyncio.run(_contents(settings, keys))
 
 
@@ -135,7 +135,7 @@ def write_object(settings: Settings, key: str, body: bytes) -> None:
 
     async def go() -> None:
         async with open_storage(settings) as storage:
-            await storage.put_small(key, body)
+            await storage.put_object(key, body)
 
     asyncio.run(go())
 

@@ -27,7 +27,6 @@ from kleinkram.server.backup.dumping import facts as real_facts
 from kleinkram.server.blobs.jobs import sweep_once
 from kleinkram.server.settings import Settings, plain_dsn
 from tests.integration.api_server import Api
-from tests.integration.backup.proving import complaints
 from tests.integration.backup.sites import (
     LEFT,
     Sites,
@@ -40,6 +39,7 @@ from tests.integration.backup.sites import (
     rows,
     settings_of,
 )
+from tests.integration.backup.verification import complaints
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
 from tests.integration.upload_client import begin, send, upload, upload_all

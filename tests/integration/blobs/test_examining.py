@@ -1,4 +1,4 @@
-"""What happens to bytes after they came: summaries, proofs, damage, and their end."""
+"""What happens to bytes after they came: summaries, verifications, damage, and their end."""
 
 import os
 from collections.abc import Callable
@@ -30,7 +30,7 @@ def _blob(api: Api, file_id: str) -> tuple[str, str]:
 
 
 @pytest.mark.parametrize(("name", "generate"), [("run.mcap", generate_mcap), ("run.bag", generate_bag)])
-def test_a_recording_is_summarised_and_proven(
+def test_a_recording_is_summarised_and_verified(
     api: Api, mission_id: str, tmp_path: Any, name: str, generate: Generate
 ) -> None:
     generate(tmp_path / name, size_bytes=2_000_000, seed=3)
@@ -39,7 +39,7 @@ def test_a_recording_is_summarised_and_proven(
     assert api.get(f"/missions/{mission_id}").ok()["pending_file_count"] == 1
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
-    assert (read["state"], read["content"], read["content_reason"]) == ("proven", "indexed", None)
+    assert (read["state"], read["content"], read["content_reason"]) == ("verified", "indexed", None)
     assert read["md5"] == upload_client.checksum("md5", body)
     topics = api.all(f"/files/{file['id']}/topics")
     assert sum(topic["count"] for topic in topics) == read["message_count"] > 0
@@ -61,17 +61,17 @@ def test_many_small_files_are_examined_by_few_jobs(start_api: Any, tmp_path: Any
     bodies = {f"{number}.bin": os.urandom(100) for number in range(20)}
     files = upload_all(api, mission_id, {**bodies, "run.mcap": recording, "bad.bin": b"bad", "gone.bin": b"gone"})
     (_, bad), (_, gone) = (_blob(api, files[path]["id"]) for path in ("bad.bin", "gone.bin"))
-    on_site(api, lambda site: site.storage.put_small(bad, b"dab"))
+    on_site(api, lambda site: site.storage.put_object(bad, b"dab"))
     on_site(api, lambda site: site.storage.delete(gone))
     waiting = "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'examine_blob' AND status = 'todo'"
     assert api.sql(waiting) == [(23,)]
     ran = run_jobs(api)
     assert 3 <= ran.count("examine_blob") <= 12, "what is damaged is told by a job of its own, as far as it is one"
-    assert "prove_blob" not in ran
+    assert "verify_blob" not in ran
     found = {each["path"]: each for each in api.all("/files", {"mission_id": mission_id})}
     states = {path: (each["state"], each["content"]) for path, each in found.items()}
-    damaged = {"bad.bin": ("corrupt", "error"), "gone.bin": ("lost", "error"), "run.mcap": ("proven", "indexed")}
-    assert states == dict.fromkeys(bodies, ("proven", "opaque")) | damaged
+    damaged = {"bad.bin": ("corrupt", "error"), "gone.bin": ("lost", "error"), "run.mcap": ("verified", "indexed")}
+    assert states == dict.fromkeys(bodies, ("verified", "opaque")) | damaged
     assert found["run.mcap"]["depth"] == "scan"
     topics = api.all(f"/files/{files['run.mcap']['id']}/topics")
     assert sum(topic["count"] for topic in topics) == found["run.mcap"]["message_count"] > 0
@@ -110,7 +110,7 @@ def test_a_lying_extension_is_opaque_and_safe(api: Api, mission_id: str) -> None
     file = upload(api, mission_id, "holiday.bag", b"\xff\xd8\xff\xe0" + os.urandom(1000))
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
-    assert (read["state"], read["content"]) == ("proven", "opaque")
+    assert (read["state"], read["content"]) == ("verified", "opaque")
     assert [problem["code"] for problem in read["problems"]] == ["extension-lies"]
 
 
@@ -119,8 +119,8 @@ def test_an_altered_object_is_corrupt_and_can_be_mended(api: Api, mission_id: st
     file = upload(api, mission_id, "run.bin", body)
     run_jobs(api)
     _, key = _blob(api, file["id"])
-    on_site(api, lambda site: site.storage.put_small(key, body[:-1] + bytes([body[-1] ^ 1])))
-    api.post(f"/files/{file['id']}/prove").ok(202)
+    on_site(api, lambda site: site.storage.put_object(key, body[:-1] + bytes([body[-1] ^ 1])))
+    api.post(f"/files/{file['id']}/verify").ok(202)
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
     assert read["state"] == "corrupt"
@@ -185,7 +185,7 @@ def test_a_doomed_blob_is_not_linked(api: Api, mission_id: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("size_bytes", "wanted"), [(30, {"examine_blob"}), (SMALL_BYTES, {"prove_blob", "summarise_blob"})]
+    ("size_bytes", "wanted"), [(30, {"examine_blob"}), (SMALL_BYTES, {"verify_blob", "summarise_blob"})]
 )
 def test_blobs_and_missions_whose_jobs_were_given_up_are_taken_up_again(
     api: Api, mission_id: str, size_bytes: int, wanted: set[str]
@@ -203,5 +203,5 @@ def test_blobs_and_missions_whose_jobs_were_given_up_are_taken_up_again(
     assert {job for job, _ in jobs} == {"group_recordings", *wanted}
     assert len(jobs) == len(set(jobs))
     run_jobs(api)
-    assert api.get(f"/files/{file['id']}").ok()["state"] == "proven"
+    assert api.get(f"/files/{file['id']}").ok()["state"] == "verified"
     assert api.get(f"/missions/{mission_id}").ok()["recordings_current"] is True

@@ -62,7 +62,7 @@ def test_an_old_api_is_not_ready_on_a_schema_that_it_does_not_know(api: Api) -> 
         _migrate_to(api, HEAD, HEAD)
         wait_until(lambda: _ready(api)[0] == 200)
     _migrate_to(api, "0026", HEAD)
-    wait_until(lambda: "run the migrations" in _ready(api)[1])
+    wait_until(lambda: "open it with commit 530100f" in _ready(api)[1])
 
 
 def test_an_old_migrate_on_a_later_schema_says_a_sentence(api: Api) -> None:

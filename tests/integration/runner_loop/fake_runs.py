@@ -9,7 +9,7 @@ from typing import Any
 
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.contract.reports import Progress
-from kleinkram.contract.runners import LEASE_S, Claim, ClaimInput, RunFinish
+from kleinkram.contract.runners import LEASE_S, AssignedInput, RunAssignment, RunFinish
 from kleinkram.contract.runs import ActionRef, RunState
 
 
@@ -17,7 +17,7 @@ from kleinkram.contract.runs import ActionRef, RunState
 class FakeRun:
     """A run on the server: what it is given, what its runner said and left."""
 
-    claim: Claim
+    claim: RunAssignment
     inputs: dict[str, bytes]
     state: RunState = RunState.queued
     runner_id: uuid.UUID | None = None
@@ -59,10 +59,10 @@ def queued(code: str, given: dict[str, bytes], changes: dict[str, Any]) -> FakeR
         "resources": Resources.model_validate(resources),
         "network": Network.none,
         "inputs": [
-            ClaimInput(path=path, size_bytes=len(data), sha256=hashlib.sha256(data).hexdigest())
+            AssignedInput(path=path, size_bytes=len(data), sha256=hashlib.sha256(data).hexdigest())
             for path, data in given.items()
         ],
         "token": None,
         "lease_s": LEASE_S,
     }
-    return FakeRun(Claim.model_validate({**said, **changes}), given)
+    return FakeRun(RunAssignment.model_validate({**said, **changes}), given)

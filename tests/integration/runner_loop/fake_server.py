@@ -19,22 +19,22 @@ from kleinkram.contract.errors import FieldProblem, InternalError, InvalidReques
 from kleinkram.contract.people import ServiceRead
 from kleinkram.contract.runners import (
     LEASE_S,
-    ArtifactsBegin,
-    BeatAnswer,
-    BeatAnswers,
-    Beats,
-    ClaimAsk,
-    Claimed,
-    InputsAsk,
+    ArtifactUploadsCreate,
+    ClaimReply,
+    ClaimRequest,
+    HeartbeatReplies,
+    HeartbeatReply,
+    Heartbeats,
+    InputsRequest,
     InputUrls,
+    LeaseStatus,
+    LogChunkConfirm,
+    LogChunkCreate,
+    LogChunkUpload,
     RunFinish,
     RunFinished,
-    RunnerHello,
     RunnerRead,
-    SegmentAsk,
-    SegmentKept,
-    SegmentPut,
-    Verdict,
+    RunnerRegistration,
 )
 from kleinkram.contract.runs import Cause, EndReason, RunContext, RunState
 from kleinkram.contract.uploads import PartsSign, UploadsComplete
@@ -50,9 +50,9 @@ class FakeServer:
 
     def __init__(self) -> None:
         self.runs: dict[uuid.UUID, FakeRun] = {}
-        self.hellos: list[RunnerHello] = []
+        self.hellos: list[RunnerRegistration] = []
         self.requests: Counter[str] = Counter()
-        self.asked: list[ClaimAsk] = []
+        self.asked: list[ClaimRequest] = []
         self.lease_s: float = LEASE_S
         self.is_silent = threading.Event()
         self.spoilt: dict[str, bytes] = {}
@@ -121,13 +121,13 @@ class FakeServer:
         if name == "/service":
             return self._service()
         if name == "/runners":
-            return self._hello(RunnerHello.model_validate_json(body))
+            return self._hello(RunnerRegistration.model_validate_json(body))
         if name == "/runners/*/claims":
             assert noun is not None
-            return self._claim(noun, ClaimAsk.model_validate_json(body))
-        if name == "/runners/*/beats":
+            return self._claim(noun, ClaimRequest.model_validate_json(body))
+        if name == "/runners/*/heartbeats":
             assert noun is not None
-            return self._beat(noun, Beats.model_validate_json(body))
+            return self._beat(noun, Heartbeats.model_validate_json(body))
         if name == "/uploads/parts":
             return self.uploads.sign(PartsSign.model_validate_json(body))
         if name == "/uploads/complete":
@@ -151,20 +151,20 @@ class FakeServer:
                 recordings=[],
             )
         if what == "inputs":
-            asked = InputsAsk.model_validate_json(body)
+            asked = InputsRequest.model_validate_json(body)
             self._check(run, asked.attempt)
             urls = [f"{self.url}/store/in/{run.claim.run_id}/{path}?X-Amz-Signature=abc" for path in asked.paths]
             return InputUrls(urls=urls, expires_at=LATER)
-        if what == "log/sign":
-            piece = SegmentAsk.model_validate_json(body)
+        if what == "log-chunks":
+            piece = LogChunkCreate.model_validate_json(body)
             self._check(run, piece.attempt)
             key = f"log/{run.claim.run_id}/{piece.attempt}/{piece.offset}"
-            return SegmentPut(url=f"{self.url}/store/{key}?sha256={piece.sha256}", headers={})
-        if what == "log/kept":
-            self._keep(run, SegmentKept.model_validate_json(body))
+            return LogChunkUpload(url=f"{self.url}/store/{key}?sha256={piece.sha256}", headers={})
+        if what == "log-chunks/confirm":
+            self._keep(run, LogChunkConfirm.model_validate_json(body))
             return None
         if what == "uploads":
-            begin = ArtifactsBegin.model_validate_json(body)
+            begin = ArtifactUploadsCreate.model_validate_json(body)
             self._check(run, begin.attempt)
             while self.holds_uploads.is_set():
                 time.sleep(0.02)
@@ -184,50 +184,52 @@ class FakeServer:
             person=None,
         )
 
-    def _hello(self, hello: RunnerHello) -> RunnerRead:
+    def _hello(self, hello: RunnerRegistration) -> RunnerRead:
         self.hellos.append(hello)
         said = hello.model_dump(exclude={"labels"})
         return RunnerRead(**said, labels=hello.labels, last_seen_at=LATER, is_alive=True, active_runs=0)
 
-    def _claim(self, runner_id: uuid.UUID, ask: ClaimAsk) -> Claimed:
+    def _claim(self, runner_id: uuid.UUID, ask: ClaimRequest) -> ClaimReply:
         until = time.monotonic() + ask.wait_s
         with self._changed:
             self.asked.append(ask)
             while not self.is_silent.is_set():
                 for run in self.runs.values():
                     wanted = run.claim.resources
-                    is_lost = run.runner_id == runner_id and run.claim.run_id not in ask.held and not run.finishes
+                    is_lost = (
+                        run.runner_id == runner_id and run.claim.run_id not in ask.active_run_ids and not run.finishes
+                    )
                     fits = wanted.cores <= ask.free.cores and wanted.memory_bytes <= ask.free.memory_bytes
                     if (run.state is RunState.queued or is_lost) and fits:
                         run.state, run.runner_id, run.attempt = RunState.preparing, runner_id, run.attempt + 1
                         run.claim = run.claim.model_copy(update={"attempt": run.attempt})
-                        return Claimed(claim=run.claim)
+                        return ClaimReply(run=run.claim)
                 if not self._changed.wait(max(0.0, until - time.monotonic())):
                     break
-            return Claimed(claim=None)
+            return ClaimReply(run=None)
 
-    def _beat(self, runner_id: uuid.UUID, beats: Beats) -> BeatAnswers:
+    def _beat(self, runner_id: uuid.UUID, beats: Heartbeats) -> HeartbeatReplies:
         answers = []
         for beat in beats.runs:
             run = self.runs.get(beat.run_id)
-            verdict = Verdict.go_on
+            verdict = LeaseStatus.active
             if run is None or run.runner_id != runner_id or run.attempt != beat.attempt or run.finishes:
-                verdict = Verdict.gone
+                verdict = LeaseStatus.lost
             else:
                 if not run.states or run.states[-1] is not beat.state:
                     run.states.append(beat.state)
                 run.digest = beat.image_digest or run.digest
                 if beat.progress:
                     run.progress.append(beat.progress)
-                verdict = Verdict.cancel if run.is_cancelled else verdict
-            answers.append(BeatAnswer(run_id=beat.run_id, attempt=beat.attempt, verdict=verdict))
-        return BeatAnswers(runs=answers, lease_s=self.lease_s)
+                verdict = LeaseStatus.cancel if run.is_cancelled else verdict
+            answers.append(HeartbeatReply(run_id=beat.run_id, attempt=beat.attempt, status=verdict))
+        return HeartbeatReplies(runs=answers, lease_s=self.lease_s)
 
     def _check(self, run: FakeRun, attempt: int) -> None:
         if run.attempt != attempt or run.runner_id is None or run.finishes:
             raise RunGone(run_id=str(run.claim.run_id))
 
-    def _keep(self, run: FakeRun, kept: SegmentKept) -> None:
+    def _keep(self, run: FakeRun, kept: LogChunkConfirm) -> None:
         self._check(run, kept.attempt)
         piece = self._objects[f"log/{run.claim.run_id}/{kept.attempt}/{kept.offset}"]
         assert len(piece) == kept.size_bytes

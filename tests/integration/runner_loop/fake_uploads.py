@@ -5,18 +5,19 @@ from __future__ import annotations
 import hashlib
 import uuid
 
-from kleinkram.contract.errors import UploadGone, to_problem
-from kleinkram.contract.runners import LOG_PATH, ArtifactsBegin
+from kleinkram.contract.errors import UploadGone
+from kleinkram.contract.problems import to_problem
+from kleinkram.contract.runners import LOG_PATH, ArtifactUploadsCreate
 from kleinkram.contract.uploads import (
     ChecksumKind,
     Completed,
-    HeldPart,
     NotCompleted,
     PartsSign,
     Present,
     Send,
     SignedPart,
     SignedParts,
+    StoredPart,
     UploadDecision,
     UploadDecisions,
     UploadOutcome,
@@ -42,7 +43,7 @@ class FakeUploads:
         self._uploads: dict[uuid.UUID, tuple[FakeRun, str, int]] = {}
         self.refuses = 0
 
-    def begin(self, run: FakeRun, begin: ArtifactsBegin) -> UploadDecisions:
+    def begin(self, run: FakeRun, begin: ArtifactUploadsCreate) -> UploadDecisions:
         """Open uploads of what a run left; what is there already is not asked for again."""
         decisions: list[UploadDecision] = []
         for file in begin.files:
@@ -61,7 +62,7 @@ class FakeUploads:
                 state=UploadState.open,
                 lease_ends_at=LATER,
                 expires_at=LATER,
-                parts=list[HeldPart](),
+                parts=list[StoredPart](),
             )
             decisions.append(Send(upload=upload))
         return UploadDecisions(items=decisions)

@@ -46,7 +46,7 @@ class Played:
             "labels": self.labels,
             "capacity": {"cores": 4, "memory_bytes": 16 * GB, "disk_bytes": 100 * GB, "gpus": 0},
             "abilities": usual | abilities,
-            "stock_image": "sha256:stock",
+            "default_image": "sha256:stock",
             "version": "0",
         }
         return self.api.post("/runners", said).ok()
@@ -54,8 +54,8 @@ class Played:
     def claim(self, wait_s: float = 0, **free: Any) -> Any:
         """Ask for a run; None where there is none."""
         room = {"cores": 4, "memory_bytes": 16 * GB, "disk_bytes": 100 * GB, "gpus": 0} | free
-        asked = {"free": room, "wait_s": wait_s, "held": self.held}
-        found = self.api.post(f"/runners/{self.id}/claims", asked).ok()["claim"]
+        asked = {"free": room, "wait_s": wait_s, "active_run_ids": self.held}
+        found = self.api.post(f"/runners/{self.id}/claims", asked).ok()["run"]
         if found is not None:
             self.held.append(found["run_id"])
         return found
@@ -63,19 +63,19 @@ class Played:
     def beat(self, claim: Mapping[str, Any], state: str = "running", **said: Any) -> str:
         """Say what a run is at; returns the verdict."""
         one = {"run_id": claim["run_id"], "attempt": claim["attempt"], "state": state, **said}
-        (answer,) = self.api.post(f"/runners/{self.id}/beats", {"runs": [one]}).ok()["runs"]
-        return str(answer["verdict"])
+        (answer,) = self.api.post(f"/runners/{self.id}/heartbeats", {"runs": [one]}).ok()["runs"]
+        return str(answer["status"])
 
     def write(self, claim: Mapping[str, Any], offset: int, data: bytes) -> None:
         """Store a piece of the log, and show it."""
         place = {"attempt": claim["attempt"], "offset": offset, "size_bytes": len(data)}
         sums = {"sha256": sha256(data), "crc64nvme": crc64(data), "md5": md5(data)}
-        signed = self.api.post(f"/runner/runs/{claim['run_id']}/log/sign", place | sums).ok()
+        signed = self.api.post(f"/runner/runs/{claim['run_id']}/log-chunks", place | sums).ok()
         # Tried again, as runners do: a proxy may have just ended the connection that was kept.
         sent = _POOL.request("PUT", signed["url"], body=data, headers=signed["headers"], retries=3)
         # 412: the first try was kept, and its answer lost.
         assert sent.status in {200, 412}
-        self.api.post(f"/runner/runs/{claim['run_id']}/log/kept", place).ok(204)
+        self.api.post(f"/runner/runs/{claim['run_id']}/log-chunks/confirm", place).ok(204)
 
     def begin(self, claim: Mapping[str, Any], path: str, data: bytes) -> Any:
         """Open the upload of an artifact."""
@@ -150,5 +150,5 @@ def launch(api: Api, runner: Played, mission: Any, *, force: bool = True, **said
     parameters = said.pop("given", {})
     wanted = {"mission_ids": [mission["id"]], "definition": definition(runner, **said), "parameters": parameters}
     (made,) = api.post("/runs", wanted | {"force": force}).ok()["items"]
-    assert made["outcome"] == "made", made
+    assert made["outcome"] == "created", made
     return made["run"]

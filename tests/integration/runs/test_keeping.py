@@ -9,9 +9,9 @@ from kleinkram.contract.rights import Scope, TokenKind
 from kleinkram.server.blobs.jobs import sweep_once
 from kleinkram.server.context import AppContext
 from kleinkram.server.events import hub as hubs
-from kleinkram.server.events.hub import MOST_STREAMS
-from kleinkram.server.runs.jobs import tend_once
-from kleinkram.server.storage import Storage
+from kleinkram.server.events.hub import MAX_STREAMS_PER_PERSON
+from kleinkram.server.runs.jobs import maintain_runs_once
+from kleinkram.server.s3.storage import Storage
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.jobs import on_site
@@ -44,7 +44,7 @@ def test_what_a_run_left_stays_until_its_mission_goes(lab: Api, runner: Played, 
     assert len(blobs) == 2
     on_site(lab, _sweep)
     assert lab.sql("SELECT count(*) FROM blob WHERE id = ANY(%s) AND doomed_at IS NULL", blobs) == [(2,)]
-    assert lab.sql("SELECT count(*) FROM log_segment WHERE run_id = %s", claim["run_id"]) == [(0,)], "joined"
+    assert lab.sql("SELECT count(*) FROM log_chunk WHERE run_id = %s", claim["run_id"]) == [(0,)], "joined"
     lab.delete(f"/missions/{place.mission['id']}").ok()
     lab.sql("UPDATE upload SET cleaned_at = now() WHERE mission_id = %s", place.mission["id"])
     lab.sql("UPDATE mission SET deleted_at = now() - interval '1 year' WHERE id = %s", place.mission["id"])
@@ -168,7 +168,7 @@ def test_a_piece_of_a_log_that_goes_while_it_is_read_is_looked_for_anew(
 def test_a_log_that_the_store_has_lost_is_said_to_be_away(lab: Api, runner: Played, place: Place) -> None:
     made = launch(lab, runner, place.mission)
     runner.write(runner.claim(), 0, b"a line\n")
-    ((key,),) = lab.sql("SELECT key FROM log_segment WHERE run_id = %s", made["id"])
+    ((key,),) = lab.sql("SELECT key FROM log_chunk WHERE run_id = %s", made["id"])
     on_site(lab, lambda context: context.storage.delete(key))
     lab.get(f"/runs/{made['id']}/log").refused(503, "store_unavailable")
 
@@ -189,7 +189,7 @@ def _blobs(lab: Api, run_id: str) -> list[uuid.UUID]:
 
 
 async def _sweep(context: AppContext) -> None:
-    await tend_once(context)
+    await maintain_runs_once(context)
     await sweep_once(context)
 
 
@@ -197,11 +197,11 @@ def test_runners_that_wait_take_no_streams_from_their_owner(lab: Api) -> None:
     admin = people.person(lab, admin=True)
     runner = Played(lab.as_(people.token(lab, admin, [Scope.run], kind=TokenKind.runner).secret))
     runner.hello()
-    threads = [threading.Thread(target=runner.claim, kwargs={"wait_s": 10}) for _ in range(MOST_STREAMS + 1)]
+    threads = [threading.Thread(target=runner.claim, kwargs={"wait_s": 10}) for _ in range(MAX_STREAMS_PER_PERSON + 1)]
     for thread in threads:
         thread.start()
     hub = lab.app.state.hub
-    wait_until(lambda: len(hub._long_polls) > MOST_STREAMS)
+    wait_until(lambda: len(hub._long_polls) > MAX_STREAMS_PER_PERSON)
     mine = lab.as_(people.token(lab, admin).secret)
     assert mine.get("/events", {"for_s": "0"}).status == 200
     for thread in threads:
@@ -211,7 +211,7 @@ def test_runners_that_wait_take_no_streams_from_their_owner(lab: Api) -> None:
 def test_log_readers_that_wait_shut_nobody_else_out(
     lab: Api, runner: Played, place: Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hubs, "MOST_LONG_POLLS", 3)
+    monkeypatch.setattr(hubs, "MAX_LONG_POLLS_PER_ACCOUNT", 3)
     made = launch(lab, runner, place.mission)
     path, waiting = f"/runs/{made['id']}/log", {"wait_s": "10"}
     threads = [threading.Thread(target=lab.get, args=(path, waiting)) for _ in range(3)]
@@ -239,4 +239,4 @@ def test_a_log_reader_is_woken_by_its_own_run_alone(lab: Api, runner: Played, pl
             noted = f'["run_log", "changed", "{other["id"]}", null, "{place.mission["id"]}", null]'
             lab.sql("SELECT pg_notify('kleinkram_changes', %s)", noted)
         reader.join()
-    assert len([each for each in statements if "log_segment" in each]) < 10
+    assert len([each for each in statements if "log_chunk" in each]) < 10

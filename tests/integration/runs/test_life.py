@@ -17,7 +17,8 @@ def test_from_the_queue_to_its_results(lab: Api, runner: Played, place: Place) -
     }
     assert runner.claim() is None, "it was given once"
     assert (
-        runner.beat(claim, "running", progress={"fraction": 0.5, "message": "half"}, image_digest="sha256:1") == "go_on"
+        runner.beat(claim, "running", progress={"fraction": 0.5, "message": "half"}, image_digest="sha256:1")
+        == "active"
     )
     seen = lab.get(f"/runs/{made['id']}").ok()
     assert (seen["state"], seen["progress"]["message"], seen["attempt"]) == ("running", "half", 1)
@@ -70,7 +71,7 @@ def test_a_runner_that_was_lost_with_a_run(lab: Api, runner: Played, place: Plac
     other.hello()
     second = other.claim()
     assert (second["run_id"], second["attempt"]) == (made["id"], 2)
-    assert runner.beat(first) == "gone"
+    assert runner.beat(first) == "lost"
     runner.finish(first).refused(409, "run_gone")
     assert lab.all(f"/runs/{made['id']}/artifacts") == []
     other.finish(second).ok()
@@ -95,7 +96,7 @@ def test_what_has_run_is_its_runners_to_keep_for_longer(lab: Api, runner: Played
     claim = runner.claim()
     lasting = []
     for state in ("running", "collecting"):
-        assert runner.beat(claim, state) == "go_on"
+        assert runner.beat(claim, state) == "active"
         (lasts,) = lab.sql("SELECT lease_ends_at - now() FROM run WHERE id = %s", uuid.UUID(claim["run_id"]))
         lasting.append(lasts[0].total_seconds())
     assert 50 < lasting[0] <= 60 < 800 < lasting[1] <= 900

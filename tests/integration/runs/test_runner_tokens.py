@@ -41,8 +41,8 @@ def test_a_token_of_the_same_person_reaches_no_runs_of_another_runner(lab: Api, 
     other.api.get(f"/runner/runs/{claim['run_id']}/context", attempt).refused(409, "run_gone")
     other.finish(claim).refused(409, "run_gone")
     other.api.post(f"/runners/{runner.id}/claims", {"free": _hello(other)["capacity"]}).refused(403, "forbidden")
-    other.api.post(f"/runners/{runner.id}/beats", {"runs": []}).refused(403, "forbidden")
-    assert runner.beat(claim) == "go_on"
+    other.api.post(f"/runners/{runner.id}/heartbeats", {"runs": []}).refused(403, "forbidden")
+    assert runner.beat(claim) == "active"
 
 
 def test_a_token_that_names_its_runner_is_for_no_other(lab: Api) -> None:
@@ -107,7 +107,7 @@ def test_a_runner_from_before_keeps_its_runs_and_its_token(lab: Api, runner: Pla
     launch(lab, runner, place.mission)
     claim = runner.claim()
     lab.sql("UPDATE token SET runner_id = NULL WHERE runner_id = %s", uuid.UUID(runner.id))
-    assert runner.beat(claim) == "go_on"
+    assert runner.beat(claim) == "active"
     runner.finish(claim).ok()
 
 

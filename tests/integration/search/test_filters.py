@@ -35,10 +35,10 @@ def project(api: Api, sample: Sample) -> Any:
         topics=[{"name": "/cam/front", **IMAGE}, {"name": "/imu", **IMU}],
     )
     sample.file(alps["id"], "notes_1.txt", size_bytes=20, format=None, content="opaque", labels=("night", "wet"))
-    proven: dict[str, Any] = {
-        "state": "proven",
+    verified: dict[str, Any] = {
+        "state": "verified",
         "md5": bytes(16),
-        "proven_at": datetime.datetime.now(datetime.timezone.utc),
+        "verified_at": datetime.datetime.now(datetime.timezone.utc),
     }
     sample.file(
         lake["id"],
@@ -48,7 +48,7 @@ def project(api: Api, sample: Sample) -> Any:
         end_ns=5 * DAY_NS,
         format="rosbag1",
         topics=[{"name": "/cam/rear", **IMAGE}, {"name": "/odd", "message_type": None}],
-        **proven,
+        **verified,
     )
     api.sql("UPDATE mission SET start_ns = %s, end_ns = %s WHERE id = %s", DAY_NS, 2 * DAY_NS, alps["id"])
     api.patch(f"/missions/{lake['id']}", {"completed": True}).ok()
@@ -84,7 +84,7 @@ FRONT, NOTES, REAR = "Bags/front.mcap", "notes_1.txt", "rear.bag"
         ({"format": "rosbag1"}, [REAR]),
         ({"label": "night"}, [FRONT, NOTES]),
         ([("label", "wet"), ("label", "dry")], [NOTES]),
-        ({"state": "proven"}, [REAR]),
+        ({"state": "verified"}, [REAR]),
         ({"content": "opaque"}, [NOTES]),
         ({"min_size_bytes": "20"}, [NOTES, REAR]),
         ({"max_size_bytes": "20", "min_size_bytes": "11"}, [NOTES]),

@@ -8,7 +8,7 @@ import urllib3
 
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.fault_proxy import Asked, Reply, standing_before
+from tests.integration.fault_proxy import ProxiedRequest, Reply, standing_before
 from tests.integration.upload_client import begin, complete, parts_of, sign, upload
 from tests.services import RunningStore
 
@@ -97,7 +97,7 @@ def test_rules_of_somebody_else_are_left(start_api: StartApi, store: RunningStor
 def test_a_store_that_knows_no_such_rules_is_used_all_the_same(
     start_api: StartApi, store: RunningStore, caplog: pytest.LogCaptureFixture
 ) -> None:
-    def rule(asked: Asked) -> Reply | None:
+    def rule(asked: ProxiedRequest) -> Reply | None:
         return Reply(501, "NotImplemented") if "cors" in asked.query else None
 
     with standing_before(store.endpoint) as middleman:

@@ -16,7 +16,7 @@ import urllib3
 
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.fault_proxy import Asked, Reply, standing_before
+from tests.integration.fault_proxy import ProxiedRequest, Reply, standing_before
 from tests.integration.jobs import on_site, run_jobs
 from tests.integration.upload_client import begin, complete, fetch, put, send, sign, upload, wait_until
 from tests.ports import choose_port
@@ -31,7 +31,7 @@ class _Sha256Alone:
     def __init__(self) -> None:
         self._parts: dict[tuple[str, str], str] = {}
 
-    def rule(self, asked: Asked) -> Reply | None:
+    def rule(self, asked: ProxiedRequest) -> Reply | None:
         """Refuse what such a store does not know."""
         if "uploadId" in asked.query and (checksum := asked.headers.get("x-amz-checksum-sha256")):
             self._parts[asked.query["uploadId"], asked.query["partNumber"]] = checksum
@@ -39,7 +39,7 @@ class _Sha256Alone:
         named = "crc64nvme" in algorithm or any("crc64nvme" in name for name in asked.headers)
         return Reply(501, "NotImplemented") if named else None
 
-    def edit(self, asked: Asked, body: bytes) -> bytes:
+    def edit(self, asked: ProxiedRequest, body: bytes) -> bytes:
         """List the checksums of parts."""
         if asked.method != "GET" or "uploadId" not in asked.query:
             return body
@@ -104,12 +104,12 @@ def test_the_probe_finds_what_this_store_verifies(api: Api, request: pytest.Fixt
 
 
 @pytest.mark.parametrize("size_bytes", [0, 100, 2 * _PART + 5])
-def test_a_file_comes_back_as_it_went_and_is_proven(api: Api, mission_id: str, size_bytes: int) -> None:
+def test_a_file_comes_back_as_it_went_and_is_verified(api: Api, mission_id: str, size_bytes: int) -> None:
     body = os.urandom(size_bytes)
     file = upload(api, mission_id, "run.bin", body)
     assert file["crc64nvme"] is None, "these stores verify no checksum of the whole, so none is their word"
     run_jobs(api)
-    assert api.get(f"/files/{file['id']}").ok()["state"] == "proven"
+    assert api.get(f"/files/{file['id']}").ok()["state"] == "verified"
     link = api.post("/files/download", {"file_ids": [file["id"]]}).ok()["items"][0]
     status, read = fetch(link["url"])
     assert (status, read == body) == (200, True)
@@ -125,7 +125,7 @@ def test_other_bytes_are_refused(api: Api, mission_id: str, size_bytes: int) -> 
     # A store that says of an upload of several parts, none of which came, that it knows none, is believed.
     (multipart_id,) = api.sql("SELECT multipart_id FROM upload WHERE id = %s", started["id"])[0]
     key = api.sql("SELECT key FROM upload WHERE id = %s", started["id"])[0][0]
-    is_known = multipart_id is None or on_site(api, lambda site: site.storage.held_parts(key, multipart_id)) == []
+    is_known = multipart_id is None or on_site(api, lambda site: site.storage.list_parts(key, multipart_id)) == []
     expected = "upload_incomplete" if is_known else "upload_gone"
     assert complete(api, started, body)["problem"]["code"] == expected
 

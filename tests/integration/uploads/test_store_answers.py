@@ -16,7 +16,7 @@ from kleinkram.client.transfer.progress import Unwatched
 from kleinkram.contract.errors import UploadGone
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
-from tests.integration.fault_proxy import Asked, Lost, Middleman, Reply, standing_before
+from tests.integration.fault_proxy import Lost, Middleman, ProxiedRequest, Reply, standing_before
 from tests.integration.upload_client import begin, complete, crc64, send, sha256
 from tests.integration.upload_client import upload as upload_whole
 from tests.services import RunningStore
@@ -60,13 +60,15 @@ def _client(api: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterat
         yield client
 
 
-def _once(wanted: Callable[[Asked], bool], answers: "list[Reply | Lost]") -> "Callable[[Asked], Reply | Lost | None]":
+def _once(
+    wanted: Callable[[ProxiedRequest], bool], answers: "list[Reply | Lost]"
+) -> "Callable[[ProxiedRequest], Reply | Lost | None]":
     """Give each answer once to what is wanted, then let everything through."""
     left = [*answers]
     return lambda asked: left.pop(0) if left and wanted(asked) else None
 
 
-def _is_multipart(asked: Asked) -> bool:
+def _is_multipart(asked: ProxiedRequest) -> bool:
     return "uploadId" in asked.query
 
 
@@ -117,13 +119,13 @@ def test_one_that_sees_parts_vanish_while_another_joins_them_ends_nothing(
     send(api, started, body)
     seconds: list[Any] = []
 
-    def fewer(asked: Asked, content: bytes) -> bytes:
+    def fewer(asked: ProxiedRequest, content: bytes) -> bytes:
         if not _is_multipart(asked) or asked.method != "GET":
             return content
         entries = re.findall(rb"<Part>.*?</Part>", content)
         return content.replace(b"".join(entries), b"".join(entries[:listed]))
 
-    def interrupt(asked: Asked) -> None:
+    def interrupt(asked: ProxiedRequest) -> None:
         if asked.method == "POST" and _is_multipart(asked) and not seconds:
             middleman.edit = fewer
             seconds.append(complete(api, started, body))
@@ -195,7 +197,7 @@ def test_a_file_that_the_store_does_not_return_keeps_no_other_from_arriving(
     order: list[str] = []
     most_refused = 8  # some seconds of tries
 
-    def rule(asked: Asked) -> Reply | None:
+    def rule(asked: ProxiedRequest) -> Reply | None:
         is_bad = asked.method == "GET" and asked.key == (bad or [asked.key])[0]
         if not is_bad or order or len(bad) > most_refused:
             return None

@@ -19,7 +19,7 @@ import pytest
 from kleinkram.contract.errors import StoreUnavailable
 from tests.acceptance.conftest import wait_until
 from tests.system import backend
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 
 VICTIMS = ("client", "api", "worker", "runner", "postgres", "store", "supervisor")
 CONNECTIONS = 4
@@ -75,12 +75,12 @@ def fill(one: Round, chance: random.Random) -> None:
         one.sha256[f"{one.mission}/{path.name}"] = hashlib.sha256(content).hexdigest()
 
 
-def upload_under_fire(house: House, one: Round, chance: random.Random, *, rate_mb_s: int) -> None:
+def upload_under_fire(cluster: Cluster, one: Round, chance: random.Random, *, rate_mb_s: int) -> None:
     """Upload once, killing at random moments meanwhile, then again until it is done; note what was sent again."""
-    before = _held_bytes(house)
+    before = _held_bytes(cluster)
     command = [*_upload(one), "--limit-rate", f"{rate_mb_s}MB"]
-    upload = house.terminal.start(*command)
-    wait_until(lambda: bool(house.terminal.journals()) or upload.poll() is not None, "the upload to begin")
+    upload = cluster.terminal.start(*command)
+    wait_until(lambda: bool(cluster.terminal.journals()) or upload.poll() is not None, "the upload to begin")
     started = time.monotonic()
     moments = sorted(chance.uniform(0, one.size_bytes / MB / rate_mb_s) for _ in one.victims)
     for moment, victim in zip(moments, one.victims, strict=True):
@@ -89,37 +89,37 @@ def upload_under_fire(house: House, one: Round, chance: random.Random, *, rate_m
         if victim == "client":
             upload.kill()
         else:
-            house.start_again_if_dead()
-            house.kill(victim)
-    house.start_again_if_dead()  # while the client still waits for it
+            cluster.start_again_if_dead()
+            cluster.kill(victim)
+    cluster.start_again_if_dead()  # while the client still waits for it
     out, err = upload.communicate(timeout=100)
     say(f"  {time.monotonic() - started:5.2f} s: the client ended with {upload.returncode}")
     assert "Traceback" not in out + err
-    held = _held_bytes(house) - before
-    moved = _upload_until_done(house, one)
+    held = _held_bytes(cluster) - before
+    moved = _upload_until_done(cluster, one)
     one.sent_again_bytes = max(0, held + moved - one.size_bytes)
     say(f"  {time.monotonic() - started:5.2f} s: done; held {held}, then sent {moved}: again {one.sent_again_bytes}")
 
 
-def _held_bytes(house: House) -> int:
+def _held_bytes(cluster: Cluster) -> int:
     """Ask the store what it holds, which may be on its way back."""
     weighed: list[int] = []
 
     def is_weighed() -> bool:
         with contextlib.suppress(StoreUnavailable):
-            weighed.append(backend.held_bytes(house))
+            weighed.append(backend.held_bytes(cluster))
         return bool(weighed)
 
     wait_until(is_weighed, "the store to be back")
     return weighed[0]
 
 
-def _upload_until_done(house: House, one: Round) -> int:
+def _upload_until_done(cluster: Cluster, one: Round) -> int:
     """Return what the last run moved, which is the first that the server let come to an end."""
     said: list[str] = []
     for _ in range(_ATTEMPTS):
-        house.start_again_if_dead()
-        ran = house.terminal.run(*_upload(one), "--json", code=None)
+        cluster.start_again_if_dead()
+        ran = cluster.terminal.run(*_upload(one), "--json", code=None)
         said.append(f"{ran.code}: {ran.err}")
         assert "Traceback" not in ran.err
         if ran.code == 0:

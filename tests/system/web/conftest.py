@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from kleinkram.server.web.serving import BUILT
+from kleinkram.server.http.pages import BUILT
 from tests.requirements import missing, need, path_of
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 
 WEB = Path(__file__).parents[3] / "web"
 OUTPUT = Path(__file__).parents[3] / "output" / "web"
@@ -28,11 +28,11 @@ def act() -> Act:
         missing("the web interface is not built: `make setup` builds it")
 
     def run(
-        script: str, house: House, *arguments: object, timeout_s: float = 200, inside: Sequence[str] = ()
+        script: str, cluster: Cluster, *arguments: object, timeout_s: float = 200, inside: Sequence[str] = ()
     ) -> dict[str, Any]:
-        link = house.terminal.run("session", "link").out.strip()
+        link = cluster.terminal.run("session", "link").out.strip()
         program = Path(__file__).parent / script
-        places = [str(WEB), str(found), link, house.told()["url"]]
+        places = [str(WEB), str(found), link, cluster.runtime_info()["url"]]
         command = [*inside, "node", str(program), *places, *map(str, arguments)]
         done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=timeout_s)
         assert done.returncode == 0, done.stderr

@@ -8,7 +8,7 @@ import urllib3
 
 from kleinkram.server.jobs.job_context import ATTEMPTS
 from tests.system.backend import sql
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 from tests.system.web.conftest import Act
 
 _EMAIL, _PASSWORD = "ada@lab.example", "correct horse battery"
@@ -21,10 +21,10 @@ fields:
 """
 
 
-def _join(house: House) -> str:
+def _join(cluster: Cluster) -> str:
     """Make somebody's account by an invitation, and return whose it is."""
-    link = house.terminal.run("person", "invite", _EMAIL, "--name", "Ada").out.strip()
-    url = house.told()["url"]
+    link = cluster.terminal.run("person", "invite", _EMAIL, "--name", "Ada").out.strip()
+    url = cluster.runtime_info()["url"]
     accepted = {"code": link.partition("#")[2], "name": "Ada", "password": _PASSWORD}
     headers = {"Content-Type": "application/json", "Origin": url}
     answer = urllib3.request("POST", f"{url}/api/v1/auth/invitation", body=json.dumps(accepted), headers=headers)
@@ -35,12 +35,12 @@ def _join(house: House) -> str:
 
 @pytest.mark.slow
 @pytest.mark.timeout(280)
-def test_an_account_a_mission_and_a_failed_job(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
-    house.start()
-    terminal = house.terminal
+def test_an_account_a_mission_and_a_failed_job(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) -> None:
+    cluster.start()
+    terminal = cluster.terminal
     # As the worker finds one that was tried as often as it may be: it fails once more, and is given up.
     sql(
-        house,
+        cluster,
         "INSERT INTO procrastinate_jobs (queue_name, task_name, attempts, args)"
         " VALUES ('default', 'summarise_blob', %s, '{\"ref\": \"no id\"}') RETURNING id",
         ATTEMPTS,
@@ -49,14 +49,14 @@ def test_an_account_a_mission_and_a_failed_job(house: House, act: Act, pictures:
     project = terminal.run("project", "create", "Alps", "--fields", tmp_path / "fields.yaml", "--json").json()["id"]
     (tmp_path / "taken.yaml").write_text("robot: spot\noperator: ada\nday: 2026-05-01\n")
     terminal.run("mission", "create", "taken", "-p", "Alps", "--metadata", tmp_path / "taken.yaml")
-    ada = _join(house)
+    ada = _join(cluster)
     sql(
-        house,
+        cluster,
         "INSERT INTO identity (id, person_id, issuer, subject, email)"
         " VALUES (gen_random_uuid(), %s, 'https://gone.example', 'ada', 'ada@gone.example') RETURNING id",
         ada,
     )
-    seen = act("account.mjs", house, _EMAIL, _PASSWORD, project, pictures)
+    seen = act("account.mjs", cluster, _EMAIL, _PASSWORD, project, pictures)
 
     assert [seen[each] for each in ("complaints", "axe", "wide", "ran")] == [[], [], [], []]
     assert "Compared\n0 objects" in seen["scrub"]
@@ -66,7 +66,7 @@ def test_an_account_a_mission_and_a_failed_job(house: House, act: Act, pictures:
     assert seen["tooShort"] == "It takes at least 10 characters."
     assert seen["wrongPassword"] == "This is not your password."
     assert (seen["before"], seen["after"]) == (200, 401)
-    assert sql(house, "SELECT unlinked_at IS NULL FROM identity WHERE person_id = %s", ada) == [(False,)]
+    assert sql(cluster, "SELECT unlinked_at IS NULL FROM identity WHERE person_id = %s", ada) == [(False,)]
     assert seen["prefilled"] == ["spot", "", ""], "but for the operator and the day, which are others"
     assert seen["unconfirmed"] == "Confirm this value, or change it."
     assert seen["nameMissing"] == "A mission needs a name."

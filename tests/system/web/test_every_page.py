@@ -7,7 +7,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 from tests.system.web import every_page_world as hostile
 from tests.system.web.conftest import WEB, Act
 
@@ -35,20 +35,20 @@ _TEXTS = {
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_every_page(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
-    _look(house, act, pictures, tmp_path, every=False)
+def test_every_page(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) -> None:
+    _look(cluster, act, pictures, tmp_path, every=False)
 
 
 @pytest.mark.soak
-def test_every_page_in_every_way(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
-    _look(house, act, pictures, tmp_path, every=True)
+def test_every_page_in_every_way(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) -> None:
+    _look(cluster, act, pictures, tmp_path, every=True)
 
 
-def _look(house: House, act: Act, pictures: Path, tmp_path: Path, *, every: bool) -> None:
-    house.start()
-    world = hostile.make_world(house.terminal, tmp_path)
-    store = urlsplit(house.told()["store_url"])
-    told = {
+def _look(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path, *, every: bool) -> None:
+    cluster.start()
+    world = hostile.make_world(cluster.terminal, tmp_path)
+    store = urlsplit(cluster.runtime_info()["store_url"])
+    runtime_info = {
         "invitation": world.invitation,
         "unused": world.unused_invitation,
         "share": world.share,
@@ -57,7 +57,7 @@ def _look(house: House, act: Act, pictures: Path, tmp_path: Path, *, every: bool
         "store": f"{store.scheme}://{store.netloc}",
         "every": every,
     }
-    seen = act("every_page.mjs", house, pictures, json.dumps(told), timeout_s=840)
+    seen = act("every_page.mjs", cluster, pictures, json.dumps(runtime_info), timeout_s=840)
 
     assert seen["ran"] == [], "nothing that people named was run"
     assert seen["elsewhere"] == [], "nothing was asked of another host"

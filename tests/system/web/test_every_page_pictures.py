@@ -6,7 +6,7 @@ import pytest
 
 from kleinkram.recordings.sample import Faults, TopicGap, generate_bag, generate_mission
 from tests.acceptance.conftest import Terminal, wait_until
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 from tests.system.web.conftest import Act
 
 _FIELDS = """
@@ -27,9 +27,9 @@ _MOST_BYTES = 200_000
 
 @pytest.mark.soak
 @pytest.mark.timeout(300)
-def test_pictures_of_the_readme(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
-    house.start()
-    terminal = house.terminal
+def test_pictures_of_the_readme(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) -> None:
+    cluster.start()
+    terminal = cluster.terminal
     (tmp_path / "fields.yaml").write_text(_FIELDS)
     terminal.run("project", "create", "alpine", "-d", "Walks above the snow line", "--fields", tmp_path / "fields.yaml")
     for seed, mission in enumerate(_MISSIONS):
@@ -45,7 +45,7 @@ def test_pictures_of_the_readme(house: House, act: Act, pictures: Path, tmp_path
 
     wait_until(lambda: files() != {}, "the recordings to be read")
     terminal.run("file", "update", "drive.mcap", *place, "--label", "icra-27")
-    act("every_page_pictures.mjs", house, pictures, missions["ridge-traverse"], files()["drive.mcap"], _QUERY)
+    act("every_page_pictures.mjs", cluster, pictures, missions["ridge-traverse"], files()["drive.mcap"], _QUERY)
     for name in ("mission", "search", "look"):
         picture = pictures / f"readme-{name}.png"
         assert 10_000 < picture.stat().st_size < _MOST_BYTES, name

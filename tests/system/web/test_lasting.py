@@ -7,7 +7,7 @@ import pytest
 
 from kleinkram.recordings.sample import generate_mcap
 from tests.acceptance.conftest import wait_until
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 from tests.system.conftest import OtherMachine
 from tests.system.web.conftest import Act
 
@@ -20,9 +20,9 @@ fields:
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_what_was_typed_lasts(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
-    house.start()
-    terminal = house.terminal
+def test_what_was_typed_lasts(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) -> None:
+    cluster.start()
+    terminal = cluster.terminal
     (tmp_path / "fields.yaml").write_text(_FIELDS)
     (tmp_path / "said.yaml").write_text("operator: ada\n")
     drive = generate_mcap(tmp_path / "drive.mcap", size_bytes=300_000).path
@@ -34,8 +34,8 @@ def test_what_was_typed_lasts(house: House, act: Act, pictures: Path, tmp_path: 
     wait_until(lambda: "/imu/data" in terminal.run("mission", "info", mission, "--json").out, "its topics to be known")
     later = tmp_path / "later.txt"
     later.write_text("what was seen")
-    api = house.told()["parts"]["api"]
-    seen = act("lasting.mjs", house, invited["url"], mission, api, later, pictures, timeout_s=250)
+    api = cluster.runtime_info()["parts"]["api"]
+    seen = act("lasting.mjs", cluster, invited["url"], mission, api, later, pictures, timeout_s=250)
 
     assert seen["errors"] == []
     assert seen["ended"] == 204
@@ -49,25 +49,25 @@ def test_what_was_typed_lasts(house: House, act: Act, pictures: Path, tmp_path: 
     assert seen["loadsOfMission"] == 1, "the page was never loaded anew"
     assert seen["keptOfUpload"] == ["second", "beatrice"]
     assert "The file is there." in seen["over"]
-    assert house.told()["parts"]["api"] != api
-    told = {each["name"]: each for each in terminal.run("mission", "list", "--json").json()["items"]}
-    assert told["day"]["metadata"] == {"operator": "edith"}
-    assert told["second"]["metadata"] == {"operator": "beatrice"}
+    assert cluster.runtime_info()["parts"]["api"] != api
+    runtime_info = {each["name"]: each for each in terminal.run("mission", "list", "--json").json()["items"]}
+    assert runtime_info["day"]["metadata"] == {"operator": "edith"}
+    assert runtime_info["second"]["metadata"] == {"operator": "beatrice"}
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_from_another_machine(
-    house: House, act: Act, other_machine: OtherMachine, pictures: Path, tmp_path: Path
+    cluster: Cluster, act: Act, other_machine: OtherMachine, pictures: Path, tmp_path: Path
 ) -> None:
-    address = f"http://{other_machine.our_address}:{house.port}"
-    house.options += ["--listen", "0.0.0.0", "--public-url", address]
-    house.start()
+    address = f"http://{other_machine.our_address}:{cluster.port}"
+    cluster.options += ["--listen", "0.0.0.0", "--public-url", address]
+    cluster.start()
     drive = Path(generate_mcap(tmp_path / "drive.mcap", size_bytes=12_000_000).path)
-    house.terminal.run("project", "create", "Alps")
-    seen = act("lasting_far.mjs", house, drive, pictures, inside=other_machine.command())
+    cluster.terminal.run("project", "create", "Alps")
+    seen = act("lasting_far.mjs", cluster, drive, pictures, inside=other_machine.command())
 
-    store = f"http://{other_machine.our_address}:{house.s3_port}"
+    store = f"http://{other_machine.our_address}:{cluster.s3_port}"
     assert seen["complaints"] == []
     assert "The file is there." in seen["over"]
     assert seen["sha256"] == hashlib.sha256(drive.read_bytes()).hexdigest()

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 from tests.system.web.conftest import Act
 
 _FIELDS = """
@@ -19,10 +19,10 @@ _MISSIONS = {"cold": ("anymal", -3), "mild": ("spot", 9.5), "hot": ("spot", 21)}
 @pytest.mark.slow
 @pytest.mark.timeout(280)
 def test_missions_are_sorted_filtered_changed_and_downloaded_many_at_once(
-    house: House, act: Act, pictures: Path, tmp_path: Path
+    cluster: Cluster, act: Act, pictures: Path, tmp_path: Path
 ) -> None:
-    house.start()
-    terminal = house.terminal
+    cluster.start()
+    terminal = cluster.terminal
     (tmp_path / "fields.yaml").write_text(_FIELDS)
     terminal.run("project", "create", "Alps", "--fields", tmp_path / "fields.yaml")
     for name, (robot, temperature) in _MISSIONS.items():
@@ -40,7 +40,7 @@ def test_missions_are_sorted_filtered_changed_and_downloaded_many_at_once(
     share = terminal.run("share", "create", "-p", "Alps", "-m", "hot").out.strip()
     (project,) = terminal.run("project", "list", "--json").json()["items"]
     invited = terminal.run("person", "invite", "grace@example.org", "--name", "Grace", "--json").json()
-    seen = act("lists.mjs", house, invited["url"], share, project["id"], pictures)
+    seen = act("lists.mjs", cluster, invited["url"], share, project["id"], pictures)
 
     assert seen["complaints"] == []
     assert seen["axe"] == []

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from kleinkram.recordings import Recording
 from kleinkram.recordings.decoding import image
-from kleinkram.recordings.reading import Recording
 from kleinkram.recordings.sample import FileTruth, generate_bag, generate_mcap
 from tests.acceptance.conftest import wait_until
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 from tests.system.web.conftest import Act
 
 _NAMES = ("drive.mcap", "drive.bag", "cut.mcap")
@@ -26,15 +26,15 @@ _MOST_SHARE = 0.05
 
 @pytest.mark.slow
 @pytest.mark.timeout(240)
-def test_a_first_look(house: House, act: Act, tmp_path: Path) -> None:
-    house.start()
+def test_a_first_look(cluster: Cluster, act: Act, tmp_path: Path) -> None:
+    cluster.start()
     day = tmp_path / "day"
     day.mkdir()
     mcap = generate_mcap(day / "drive.mcap", size_bytes=_MCAP_BYTES)
     bag = generate_bag(day / "drive.bag", size_bytes=_BAG_BYTES)
     with (day / "drive.mcap").open("rb") as whole:
         (day / "cut.mcap").write_bytes(whole.read(_BAG_BYTES))
-    terminal = house.terminal
+    terminal = cluster.terminal
     terminal.run("project", "create", "Alps")
     terminal.run("upload", "-p", "Alps", "-m", "day", "--create", f"{day}/")
 
@@ -44,7 +44,7 @@ def test_a_first_look(house: House, act: Act, tmp_path: Path) -> None:
     wait_until(lambda: all(file["content"] != "pending" for file in files().values()), "the files to be read")
     known = files()
     assert [known[name]["content"] for name in _NAMES] == ["indexed", "indexed", "recovered"]
-    seen = act("look.mjs", house, *(known[name]["id"] for name in _NAMES))
+    seen = act("look.mjs", cluster, *(known[name]["id"] for name in _NAMES))
 
     assert seen["complaints"] == []
     pictures = _pictures(mcap.path)

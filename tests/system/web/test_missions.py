@@ -8,7 +8,7 @@ import pytest
 from kleinkram.recordings.sample import Faults, TopicGap, generate_bag, generate_mcap
 from tests.acceptance.conftest import wait_until
 from tests.system.backend import sql
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 from tests.system.web.conftest import Act
 
 _FILES = 10_000
@@ -36,9 +36,9 @@ INSERT INTO file (id, mission_id, blob_id, path, path_key, origin, uploaded_by_i
 
 @pytest.mark.slow
 @pytest.mark.timeout(280)
-def test_missions(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
-    house.start()
-    terminal = house.terminal
+def test_missions(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) -> None:
+    cluster.start()
+    terminal = cluster.terminal
     (tmp_path / "fields.yaml").write_text(_FIELDS)
     said = tmp_path / "mission.yaml"
     said.write_text('robot: anymal\noperator: ada\nplace: "<svg onload=alert(3)>"\n')
@@ -56,12 +56,12 @@ def test_missions(house: House, act: Act, pictures: Path, tmp_path: Path) -> Non
     terminal.run("upload", *place, "-m", "many", f"{many}/")
     projects = {each["name"]: each["id"] for each in terminal.run("project", "list", "--json").json()["items"]}
     missions = {each["name"]: each["id"] for each in terminal.run("mission", "list", "--json").json()["items"]}
-    sql(house, _MANY, missions["many"])
+    sql(cluster, _MANY, missions["many"])
     invited = terminal.run("person", "invite", "grace@example.org", "--name", _GUEST, "--json").json()
-    wait_until(lambda: _topics_are_there(house, missions[_MISSION]), "the topics to be added up")
+    wait_until(lambda: _topics_are_there(cluster, missions[_MISSION]), "the topics to be added up")
     seen = act(
         "missions.mjs",
-        house,
+        cluster,
         invited["url"],
         _GUEST,
         projects[_MARKUP],
@@ -87,6 +87,6 @@ def test_missions(house: House, act: Act, pictures: Path, tmp_path: Path) -> Non
     assert "not" in seen["revoked"]
 
 
-def _topics_are_there(house: House, mission_id: str) -> bool:
-    told = house.terminal.run("mission", "info", mission_id, "--json").json()
-    return "/imu/data" in json.dumps(told)
+def _topics_are_there(cluster: Cluster, mission_id: str) -> bool:
+    runtime_info = cluster.terminal.run("mission", "info", mission_id, "--json").json()
+    return "/imu/data" in json.dumps(runtime_info)

@@ -10,7 +10,7 @@ import pytest
 from kleinkram.recordings.sample import generate_mcap
 from tests.acceptance.conftest import wait_until
 from tests.system.backend import sql
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 from tests.system.web.conftest import Act
 
 _LARGE_BYTES = 20_000_000
@@ -18,9 +18,9 @@ _LARGE_BYTES = 20_000_000
 
 @pytest.mark.slow
 @pytest.mark.timeout(280)
-def test_missions_changed(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
-    house.start()
-    terminal = house.terminal
+def test_missions_changed(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) -> None:
+    cluster.start()
+    terminal = cluster.terminal
     day, half = tmp_path / "day", tmp_path / "half"
     day.mkdir()
     half.mkdir()
@@ -34,13 +34,13 @@ def test_missions_changed(house: House, act: Act, pictures: Path, tmp_path: Path
     begun.send_signal(signal.SIGINT)
     begun.communicate(timeout=60)
     # As after a minute, in which the name was held for whoever was sending.
-    assert len(sql(house, "UPDATE upload SET lease_ends_at = now() WHERE state = 'open' RETURNING id")) == 1
+    assert len(sql(cluster, "UPDATE upload SET lease_ends_at = now() WHERE state = 'open' RETURNING id")) == 1
     missions = {each["name"]: each["id"] for each in terminal.run("mission", "list", "--json").json()["items"]}
     files = {each["path"]: each["id"] for each in terminal.run("file", "list", "--json").json()["items"]}
     invited = terminal.run("person", "invite", "grace@example.org", "--name", "Grace", "--json").json()
 
-    told = json.dumps({**missions, "drive": files["drive.mcap"]})
-    seen = act("missions_changed.mjs", house, invited["url"], half, told, pictures)
+    runtime_info = json.dumps({**missions, "drive": files["drive.mcap"]})
+    seen = act("missions_changed.mjs", cluster, invited["url"], half, runtime_info, pictures)
 
     assert seen["complaints"] == []
     assert seen["ran"] == [], "markup was run"
@@ -56,7 +56,7 @@ def test_missions_changed(house: House, act: Act, pictures: Path, tmp_path: Path
     assert [row.split()[0] for row in seen["shared"]] == ["drive.mcap"]
     assert "1 file · until" in seen["link"]
     assert seen["ended"] == "This link has ended, or was not copied whole."
-    assert seen["proven"]["after"] > seen["proven"]["before"]
+    assert seen["verified"]["after"] > seen["verified"]["before"]
     assert "second line" in seen["back"]
     assert "2 missions" in seen["goesWithIt"], "it says what goes with the project"
     assert "You have no access yet" in seen["empty"]

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from tests.acceptance.conftest import Terminal
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 from tests.system.web.conftest import Act
 
 _MARKUP = "Wet <img src=x onerror=alert(1)>"
@@ -55,11 +55,11 @@ print("the very end", flush=True)
 
 @pytest.mark.slow
 @pytest.mark.timeout(280)
-def test_a_run_from_form_to_lineage(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
-    house.start()
-    _filled(house.terminal, tmp_path)
+def test_a_run_from_form_to_lineage(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) -> None:
+    cluster.start()
+    _filled(cluster.terminal, tmp_path)
 
-    seen = act("runs.mjs", house, pictures)
+    seen = act("runs.mjs", cluster, pictures)
 
     assert seen["complaints"] == []
     assert seen["axe"] == []
@@ -74,7 +74,7 @@ def test_a_run_from_form_to_lineage(house: House, act: Act, pictures: Path, tmp_
     assert log["found"] == "1 of 1"
     assert "line 1234" in log["inSight"]
     _see_what_it_said(seen)
-    _see_where_it_leads(seen, house.terminal)
+    _see_where_it_leads(seen, cluster.terminal)
 
 
 def _filled(terminal: Terminal, tmp_path: Path) -> None:

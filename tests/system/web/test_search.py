@@ -8,7 +8,7 @@ import pytest
 
 from kleinkram.recordings.sample import generate_mcap
 from tests.acceptance.conftest import KLEIN, Terminal, wait_until
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 from tests.system.web.conftest import Act
 
 _MARKUP = "Wet <img src=x onerror=alert(1)> <b>grass<b>"
@@ -16,15 +16,15 @@ _MARKUP = "Wet <img src=x onerror=alert(1)> <b>grass<b>"
 
 @pytest.mark.slow
 @pytest.mark.timeout(280)
-def test_search_to_download(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
-    house.start()
-    sources = _filled(house.terminal, tmp_path)
+def test_search_to_download(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) -> None:
+    cluster.start()
+    sources = _filled(cluster.terminal, tmp_path)
 
-    seen = act("search.mjs", house, pictures)
+    seen = act("search.mjs", cluster, pictures)
 
     _see_what_was_found(seen)
-    _see_what_was_shared(seen, house.terminal)
-    fetched = _fetched(seen, house.terminal, tmp_path)
+    _see_what_was_shared(seen, cluster.terminal)
+    fetched = _fetched(seen, cluster.terminal, tmp_path)
     assert fetched == {f"Alps/{each}/drive.mcap": sources[each] for each in ("traverse", _MARKUP)}, "of one path in two"
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from kleinkram.recordings.sample import generate_mcap
-from tests.system.cluster import House
+from tests.system.cluster import Cluster
 
 from .conftest import Act
 
@@ -26,8 +26,8 @@ _PARTS = -(-_LARGE_BYTES // (5 << 20))
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_an_upload_with_all_that_comes_between(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
-    house.start()
+def test_an_upload_with_all_that_comes_between(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) -> None:
+    cluster.start()
     day, other = tmp_path / "day", tmp_path / "other" / "day"
     (day / "nothing").mkdir(parents=True)
     other.mkdir(parents=True)
@@ -38,10 +38,10 @@ def test_an_upload_with_all_that_comes_between(house: House, act: Act, pictures:
     (other / "drive.mcap").write_bytes(b"something else")
     fields = tmp_path / "fields.yaml"
     fields.write_text(_FIELDS)
-    terminal = house.terminal
+    terminal = cluster.terminal
     terminal.run("project", "create", "Alps", "--fields", fields)
 
-    seen = act("upload.mjs", house, day, other, pictures)
+    seen = act("upload.mjs", cluster, day, other, pictures)
 
     assert seen["complaints"] == []
     assert seen["axe"] == []
@@ -70,18 +70,18 @@ def test_an_upload_with_all_that_comes_between(house: House, act: Act, pictures:
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_trouble_on_the_way(house: House, act: Act, pictures: Path, tmp_path: Path) -> None:
+def test_trouble_on_the_way(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) -> None:
     """The API dies and comes back, the session ends and somebody signs in again, a file is written to."""
-    house.start()
+    cluster.start()
     day = tmp_path / "day"
     day.mkdir()
     (day / "camera.raw").write_bytes(random.Random(6).randbytes(_LARGE_BYTES))
     changing = tmp_path / "changing.raw"
     changing.write_bytes(random.Random(7).randbytes(_LARGE_BYTES))
-    terminal = house.terminal
+    terminal = cluster.terminal
     terminal.run("project", "create", "Alps")
 
-    seen = act("upload_trouble.mjs", house, day, changing, pictures, house.told()["parts"]["api"])
+    seen = act("upload_trouble.mjs", cluster, day, changing, pictures, cluster.runtime_info()["parts"]["api"])
 
     assert "The server does not answer" in seen["away"]
     assert "signed out" in seen["signedOut"]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from kleinkram.action import places, progress, report
-from kleinkram.contract.reports import EVENTS_FILE, Event, Severity
+from kleinkram.contract.reports import EVENTS_FILE, ReportEvent, Severity
 
 
 @pytest.fixture(autouse=True)
@@ -17,8 +17,8 @@ def _folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(places, name, tmp_path / place)
 
 
-def said() -> list[Event]:
-    return [Event.model_validate_json(line) for line in (places.out / EVENTS_FILE).read_bytes().splitlines()]
+def said() -> list[ReportEvent]:
+    return [ReportEvent.model_validate_json(line) for line in (places.out / EVENTS_FILE).read_bytes().splitlines()]
 
 
 def test_each_kind_is_one_event() -> None:

@@ -31,5 +31,5 @@ def test_what_it_says_and_leaves_is_told(tmp_path: Path) -> None:
     assert (ran.exit_code, ran.log) == (3, "of anymal\n")
     assert ran.metric("size", "a/b.txt") == 8
     assert ran.codes() == {"a.b"}
-    with pytest.raises(InvalidInput, match="must be told its parameter 'factor'"):
+    with pytest.raises(InvalidInput, match="requires its parameter 'factor'"):
         try_out(script, folder, files={})

@@ -13,9 +13,10 @@ from kleinkram.cli.launch import parameter_values, split_version
 from kleinkram.cli.main import app
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.actions import ActionDefinition, Parameter, ParameterType
-from kleinkram.contract.errors import NotFound, to_problem
+from kleinkram.contract.errors import NotFound
 from kleinkram.contract.paging import Page
-from kleinkram.contract.runs import LogPiece, RunMade, RunRead, RunRefused, RunsMade, RunState
+from kleinkram.contract.problems import to_problem
+from kleinkram.contract.runs import LogChunkRead, RunCreated, RunRead, RunRefused, RunsCreated, RunState
 from tests.unit.client.nouns import action_read, mission_read, run_detail
 from tests.unit.client.scripted import Scripted, scripted
 
@@ -35,15 +36,15 @@ def page(*rows: BaseModel) -> Page[Any]:
     return Page(items=[*rows], next=None)
 
 
-def made(run: RunRead) -> RunsMade:
-    return RunsMade(items=[RunMade(run=RunRead.model_validate(run.model_dump()))])
+def made(run: RunRead) -> RunsCreated:
+    return RunsCreated(items=[RunCreated(run=RunRead.model_validate(run.model_dump()))])
 
 
 def test_a_path_is_run_as_it_is_and_followed(tmp_path: Path) -> None:
     (tmp_path / "look.py").write_text("print('hello')")
     run = run_detail(RunState.queued)
     done = run.model_copy(update={"state": RunState.failed, "message": "It ended with the exit code 3."})
-    log = LogPiece(attempt=1, offset=0, next_offset=6, text="hello\n", is_over=True)
+    log = LogChunkRead(attempt=1, offset=0, next_offset=6, text="hello\n", is_over=True)
     # The log is asked for beside the run, so the order of these two is not known: both are found by their kind.
     with scripted(page(MISSION), made(run), by_path={"/log": log, f"/runs/{run.id}": done}) as script:
         ran = klein(script, "action", "run", tmp_path / "look.py", "-m", "day", "--follow", "--json")
@@ -57,7 +58,7 @@ def test_a_path_is_run_as_it_is_and_followed(tmp_path: Path) -> None:
 def test_a_version_of_a_published_action_is_named_with_it() -> None:
     action, older = action_read("look", number=4), action_read("look", number=3).latest
     refusal = RunRefused(mission_id=MISSION.id, problem=to_problem(NotFound(noun="mission", ref="day"), "r"))
-    with scripted(page(MISSION), page(action), page(action.latest, older), RunsMade(items=[refusal])) as script:
+    with scripted(page(MISSION), page(action), page(action.latest, older), RunsCreated(items=[refusal])) as script:
         ran = klein(script, "action", "run", "look@3", "-m", "day")
     assert ran.exit_code == ExitCode.not_found
     assert "alps/day: There is no mission 'day'" in ran.stderr
@@ -73,7 +74,7 @@ def test_many_missions_are_asked_about_first() -> None:
     assert isinstance(ran.exception, Refused)
     assert len(script.asked) == 2
     assert "Run look on 2 missions: alps/day, alps/dusk?" in ran.stderr
-    with scripted(page(*several), page(action_read("look")), RunsMade(items=[])) as script:
+    with scripted(page(*several), page(action_read("look")), RunsCreated(items=[])) as script:
         klein(script, "action", "run", "look", "--query", "alps", "--yes", "--force")
     assert script.asked[2].body["mission_ids"] == [str(each.id) for each in several]
     assert script.asked[2].body["force"] is True

@@ -22,9 +22,9 @@ from kleinkram.contract.runs import (
     ArtifactRead,
     ArtifactUrl,
     ArtifactUrls,
-    LogPiece,
+    LogChunkRead,
     RunDetail,
-    RunsMade,
+    RunsCreated,
     RunState,
 )
 from tests.http_server import Server
@@ -38,13 +38,13 @@ def client_of(script: Scripted) -> Client:
     return Client(Endpoint("x", script.url, "t", EndpointSource.argument))
 
 
-def piece(text: str, offset: int, *, attempt: int = 1, is_over: bool = False) -> LogPiece:
-    return LogPiece(attempt=attempt, offset=offset, next_offset=offset + len(text), text=text, is_over=is_over)
+def piece(text: str, offset: int, *, attempt: int = 1, is_over: bool = False) -> LogChunkRead:
+    return LogChunkRead(attempt=attempt, offset=offset, next_offset=offset + len(text), text=text, is_over=is_over)
 
 
 def test_very_many_missions_are_launched_by_the_thousand() -> None:
     missions = [uuid.uuid4() for _ in range(MAX_LAUNCHED + 1)]
-    with scripted(RunsMade(items=[]), RunsMade(items=[])) as script, client_of(script) as client:
+    with scripted(RunsCreated(items=[]), RunsCreated(items=[])) as script, client_of(script) as client:
         assert client.runs.launch(SCRIPT, missions, parameters={"rate": 2}) == []
     first, second = (asked.body for asked in script.asked)
     assert (len(first["mission_ids"]), second["mission_ids"]) == (MAX_LAUNCHED, [str(missions[-1])])

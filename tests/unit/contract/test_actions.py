@@ -67,7 +67,7 @@ def test_values_are_filled_in() -> None:
     )
     assert action.fill_in({"topic": "/imu", "mode": "exact"}) == {"topic": "/imu", "rate": 10.0, "mode": "exact"}
     for given, why in (
-        ({}, "must be told its parameter 'topic'"),
+        ({}, "requires its parameter 'topic'"),
         ({"topic": "/imu", "speed": 1}, "no parameter 'speed'; it has topic, rate, mode"),
         ({"topic": "/imu", "rate": 0.5}, "at least 1"),
         ({"topic": "/imu", "rate": 101}, "at most 100"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from kleinkram.recordings.mcap import records
+from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.sources import check_range
 
 T0 = 1_700_000_000_000_000_000

@@ -11,10 +11,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from kleinkram.recordings import Content, RecordingSummary
-from kleinkram.recordings.bag.writer import BagCompression, BagWriter
-from kleinkram.recordings.forward import from_source
-from kleinkram.recordings.mcap import records
-from kleinkram.recordings.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.formats.rosbag1.writer import BagCompression, BagWriter
+from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
 
 from .memory_source import MemorySource
@@ -52,18 +52,18 @@ def make_mcap(compression: Compression) -> Whole:
 
 def mcap_chunks(data: bytes) -> list[tuple[int, int, int]]:
     """Return the chunks by a plain walk; the message indexes behind each tell its messages."""
-    found: list[tuple[int, int, int]] = []
+    actual: list[tuple[int, int, int]] = []
     at = len(records.MAGIC)
     while data[at] != records.DATA_END:
         opcode, length = records.RECORD_HEAD.unpack_from(data, at)
         end = at + records.RECORD_HEAD.size + length
         if opcode == records.CHUNK:
-            found.append((at, end, 0))
+            actual.append((at, end, 0))
         elif opcode == records.MESSAGE_INDEX:
-            start, chunk_end, messages = found.pop()
-            found.append((start, chunk_end, messages + (length - 6) // 16))
+            start, chunk_end, messages = actual.pop()
+            actual.append((start, chunk_end, messages + (length - 6) // 16))
         at = end
-    return found
+    return actual
 
 
 def make_unchunked() -> Whole:
@@ -130,7 +130,7 @@ def place_of(name: str, at: int) -> float:
 
 
 def scanned(data: bytes, name: str) -> RecordingSummary:
-    return scan(from_source(MemorySource(data, name)))
+    return scan(source_reader(MemorySource(data, name)))
 
 
 def untouched(whole: Whole, start: int, end: int) -> int:

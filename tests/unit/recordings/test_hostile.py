@@ -10,11 +10,11 @@ import pytest
 import zstandard
 
 from kleinkram.recordings import Content, Fact, Lost, RecordingFormat, RecordingSummary, summarise
-from kleinkram.recordings.bag.records import MAGIC as BAG_MAGIC
-from kleinkram.recordings.bag.writer import BagWriter
-from kleinkram.recordings.forward import from_source
-from kleinkram.recordings.mcap import records
-from kleinkram.recordings.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.formats.rosbag1.records import MAGIC as BAG_MAGIC
+from kleinkram.recordings.formats.rosbag1.writer import BagWriter
+from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
 
 from .memory_source import MemorySource
@@ -104,9 +104,9 @@ def test_the_small_files_are_whole() -> None:
     ],
 )
 def test_an_index_that_lies_is_not_believed(summary: bytes) -> None:
-    found = summarise_bytes(mcap_of(b"", summary))
-    assert found.message_count == 0
-    assert found.problems
+    actual = summarise_bytes(mcap_of(b"", summary))
+    assert actual.message_count == 0
+    assert actual.problems
 
 
 def test_a_summary_that_begins_beyond_the_file() -> None:
@@ -321,14 +321,14 @@ def test_a_flipped_byte_outside_of_chunks_is_found_by_the_checksum_of_the_data_s
         (flipped, crc, Content.recovered),
     ):
         end = record(records.DATA_END, struct.pack("<I", claimed)) + footer
-        summary = scan(from_source(MemorySource(data + end)))
+        summary = scan(source_reader(MemorySource(data + end)))
         assert (summary.content, summary.message_count) == (content, 1)
         assert summary.lost == (None if content is Content.indexed else Lost(0, 0, None))
     assert "data section" in (summary.reason or "")
     assert "nothing is lost" not in (summary.reason or "")
 
 
-def test_an_attachment_with_a_wrong_checksum_is_told() -> None:
+def test_an_attachment_with_a_wrong_checksum_is_reported() -> None:
     attachment = record(records.ATTACHMENT, bytes(24) + struct.pack("<Q", 5) + b"12345" + b"\1\2\3\4")
     summary = summarise_bytes(mcap_of(attachment))
     assert (summary.content, summary.attachments) == (Content.recovered, 1)

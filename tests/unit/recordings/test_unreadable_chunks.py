@@ -11,22 +11,21 @@ import lz4.frame
 import pytest
 import zstandard
 
-from kleinkram.recordings import Content, FileSource, RecordingSummary, summarise
-from kleinkram.recordings.forward import from_file
-from kleinkram.recordings.mcap import records
-from kleinkram.recordings.reading import Recording
+from kleinkram.recordings import Content, FileSource, Recording, RecordingSummary, summarise
+from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.sources import file_reader
 from kleinkram.recordings.summary import scan
 
 from .agreement import ParallelSource, accounts_of, disagreements
-from .reading.making import T0, bag_of, mcap_of
+from .reading.builders import T0, bag_of, mcap_of
 
 _ONES = 2**64 - 1
 _MESSAGES = 1000
 
 
 def by_scan(path: Path) -> RecordingSummary:
-    with from_file(path) as forward:
-        return scan(forward)
+    with file_reader(path) as reader:
+        return scan(reader)
 
 
 def by_index(path: Path) -> RecordingSummary:
@@ -143,8 +142,8 @@ def test_a_chunk_that_was_never_finished_is_saved_as_far_as_it_goes(
     assert disagreements(accounts) == []
     for source in (FileSource, ParallelSource):
         with source(path) as opened, Recording.open(opened) as recording:
-            found = [message.log_time_ns - T0 for message in recording.raw_messages()]
-        assert found == [*range(summary.message_count)]
+            actual = [message.log_time_ns - T0 for message in recording.raw_messages()]
+        assert actual == [*range(summary.message_count)]
 
 
 @pytest.mark.parametrize("known", ["length", "uncompressed", "stored"])
@@ -161,7 +160,7 @@ def test_one_placeholder_among_the_lengths_of_a_chunk_is_enough(known: str, tmp_
     assert disagreements(accounts) == []
 
 
-def test_what_stands_before_an_unfinished_chunk_is_kept(tmp_path: Path) -> None:
+def test_records_before_an_unfinished_chunk_are_read(tmp_path: Path) -> None:
     made = mcap_of(chunks())
     data = made.read(0, made.size_bytes)
     whole = data[: data.rindex(bytes([records.DATA_END]) + struct.pack("<Q", 4))]

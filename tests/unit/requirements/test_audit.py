@@ -3,8 +3,9 @@
 import datetime
 
 import pytest
-from requirements import audit
 from requirements.audit import Report, failures, read_accepted, unaudited
+
+from requirements import audit
 
 TODAY = datetime.date(2026, 5, 1)
 HOLE = {"id": "PYSEC-1", "aliases": ["CVE-2026-1"], "fix_versions": ["2.0"]}

@@ -688,10 +688,10 @@ export interface paths {
         };
         /**
          * Watch Events
-         * @description Tell what changes, as it changes, of whatever you may see; and `refetch` where that may not be all.
+         * @description Stream the changes of everything you can see; a `refetch` event means that some may have been missed.
          *
-         *     `change` says noun, id and place, never contents. A comment comes every 15 s. When the stream ends, come back with
-         *     the id of the last event: what happened meanwhile follows. It ends within seconds of your session, token or account.
+         *     `change` names an object and where it is, never its content. A comment is sent every 15 s. When the stream ends,
+         *     reconnect with the id of the last event to continue. It ends within seconds of your session, token or account.
          */
         get: operations["watch_events"];
         put?: never;
@@ -770,26 +770,6 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/files/{file_id}/prove": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Prove File
-         * @description Have a file's bytes read again; its state and time of proof tell when that is done.
-         */
-        post: operations["prove_file"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
     "/api/v1/files/{file_id}/topics": {
         parameters: {
             query?: never;
@@ -804,6 +784,26 @@ export interface paths {
         get: operations["list_file_topics"];
         put?: never;
         post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/files/{file_id}/verify": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Verify File
+         * @description Verify the stored bytes again: the server reads all of them; `state` and `verified_at` change when it has.
+         */
+        post: operations["verify_file"];
         delete?: never;
         options?: never;
         head?: never;
@@ -1401,13 +1401,13 @@ export interface paths {
         };
         /**
          * List Open
-         * @description List your uploads under way into a mission.
+         * @description List your open uploads into a mission.
          */
         get: operations["list_uploads"];
         put?: never;
         /**
          * Begin
-         * @description Say what you want to upload, and hear what to send.
+         * @description Announce files to upload and learn what to send.
          */
         post: operations["begin_uploads"];
         delete?: never;
@@ -1882,7 +1882,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/runner/runs/{run_id}/log/kept": {
+    "/api/v1/runner/runs/{run_id}/log-chunks": {
         parameters: {
             query?: never;
             header?: never;
@@ -1892,17 +1892,17 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Keep Log Segment
-         * @description Say that a piece of a log was stored: people see it from then on.
+         * Create Log Chunk
+         * @description Get where to store a piece of a log.
          */
-        post: operations["keep_log_segment"];
+        post: operations["create_log_chunk"];
         delete?: never;
         options?: never;
         head?: never;
         patch?: never;
         trace?: never;
     };
-    "/api/v1/runner/runs/{run_id}/log/sign": {
+    "/api/v1/runner/runs/{run_id}/log-chunks/confirm": {
         parameters: {
             query?: never;
             header?: never;
@@ -1912,10 +1912,10 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Sign Log Segment
-         * @description Get where to store a piece of a log.
+         * Confirm Log Chunk
+         * @description Say that a piece of a log was stored: people see it from then on.
          */
-        post: operations["sign_log_segment"];
+        post: operations["confirm_log_chunk"];
         delete?: never;
         options?: never;
         head?: never;
@@ -1935,7 +1935,7 @@ export interface paths {
          * Begin Uploads Of Run
          * @description Say what a run left, and hear what to send: by the same protocol as files of a mission.
          */
-        post: operations["begin_artifacts"];
+        post: operations["create_artifact_uploads"];
         delete?: never;
         options?: never;
         head?: never;
@@ -1956,30 +1956,10 @@ export interface paths {
         get: operations["list_runners"];
         put?: never;
         /**
-         * Say Hello
+         * Register Runner
          * @description Say what a runner is, whenever it starts.
          */
-        post: operations["say_hello"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/runners/{runner_id}/beats": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Beat
-         * @description Say what all runs are at, and hear which are to end.
-         */
-        post: operations["beat"];
+        post: operations["register_runner"];
         delete?: never;
         options?: never;
         head?: never;
@@ -2000,6 +1980,26 @@ export interface paths {
          * @description Ask for a run that fits what is free, and wait for one.
          */
         post: operations["claim_run"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/runners/{runner_id}/heartbeats": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Beat
+         * @description Say what all runs are at, and hear which are to end.
+         */
+        post: operations["send_heartbeats"];
         delete?: never;
         options?: never;
         head?: never;
@@ -2423,14 +2423,14 @@ export interface paths {
         };
         /**
          * Get
-         * @description Get one of your uploads, with the parts that the store holds.
+         * @description Get one of your uploads, with the parts that the store has.
          */
         get: operations["get_upload"];
         put?: never;
         post?: never;
         /**
          * Abort
-         * @description Give up an upload.
+         * @description Abort an upload.
          */
         delete: operations["abort_upload"];
         options?: never;
@@ -2469,7 +2469,7 @@ export interface paths {
         put?: never;
         /**
          * Sign
-         * @description Get the addresses to send parts to; this also renews the leases of their uploads.
+         * @description Get the URLs to send parts to; this also renews the leases of their uploads.
          */
         post: operations["sign_parts"];
         delete?: never;
@@ -2482,25 +2482,6 @@ export interface paths {
 export type webhooks = Record<string, never>;
 export interface components {
     schemas: {
-        /**
-         * Abilities
-         * @description What an executor can do. `images`: run container images, not only scripts.
-         */
-        Abilities: {
-            /** Bounds Disk */
-            bounds_disk: boolean;
-            /** Bounds Memory */
-            bounds_memory: boolean;
-            /** Executor */
-            executor: string;
-            /** Gpus */
-            gpus: boolean;
-            /** Images */
-            images: boolean;
-            isolation: components["schemas"]["Isolation"];
-            /** Networks */
-            networks: components["schemas"]["Network"][];
-        };
         /**
          * AccessRead
          * @description One way in which somebody has a right now; of several, the highest counts.
@@ -2549,7 +2530,7 @@ export interface components {
         };
         /**
          * ActionCreate
-         * @description An action to publish, as its first version: in a project, or without one, for the whole lab.
+         * @description An action to publish: in a project, or without one for the whole lab.
          */
         ActionCreate: {
             definition: components["schemas"]["ActionDefinition"];
@@ -2558,11 +2539,11 @@ export interface components {
         };
         /**
          * ActionDefinition
-         * @description What one version of an action is. Either an `image` with its `command`, or a `script` on the stock image.
+         * @description One version of an action: either an `image` with its `command`, or a `script` on the default image.
          *
-         *     `command` is a list that nobody splits; without it the image's own is run. A script is started with Python, and its
-         *     `dependencies` (PEP 508) must be there: on the stock image, or on the image that it names.
-         *     `right` is what whoever launches it must hold on the mission, and all that the run's token has there.
+         *     `command` is an argument list; empty: the image's own command. A script is started with Python, and its
+         *     `dependencies` (PEP 508) must be installed in the default image, or in the image that it names.
+         *     `right` is the right on the mission that launching requires, and the right of the run's token.
          */
         ActionDefinition: {
             /**
@@ -2649,7 +2630,7 @@ export interface components {
         };
         /**
          * ActionRef
-         * @description An action in one version; id and version are null where it is run from a folder that nobody has published.
+         * @description A version of an action; id and version are null where the action is not published.
          */
         ActionRef: {
             /** Id */
@@ -2661,7 +2642,7 @@ export interface components {
         };
         /**
          * ActionUpdate
-         * @description What to change of an action. An archived one is not listed and starts no new runs; its runs stay.
+         * @description A change of an action. An archived action is not listed and starts no runs; its runs stay.
          */
         ActionUpdate: {
             /** Archived */
@@ -2672,7 +2653,7 @@ export interface components {
          * @description One version of an action, which never changes.
          *
          *     `image_digest` is what the image's name was first resolved to (`sha256:…`), from then on used by every run; null
-         *     before, and for a script on the stock image.
+         *     before, and for a script on the default image.
          */
         ActionVersionRead: {
             /**
@@ -2791,7 +2772,7 @@ export interface components {
         };
         /**
          * ArtifactRead
-         * @description A file that a run left. `file_id` is that of the mission's file that was made of it, where one was.
+         * @description A file that a run produced. `file_id` is the file of the mission that was created from it, if any.
          */
         ArtifactRead: {
             /** File Id */
@@ -2814,26 +2795,26 @@ export interface components {
             size_bytes: number;
         };
         /**
-         * ArtifactsBegin
-         * @description Artifacts to upload, and the whole log under `LOG_PATH`: by the same protocol as files of a mission.
-         */
-        ArtifactsBegin: {
-            /** Attempt */
-            attempt: number;
-            /** Files */
-            files: components["schemas"]["UploadFile"][];
-        };
-        /**
          * ArtifactsRequest
-         * @description Artifacts of a run to fetch.
+         * @description Artifacts of a run to download.
          */
         ArtifactsRequest: {
             /** Artifact Ids */
             artifact_ids: string[];
         };
         /**
+         * ArtifactUploadsCreate
+         * @description Artifacts to upload, and the complete log as `LOG_PATH`, by the same protocol as files of a mission.
+         */
+        ArtifactUploadsCreate: {
+            /** Attempt */
+            attempt: number;
+            /** Files */
+            files: components["schemas"]["UploadFile"][];
+        };
+        /**
          * ArtifactUrl
-         * @description Where to GET an artifact, before `expires_at`.
+         * @description A URL to GET an artifact from before `expires_at`.
          */
         ArtifactUrl: {
             artifact: components["schemas"]["ArtifactRead"];
@@ -2847,11 +2828,23 @@ export interface components {
         };
         /**
          * ArtifactUrls
-         * @description Where to fetch them, in the order asked.
+         * @description URLs of artifacts, in the requested order.
          */
         ArtifactUrls: {
             /** Items */
             items: components["schemas"]["ArtifactUrl"][];
+        };
+        /**
+         * AssignedInput
+         * @description An input file of a run.
+         */
+        AssignedInput: {
+            /** Path */
+            path: string;
+            /** Sha256 */
+            sha256: string;
+            /** Size Bytes */
+            size_bytes: number;
         };
         /**
          * Attention
@@ -2911,66 +2904,11 @@ export interface components {
             token: components["schemas"]["CredentialRef"] | null;
         };
         /**
-         * Beat
-         * @description What one run is at. `started`: its container was. Samples are those since the last beat.
-         */
-        Beat: {
-            /** Attempt */
-            attempt: number;
-            /** Image Digest */
-            image_digest?: string | null;
-            progress?: components["schemas"]["Progress"] | null;
-            /**
-             * Run Id
-             * Format: uuid
-             */
-            run_id: string;
-            /**
-             * Samples
-             * @default []
-             */
-            samples: components["schemas"]["Sample"][];
-            state: components["schemas"]["RunState"];
-            usage?: components["schemas"]["Usage"] | null;
-        };
-        /**
-         * BeatAnswer
-         * @description What becomes of one run.
-         */
-        BeatAnswer: {
-            /** Attempt */
-            attempt: number;
-            /**
-             * Run Id
-             * Format: uuid
-             */
-            run_id: string;
-            verdict: components["schemas"]["Verdict"];
-        };
-        /**
-         * BeatAnswers
-         * @description What becomes of each, and how long they are held from now on.
-         */
-        BeatAnswers: {
-            /** Lease S */
-            lease_s: number;
-            /** Runs */
-            runs: components["schemas"]["BeatAnswer"][];
-        };
-        /**
-         * Beats
-         * @description What all runs of a runner are at.
-         */
-        Beats: {
-            /** Runs */
-            runs: components["schemas"]["Beat"][];
-        };
-        /**
          * BlobState
          * @description What is known of the bytes: the store's checksums agreed; the server read them; gone; not what they were.
          * @enum {string}
          */
-        BlobState: "stored" | "proven" | "lost" | "corrupt";
+        BlobState: "stored" | "verified" | "lost" | "corrupt";
         /**
          * BrowserSignedIn
          * @description Who a browser is signed in as, from now on; the session itself is in a cookie that no script can read.
@@ -2995,7 +2933,7 @@ export interface components {
         };
         /**
          * Capacity
-         * @description What a machine has, or has free, for runs.
+         * @description Resources of a machine for runs: all of them, or those that are free.
          */
         Capacity: {
             /** Cores */
@@ -3009,7 +2947,7 @@ export interface components {
         };
         /**
          * Cause
-         * @description Why a run is: who asked for it, and of which run it is another try.
+         * @description Who launched a run, and which run it retries.
          */
         Cause: {
             person?: components["schemas"]["PersonRef"] | null;
@@ -3018,7 +2956,7 @@ export interface components {
         };
         /**
          * ChecksumKind
-         * @description How the store proves what it received, as found by the server's probe when it started.
+         * @description How the store verifies what it received, as found by the server's probe when it started.
          *
          *     `crc64nvme`: every part by a signed CRC-64/NVME header, and the whole object by the full-object CRC-64/NVME.
          *     `sha256`: every part by a signed SHA-256 header. `md5`: every part by a signed Content-MD5, for old stores.
@@ -3029,7 +2967,7 @@ export interface components {
          * Claim
          * @description Become the first admin of a fresh server: `POST /auth/claim`. Who is signed in gives the code alone.
          */
-        "Claim-Input": {
+        Claim: {
             /** Code */
             code: string;
             /** Email */
@@ -3040,89 +2978,28 @@ export interface components {
             password?: string | null;
         };
         /**
-         * Claim
-         * @description A run that is this runner's until its lease ends.
-         *
-         *     `image_digest` is what the image's name was first resolved to, by whichever runner: no other may be run under it.
-         *     `token` is there unless the network is `none`: it is the run's own, and good as long as the run lasts.
+         * ClaimReply
+         * @description The answer to a claim; `run` is null where no run fits.
          */
-        "Claim-Output": {
-            action: components["schemas"]["ActionRef"];
-            /** Attempt */
-            attempt: number;
-            /** Command */
-            command: string[];
-            /** Dependencies */
-            dependencies: string[];
-            /** Image */
-            image: string | null;
-            /** Image Digest */
-            image_digest: string | null;
-            /** Inputs */
-            inputs: components["schemas"]["ClaimInput"][];
-            /** Lease S */
-            lease_s: number;
-            /**
-             * Mission Id
-             * Format: uuid
-             */
-            mission_id: string;
-            network: components["schemas"]["Network"];
-            /** Parameters */
-            parameters: {
-                [key: string]: boolean | number | string;
-            };
-            /**
-             * Project Id
-             * Format: uuid
-             */
-            project_id: string;
-            resources: components["schemas"]["Resources"];
-            /**
-             * Run Id
-             * Format: uuid
-             */
-            run_id: string;
-            /** Script */
-            script: string | null;
-            /** Token */
-            token: string | null;
+        ClaimReply: {
+            run: components["schemas"]["RunAssignment"] | null;
         };
         /**
-         * ClaimAsk
-         * @description What is free for a further run, and how long to wait for one. `held`: the runs that the runner knows it has.
+         * ClaimRequest
+         * @description A runner's free resources, and how long to wait for a run. `active_run_ids`: the runs that it already has.
          */
-        ClaimAsk: {
-            free: components["schemas"]["Capacity"];
+        ClaimRequest: {
             /**
-             * Held
+             * Active Run Ids
              * @default []
              */
-            held: string[];
+            active_run_ids: string[];
+            free: components["schemas"]["Capacity"];
             /**
              * Wait S
              * @default 0
              */
             wait_s: number;
-        };
-        /**
-         * Claimed
-         * @description The answer to a claim; null where nothing came that fits.
-         */
-        Claimed: {
-            claim: components["schemas"]["Claim-Output"] | null;
-        };
-        /**
-         * ClaimInput
-         * @description A file that a run is given.
-         */
-        ClaimInput: {
-            /** Path */
-            path: string;
-            /** Sha256 */
-            sha256: string;
-            /** Size Bytes */
-            size_bytes: number;
         };
         /**
          * CliExchange
@@ -3386,7 +3263,7 @@ export interface components {
         };
         /**
          * EndReason
-         * @description Why a run is over. `exit_code`: the command said so itself; all after it are not the command's word.
+         * @description Why a run ended. `done` and `exit_code` come from the command itself.
          * @enum {string}
          */
         EndReason: "done" | "exit_code" | "signal" | "memory" | "time" | "disk" | "cancelled" | "command_not_found" | "image_unavailable" | "not_possible" | "inputs_unavailable" | "broken_report" | "results_not_kept" | "lost";
@@ -3395,7 +3272,26 @@ export interface components {
          * @description The closed set of failures.
          * @enum {string}
          */
-        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "sign_in_too_old" | "second_factor_needed" | "second_factor_wrong" | "code_gone" | "provider_unavailable" | "rate_limited" | "too_many_streams" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "last_way_in" | "group_fixed" | "wrong_client" | "not_found" | "ambiguous_name" | "name_taken" | "edit_conflict" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "no_runner" | "method_not_allowed" | "store_unavailable" | "database_unavailable" | "internal_error";
+        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "sign_in_too_old" | "second_factor_needed" | "second_factor_wrong" | "code_gone" | "provider_unavailable" | "last_sign_in_method" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "group_fixed" | "not_found" | "wrong_client" | "ambiguous_name" | "name_taken" | "edit_conflict" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "method_not_allowed" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "no_runner" | "rate_limited" | "too_many_streams" | "store_unavailable" | "database_unavailable" | "internal_error";
+        /**
+         * ExecutorAbilities
+         * @description What an executor supports. `images`: it runs container images, not only scripts.
+         */
+        ExecutorAbilities: {
+            /** Bounds Disk */
+            bounds_disk: boolean;
+            /** Bounds Memory */
+            bounds_memory: boolean;
+            /** Executor */
+            executor: string;
+            /** Gpus */
+            gpus: boolean;
+            /** Images */
+            images: boolean;
+            isolation: components["schemas"]["Isolation"];
+            /** Networks */
+            networks: components["schemas"]["Network"][];
+        };
         /**
          * Facet
          * @description How the files divide by `name`: `project`, `format`, `content`, `topic`, `type`, `label`, `month`, `meta.FIELD`.
@@ -3467,7 +3363,7 @@ export interface components {
         FetchPurpose: "download" | "look";
         /**
          * FieldProblem
-         * @description One thing wrong with one field of a request, a metadata document or a field definition.
+         * @description One invalid field of a request, a metadata document or a field definition.
          */
         FieldProblem: {
             /** Column */
@@ -3641,7 +3537,7 @@ export interface components {
          * FileRead
          * @description A file of a mission: its place, its bytes, and what they hold. Checksums are lower-case hex.
          *
-         *     `sha256` is the uploader's word until `state` is `proven`; `md5` is null until then. `summarised_at` is null until
+         *     `sha256` is the uploader's word until `state` is `verified`; `md5` is null until then. `summarised_at` is null until
          *     the server has looked at the content, whatever came of it. `depth` says how far it read; null until then.
          *     `damaged_at` is since when it is known to be lost or corrupt; `state_reason` says how that showed. `etag` names
          *     the path and labels that people gave it last, as with missions.
@@ -3689,8 +3585,6 @@ export interface components {
             path: string;
             /** Problems */
             problems: components["schemas"]["FileProblem"][];
-            /** Proven At */
-            proven_at: string | null;
             /** Recording Id */
             recording_id: string | null;
             /** Sha256 */
@@ -3705,6 +3599,8 @@ export interface components {
             /** Summarised At */
             summarised_at: string | null;
             uploaded_by: components["schemas"]["PersonRef"];
+            /** Verified At */
+            verified_at: string | null;
         };
         /**
          * FilesLabelled
@@ -3734,7 +3630,7 @@ export interface components {
         };
         /**
          * Finding
-         * @description Something that a run noticed. `file` is a path of its inputs; times are log times, in ns since 1970.
+         * @description An observation of a run. `file` is the path of an input; times are log times, in ns since 1970.
          */
         Finding: {
             /** Code */
@@ -3751,7 +3647,7 @@ export interface components {
         };
         /**
          * FindingRead
-         * @description A finding, and the run that said it.
+         * @description A finding and the run that reported it.
          */
         FindingRead: {
             action: components["schemas"]["ActionRef"];
@@ -3914,16 +3810,59 @@ export interface components {
             path: string;
         };
         /**
-         * HeldPart
-         * @description A part that the store already holds.
+         * Heartbeat
+         * @description The state of one run. `samples` are those since the last heartbeat.
          */
-        HeldPart: {
-            /** Etag */
-            etag: string;
-            /** Number */
-            number: number;
-            /** Size Bytes */
-            size_bytes: number;
+        Heartbeat: {
+            /** Attempt */
+            attempt: number;
+            /** Image Digest */
+            image_digest?: string | null;
+            progress?: components["schemas"]["Progress"] | null;
+            /**
+             * Run Id
+             * Format: uuid
+             */
+            run_id: string;
+            /**
+             * Samples
+             * @default []
+             */
+            samples: components["schemas"]["UsageSample"][];
+            state: components["schemas"]["RunState"];
+            usage?: components["schemas"]["Usage"] | null;
+        };
+        /**
+         * HeartbeatReplies
+         * @description The leases of all runs, and their length from now on.
+         */
+        HeartbeatReplies: {
+            /** Lease S */
+            lease_s: number;
+            /** Runs */
+            runs: components["schemas"]["HeartbeatReply"][];
+        };
+        /**
+         * HeartbeatReply
+         * @description The lease of one run.
+         */
+        HeartbeatReply: {
+            /** Attempt */
+            attempt: number;
+            /**
+             * Run Id
+             * Format: uuid
+             */
+            run_id: string;
+            status: components["schemas"]["LeaseStatus"];
+        };
+        /**
+         * Heartbeats
+         * @description The states of all runs of a runner.
+         */
+        Heartbeats: {
+            /** Runs */
+            runs: components["schemas"]["Heartbeat"][];
         };
         /**
          * HomeRead
@@ -3979,9 +3918,7 @@ export interface components {
         };
         /**
          * Inputs
-         * @description Which files of a mission a run gets: those of which the path, a topic and a message type match.
-         *
-         *     Globs as in filters; an empty list matches all. By default, all files.
+         * @description The input files of an action: those that match all three lists of globs; an empty list matches all.
          */
         Inputs: {
             /**
@@ -4001,10 +3938,10 @@ export interface components {
             topics: string[];
         };
         /**
-         * InputsAsk
-         * @description Inputs to be fetched.
+         * InputsRequest
+         * @description Inputs to fetch.
          */
-        InputsAsk: {
+        InputsRequest: {
             /** Attempt */
             attempt: number;
             /** Paths */
@@ -4012,7 +3949,7 @@ export interface components {
         };
         /**
          * InputUrls
-         * @description Where to GET each, in the order asked, before `expires_at`.
+         * @description URLs to GET the inputs from before `expires_at`, in the requested order.
          */
         InputUrls: {
             /**
@@ -4047,7 +3984,7 @@ export interface components {
         };
         /**
          * Isolation
-         * @description How well a run is kept away from its machine and from others.
+         * @description What separates a run from its machine and from other runs.
          * @enum {string}
          */
         Isolation: "container" | "namespaces" | "none";
@@ -4085,8 +4022,14 @@ export interface components {
             remove: string[];
         };
         /**
+         * LeaseStatus
+         * @description The lease of a run: renewed; renewed, and the run is to be cancelled; or no longer this runner's.
+         * @enum {string}
+         */
+        LeaseStatus: "active" | "cancel" | "lost";
+        /**
          * LineageFile
-         * @description A file in a lineage. `id` is null where it is no longer there, or not for the asker.
+         * @description A file in a lineage. `id` is null where it no longer exists or is not visible to the reader.
          */
         LineageFile: {
             /** Id */
@@ -4098,7 +4041,7 @@ export interface components {
         };
         /**
          * LineageRead
-         * @description Where a file comes from and what came from it, one step each way; `truncated` where more runs read it.
+         * @description The run that produced a file and the runs that read it; `truncated` where more runs read it.
          */
         LineageRead: {
             file: components["schemas"]["LineageFile"];
@@ -4110,7 +4053,7 @@ export interface components {
         };
         /**
          * LineageRun
-         * @description A run in a lineage: what it was given, and the files of the mission and the artifacts that it made.
+         * @description A run in a lineage: its inputs, and the files of the mission that were created from its artifacts.
          */
         LineageRun: {
             /** Artifact Count */
@@ -4148,12 +4091,42 @@ export interface components {
             name?: string | null;
         };
         /**
-         * LogPiece
-         * @description A piece of what a run wrote, from the byte `offset` on; the next one begins at `next_offset`.
-         *
-         *     It ends with a whole line, unless the log ends or a line is very long. `is_over`: nothing comes after `next_offset`.
+         * LogChunkConfirm
+         * @description A chunk of the log that was uploaded and becomes visible.
          */
-        LogPiece: {
+        LogChunkConfirm: {
+            /** Attempt */
+            attempt: number;
+            /** Offset */
+            offset: number;
+            /** Size Bytes */
+            size_bytes: number;
+        };
+        /**
+         * LogChunkCreate
+         * @description A chunk of the log to upload: its offset in the log, its size and its checksums.
+         */
+        LogChunkCreate: {
+            /** Attempt */
+            attempt: number;
+            /** Crc64Nvme */
+            crc64nvme: string;
+            /** Md5 */
+            md5: string;
+            /** Offset */
+            offset: number;
+            /** Sha256 */
+            sha256: string;
+            /** Size Bytes */
+            size_bytes: number;
+        };
+        /**
+         * LogChunkRead
+         * @description A chunk of the log of a run from the byte `offset` on; the next one begins at `next_offset`.
+         *
+         *     It ends with a whole line, unless the log ends or the line is very long. `is_over`: the log ends at `next_offset`.
+         */
+        LogChunkRead: {
             /** Attempt */
             attempt: number;
             /** Is Over */
@@ -4164,6 +4137,18 @@ export interface components {
             offset: number;
             /** Text */
             text: string;
+        };
+        /**
+         * LogChunkUpload
+         * @description Where to PUT the bytes of a chunk, with exactly these headers; confirm the chunk afterwards.
+         */
+        LogChunkUpload: {
+            /** Headers */
+            headers: {
+                [key: string]: string;
+            };
+            /** Url */
+            url: string;
         };
         /**
          * LoopbackApproval
@@ -4300,7 +4285,7 @@ export interface components {
         };
         /**
          * Metric
-         * @description A number that a run found. One of a name and a file: a later one takes the place of an earlier.
+         * @description A number that a run measured. A later one of the same name and file replaces an earlier one.
          */
         Metric: {
             /** File */
@@ -4314,7 +4299,7 @@ export interface components {
         };
         /**
          * MetricRead
-         * @description A metric, and the run that said it.
+         * @description A metric and the run that reported it.
          */
         MetricRead: {
             action: components["schemas"]["ActionRef"];
@@ -4355,7 +4340,7 @@ export interface components {
          *
          *     `start_ns` and `end_ns` (log clock, since 1970, UTC) span its recordings without suspect stamps.
          *     `metadata_problems` names what no longer satisfies the project's fields. `pending_file_count` counts the files whose
-         *     content nobody has read yet, those included that only the proof will read; `recordings_current` says whether
+         *     content nobody has read yet, those included that only the verification will read; `recordings_current` says whether
          *     recordings and span follow from today's files. `right` is the asker's own on it, from wherever it comes.
          *     `etag` names what people edited last: given back with a change, that is refused where somebody else came first.
          */
@@ -4554,10 +4539,10 @@ export interface components {
          * @description What needs somebody. The last four are of the whole server, and for admins.
          * @enum {string}
          */
-        Need: "files_corrupt" | "files_lost" | "files_broken" | "files_unread" | "files_recovered" | "runs_cannot_start" | "runs_failed" | "metadata_missing" | "scrub_stopped" | "proofs_late" | "jobs_failed" | "disk_low";
+        Need: "files_corrupt" | "files_lost" | "files_broken" | "files_unread" | "files_recovered" | "runs_cannot_start" | "runs_failed" | "metadata_missing" | "scrub_stopped" | "verifications_overdue" | "jobs_failed" | "disk_low";
         /**
          * Network
-         * @description What a run can reach: nothing, the API and the store by its own token, or everything its machine reaches.
+         * @description What a run can reach: nothing, the API and the store with its own token, or everything its machine reaches.
          * @enum {string}
          */
         Network: "none" | "api" | "open";
@@ -4840,7 +4825,7 @@ export interface components {
         };
         /**
          * Parameter
-         * @description What an action can be told. Without default it must be. `minimum` and `maximum` are inclusive.
+         * @description A parameter of an action; required where it has no default. `minimum` and `maximum` are inclusive.
          */
         Parameter: {
             /** Choices */
@@ -4988,7 +4973,7 @@ export interface components {
         };
         /**
          * Preview
-         * @description A picture (PNG, JPEG, SVG), a table (CSV) or a track (GeoJSON) among the artifacts, to be shown with the run.
+         * @description A picture (PNG, JPEG, SVG), table (CSV) or track (GeoJSON) among the artifacts that is shown with the run.
          */
         Preview: {
             /** Path */
@@ -5001,7 +4986,7 @@ export interface components {
         };
         /**
          * ProblemDocument
-         * @description A failure on the wire (RFC 9457); the fields of the error's class stand beside these.
+         * @description A failure on the wire (RFC 9457), with the fields of the error's class beside these.
          */
         ProblemDocument: {
             code: components["schemas"]["ErrorCode"];
@@ -5020,7 +5005,7 @@ export interface components {
         };
         /**
          * Progress
-         * @description How far a run is: `fraction` from 0 to 1, and what it is at.
+         * @description The progress of a run: `fraction` from 0 to 1, and a message.
          */
         Progress: {
             /** Fraction */
@@ -5187,7 +5172,7 @@ export interface components {
         };
         /**
          * PutBack
-         * @description An artifact that becomes a file of the mission, at `to`, made from the inputs `made_from` (none named: all).
+         * @description An artifact that becomes the file `to` of the mission, made from the inputs `made_from` (empty: all).
          */
         PutBack: {
             /**
@@ -5300,7 +5285,7 @@ export interface components {
         };
         /**
          * Report
-         * @description All that a run says. `metadata` is proposed to people, never taken over by itself.
+         * @description The whole report of a run. `metadata` is a proposal; a person accepts or ignores it.
          */
         Report: {
             /**
@@ -5333,7 +5318,7 @@ export interface components {
         };
         /**
          * Resources
-         * @description What a run may use at most, and what a runner sets aside for it. In manifests also as `memory: 4GB`, `time: 30m`.
+         * @description The limits of a run, which its runner reserves. In manifests also as `memory: 4GB`, `time: 30m`.
          *
          *     `disk_bytes` is for `/out` and `/tmp` together.
          */
@@ -5402,10 +5387,59 @@ export interface components {
          */
         Right: "READ" | "CREATE" | "WRITE" | "DELETE";
         /**
-         * RunContext
-         * @description What `/in/mission.json` says: the mission, the files that the run gets with what is known of them, and its task.
+         * RunAssignment
+         * @description A run that is leased to a runner.
          *
-         *     `run_id` is null where no server knows of the run. `topics` are of the files, `recordings` of the mission.
+         *     `image_digest` is what the image's name was first resolved to, by any runner: only that image may be run.
+         *     `token` is the run's own and valid while the run lasts; null where the network is `none`.
+         */
+        RunAssignment: {
+            action: components["schemas"]["ActionRef"];
+            /** Attempt */
+            attempt: number;
+            /** Command */
+            command: string[];
+            /** Dependencies */
+            dependencies: string[];
+            /** Image */
+            image: string | null;
+            /** Image Digest */
+            image_digest: string | null;
+            /** Inputs */
+            inputs: components["schemas"]["AssignedInput"][];
+            /** Lease S */
+            lease_s: number;
+            /**
+             * Mission Id
+             * Format: uuid
+             */
+            mission_id: string;
+            network: components["schemas"]["Network"];
+            /** Parameters */
+            parameters: {
+                [key: string]: boolean | number | string;
+            };
+            /**
+             * Project Id
+             * Format: uuid
+             */
+            project_id: string;
+            resources: components["schemas"]["Resources"];
+            /**
+             * Run Id
+             * Format: uuid
+             */
+            run_id: string;
+            /** Script */
+            script: string | null;
+            /** Token */
+            token: string | null;
+        };
+        /**
+         * RunContext
+         * @description The content of `/in/mission.json`: the mission, the input files with their topics, the parameters.
+         *
+         *     `run_id` is null for a local run. `topics` belong to the files, `recordings` to the mission.
          */
         RunContext: {
             action: components["schemas"]["ActionRef"];
@@ -5431,10 +5465,22 @@ export interface components {
             topics: components["schemas"]["TopicRead"][];
         };
         /**
+         * RunCreated
+         * @description A run that was created; one that reuses results has already ended.
+         */
+        RunCreated: {
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            outcome: "created";
+            run: components["schemas"]["RunRead"];
+        };
+        /**
          * RunDetail
-         * @description A run with all that fits one answer. `problems` say what of its words or files could not be taken.
+         * @description A run with its details. `problems` name the results that could not be stored.
          *
-         *     `metadata` is what it proposes for the mission. `samples` are thinned out: at most 720.
+         *     `metadata` is what the run proposes for the mission. There are at most 720 `samples`.
          */
         RunDetail: {
             action: components["schemas"]["ActionRef"];
@@ -5504,7 +5550,7 @@ export interface components {
             /** Runner */
             runner: string | null;
             /** Samples */
-            samples: components["schemas"]["Sample"][];
+            samples: components["schemas"]["UsageSample"][];
             /** Started At */
             started_at: string | null;
             state: components["schemas"]["RunState"];
@@ -5519,7 +5565,7 @@ export interface components {
         };
         /**
          * RunFinish
-         * @description How a run ended, once all that it left is uploaded. Said again, the same answer comes.
+         * @description How a run ended, sent once its artifacts are uploaded. Idempotent.
          */
         RunFinish: {
             /** Attempt */
@@ -5548,19 +5594,19 @@ export interface components {
              * Samples
              * @default []
              */
-            samples: components["schemas"]["Sample"][];
+            samples: components["schemas"]["UsageSample"][];
             usage?: components["schemas"]["Usage"] | null;
         };
         /**
          * RunFinished
-         * @description What became of the run.
+         * @description The final state of a run.
          */
         RunFinished: {
             state: components["schemas"]["RunState"];
         };
         /**
          * RunInput
-         * @description A file that a run was given, as it was then. `file_id` is null where it is no longer there.
+         * @description An input of a run, as it was at launch. `file_id` is null where the file no longer exists.
          */
         RunInput: {
             /** File Id */
@@ -5573,52 +5619,16 @@ export interface components {
             size_bytes: number;
         };
         /**
-         * RunMade
-         * @description A run that was made; one that reuses results is over already.
-         */
-        RunMade: {
-            /**
-             * @description discriminator enum property added by openapi-typescript
-             * @enum {string}
-             */
-            outcome: "made";
-            run: components["schemas"]["RunRead"];
-        };
-        /**
-         * RunnerHello
-         * @description A runner says what it is, whenever it starts. `id` is its own for good: it keeps it in its folder.
-         *
-         *     `stock_image` is the digest of the image that it runs scripts on; null where it has none.
-         */
-        RunnerHello: {
-            abilities: components["schemas"]["Abilities"];
-            capacity: components["schemas"]["Capacity"];
-            /**
-             * Id
-             * Format: uuid
-             */
-            id: string;
-            /**
-             * Labels
-             * @default []
-             */
-            labels: string[];
-            /** Name */
-            name: string;
-            /** Stock Image */
-            stock_image?: string | null;
-            /** Version */
-            version: string;
-        };
-        /**
          * RunnerRead
-         * @description A runner, as admins see it. `token` is null until it says hello again after an update of the server.
+         * @description A runner, as admins see it. `token` is null until it registers again after an update of the server.
          */
         RunnerRead: {
-            abilities: components["schemas"]["Abilities"];
+            abilities: components["schemas"]["ExecutorAbilities"];
             /** Active Runs */
             active_runs: number;
             capacity: components["schemas"]["Capacity"];
+            /** Default Image */
+            default_image: string | null;
             /**
              * Id
              * Format: uuid
@@ -5635,17 +5645,39 @@ export interface components {
             last_seen_at: string;
             /** Name */
             name: string;
-            /** Stock Image */
-            stock_image: string | null;
             token?: components["schemas"]["RunnerToken"] | null;
             /** Version */
             version: string;
         };
         /**
-         * RunnerToken
-         * @description The token of a runner, and what it is limited to: runs on these projects, that ask for one of these labels.
+         * RunnerRegistration
+         * @description A runner's description of itself, sent whenever it starts. `id` is permanent; its state directory holds it.
          *
-         *     `projects` and `labels` are null where it is not limited by them.
+         *     `default_image` is the digest of the image that it runs scripts on; null where it has none.
+         */
+        RunnerRegistration: {
+            abilities: components["schemas"]["ExecutorAbilities"];
+            capacity: components["schemas"]["Capacity"];
+            /** Default Image */
+            default_image?: string | null;
+            /**
+             * Id
+             * Format: uuid
+             */
+            id: string;
+            /**
+             * Labels
+             * @default []
+             */
+            labels: string[];
+            /** Name */
+            name: string;
+            /** Version */
+            version: string;
+        };
+        /**
+         * RunnerToken
+         * @description The token of a runner and its limits: runs of these projects that require one of these labels; null: any.
          */
         RunnerToken: {
             /** Expires At */
@@ -5666,10 +5698,10 @@ export interface components {
          * RunRead
          * @description A run.
          *
-         *     `reason`, `message` and `exit_code` say how it ended; `waits_for` why it has not begun. `image_digest` is of the
-         *     image that was run. `reuses_id` names the earlier run whose results stand for this one's, which has none itself.
-         *     `metrics` are the first that it reported, those of the whole run before those of one file; empty in a lineage.
-         *     `may_cancel`: the asker may, and it is not over.
+         *     `reason`, `message` and `exit_code` say how it ended; `waits_for` why it is still queued. `image_digest` is of the
+         *     image that was run. `reuses_id` names the earlier run whose results this run reuses; it has none of its own.
+         *     `metrics` are the first reported ones, those of the whole run before those of single files; empty in a lineage.
+         *     `may_cancel`: the reader may cancel it, and it has not ended.
          */
         RunRead: {
             action: components["schemas"]["ActionRef"];
@@ -5743,7 +5775,7 @@ export interface components {
         };
         /**
          * RunRefused
-         * @description Why no run was made on a mission; those on the others were.
+         * @description Why no run was created on a mission; runs on the other missions were.
          */
         RunRefused: {
             /**
@@ -5760,10 +5792,10 @@ export interface components {
         };
         /**
          * RunsCreate
-         * @description An action to run on each of some missions: a published one by its id, in its latest version unless another is
-         *     named; or as a definition, which is then run without being published.
+         * @description An action to run on each of some missions: a published one by id, in its latest version unless `version` is set;
+         *     or an unpublished definition.
          *
-         *     Results of an earlier good run of the very same (version, image, parameters, inputs) are reused unless `force`.
+         *     Results of an earlier successful run with the same version, image, parameters and inputs are reused unless `force`.
          */
         RunsCreate: {
             /** Action Id */
@@ -5787,28 +5819,19 @@ export interface components {
             version?: number | null;
         };
         /**
-         * RunsMade
-         * @description One outcome a mission, in the order asked.
+         * RunsCreated
+         * @description One outcome per mission, in the requested order.
          */
-        RunsMade: {
+        RunsCreated: {
             /** Items */
-            items: (components["schemas"]["RunMade"] | components["schemas"]["RunRefused"])[];
+            items: (components["schemas"]["RunCreated"] | components["schemas"]["RunRefused"])[];
         };
         /**
          * RunState
-         * @description Where a run is. `preparing` fetches image and inputs, `collecting` keeps what it left; three are ends.
+         * @description The state of a run. `preparing` fetches image and inputs, `collecting` uploads results; three are final.
          * @enum {string}
          */
         RunState: "queued" | "preparing" | "running" | "collecting" | "done" | "failed" | "cancelled";
-        /**
-         * Sample
-         * @description What a run used at some moment, `at_s` after its container was started.
-         */
-        Sample: {
-            /** At S */
-            at_s: number;
-            usage: components["schemas"]["Usage"];
-        };
         /**
          * Scope
          * @description What a token may be used for, within what its person may do.
@@ -5824,7 +5847,7 @@ export interface components {
          * @description One comparison of what the store lists with what the database knows of it.
          *
          *     `lost` and `corrupt` are blobs that it newly found so, `found` lost ones whose objects are there again and are being
-         *     proven, `unknown` objects that nothing here speaks of. `stopped` says why it marked nothing, or not to the end.
+         *     verified, `unknown` objects that nothing here speaks of. `stopped` says why it marked nothing, or not to the end.
          *     Until it has `ended_at`, all this is of what it has compared so far.
          */
         ScrubRead: {
@@ -5879,7 +5902,8 @@ export interface components {
          *
          *     Of the lost and corrupt those count that something still refers to.
          *
-         *     `oldest_proof_at` is when the blob was proven whose proof is the oldest; `again_after_days` when one is proven anew.
+         *     `oldest_verification_at` is the oldest `verified_at` of all blobs. A blob is verified again `again_after_days` days
+         *     after its last verification.
          */
         ScrubState: {
             /** Again After Days */
@@ -5889,8 +5913,8 @@ export interface components {
             /** Every Hours */
             every_hours: number;
             last: components["schemas"]["ScrubRead"] | null;
-            /** Oldest Proof At */
-            oldest_proof_at: string | null;
+            /** Oldest Verification At */
+            oldest_verification_at: string | null;
         };
         /**
          * SearchRead
@@ -5913,48 +5937,6 @@ export interface components {
             /** Query */
             query: string;
             topics: components["schemas"]["Page_TopicFound_"];
-        };
-        /**
-         * SegmentAsk
-         * @description A piece of the log about to be stored: where it begins in the log, its size, and its checksums.
-         */
-        SegmentAsk: {
-            /** Attempt */
-            attempt: number;
-            /** Crc64Nvme */
-            crc64nvme: string;
-            /** Md5 */
-            md5: string;
-            /** Offset */
-            offset: number;
-            /** Sha256 */
-            sha256: string;
-            /** Size Bytes */
-            size_bytes: number;
-        };
-        /**
-         * SegmentKept
-         * @description A piece of the log that was stored: from now on people see it.
-         */
-        SegmentKept: {
-            /** Attempt */
-            attempt: number;
-            /** Offset */
-            offset: number;
-            /** Size Bytes */
-            size_bytes: number;
-        };
-        /**
-         * SegmentPut
-         * @description PUT the piece's bytes to `url` with exactly these headers, then say so.
-         */
-        SegmentPut: {
-            /** Headers */
-            headers: {
-                [key: string]: string;
-            };
-            /** Url */
-            url: string;
         };
         /**
          * Send
@@ -6242,6 +6224,18 @@ export interface components {
             missions: number;
             /** Recordings */
             recordings: number;
+            /** Size Bytes */
+            size_bytes: number;
+        };
+        /**
+         * StoredPart
+         * @description A part that the store already holds.
+         */
+        StoredPart: {
+            /** Etag */
+            etag: string;
+            /** Number */
+            number: number;
             /** Size Bytes */
             size_bytes: number;
         };
@@ -6668,7 +6662,7 @@ export interface components {
              * Parts
              * @default []
              */
-            parts: components["schemas"]["HeldPart"][];
+            parts: components["schemas"]["StoredPart"][];
             /** Path */
             path: string;
             /** Size Bytes */
@@ -6691,7 +6685,7 @@ export interface components {
         UploadState: "open" | "completing" | "done" | "aborted" | "expired";
         /**
          * Usage
-         * @description What a run has used so far. `memory_bytes` is now, `peak_memory_bytes` the most seen.
+         * @description Resource usage of a run. `memory_bytes` is the current value, `peak_memory_bytes` the maximum.
          */
         Usage: {
             /** Cpu S */
@@ -6706,14 +6700,17 @@ export interface components {
             written_bytes: number;
         };
         /**
-         * Verdict
-         * @description What becomes of a run: it goes on, it is to be ended because somebody says so, or it is not this runner's.
-         * @enum {string}
+         * UsageSample
+         * @description Resource usage of a run `at_s` seconds after its start.
          */
-        Verdict: "go_on" | "cancel" | "gone";
+        UsageSample: {
+            /** At S */
+            at_s: number;
+            usage: components["schemas"]["Usage"];
+        };
         /**
          * VersionCreate
-         * @description A further version of an action; its name stays.
+         * @description A further version of an action; the name is unchanged.
          */
         VersionCreate: {
             definition: components["schemas"]["ActionDefinition"];
@@ -7283,7 +7280,7 @@ export interface operations {
         };
         requestBody: {
             content: {
-                "application/json": components["schemas"]["Claim-Input"];
+                "application/json": components["schemas"]["Claim"];
             };
         };
         responses: {
@@ -7958,9 +7955,9 @@ export interface operations {
     watch_events: {
         parameters: {
             query?: {
-                /** @description The id of the last event that is known, as in Last-Event-ID. */
+                /** @description The id of the last event received, as in Last-Event-ID. */
                 after?: string | null;
-                /** @description After how many seconds it ends. */
+                /** @description Duration of the stream in seconds. */
                 for_s?: number;
             };
             header?: {
@@ -7971,7 +7968,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description Server-sent events, as the text of a stream. */
+            /** @description Server-sent events. */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -8184,37 +8181,6 @@ export interface operations {
             };
         };
     };
-    prove_file: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                file_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            202: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["FileRead"];
-                };
-            };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
-            default: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["ProblemDocument"];
-                };
-            };
-        };
-    };
     list_file_topics: {
         parameters: {
             query?: {
@@ -8236,6 +8202,37 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["Page_TopicRead_"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    verify_file: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                file_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            202: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["FileRead"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457); `code` says which. */
@@ -10436,7 +10433,7 @@ export interface operations {
         };
         requestBody: {
             content: {
-                "application/json": components["schemas"]["InputsAsk"];
+                "application/json": components["schemas"]["InputsRequest"];
             };
         };
         responses: {
@@ -10460,7 +10457,7 @@ export interface operations {
             };
         };
     };
-    keep_log_segment: {
+    create_log_chunk: {
         parameters: {
             query?: never;
             header?: never;
@@ -10471,7 +10468,42 @@ export interface operations {
         };
         requestBody: {
             content: {
-                "application/json": components["schemas"]["SegmentKept"];
+                "application/json": components["schemas"]["LogChunkCreate"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["LogChunkUpload"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    confirm_log_chunk: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                run_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["LogChunkConfirm"];
             };
         };
         responses: {
@@ -10493,7 +10525,7 @@ export interface operations {
             };
         };
     };
-    sign_log_segment: {
+    create_artifact_uploads: {
         parameters: {
             query?: never;
             header?: never;
@@ -10504,42 +10536,7 @@ export interface operations {
         };
         requestBody: {
             content: {
-                "application/json": components["schemas"]["SegmentAsk"];
-            };
-        };
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["SegmentPut"];
-                };
-            };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
-            default: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["ProblemDocument"];
-                };
-            };
-        };
-    };
-    begin_artifacts: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                run_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody: {
-            content: {
-                "application/json": components["schemas"]["ArtifactsBegin"];
+                "application/json": components["schemas"]["ArtifactUploadsCreate"];
             };
         };
         responses: {
@@ -10595,7 +10592,7 @@ export interface operations {
             };
         };
     };
-    say_hello: {
+    register_runner: {
         parameters: {
             query?: never;
             header?: never;
@@ -10604,7 +10601,7 @@ export interface operations {
         };
         requestBody: {
             content: {
-                "application/json": components["schemas"]["RunnerHello"];
+                "application/json": components["schemas"]["RunnerRegistration"];
             };
         };
         responses: {
@@ -10615,41 +10612,6 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["RunnerRead"];
-                };
-            };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
-            default: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["ProblemDocument"];
-                };
-            };
-        };
-    };
-    beat: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                runner_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody: {
-            content: {
-                "application/json": components["schemas"]["Beats"];
-            };
-        };
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["BeatAnswers"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457); `code` says which. */
@@ -10674,7 +10636,7 @@ export interface operations {
         };
         requestBody: {
             content: {
-                "application/json": components["schemas"]["ClaimAsk"];
+                "application/json": components["schemas"]["ClaimRequest"];
             };
         };
         responses: {
@@ -10684,7 +10646,42 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["Claimed"];
+                    "application/json": components["schemas"]["ClaimReply"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    send_heartbeats: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                runner_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["Heartbeats"];
+            };
+        };
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["HeartbeatReplies"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457); `code` says which. */
@@ -10759,7 +10756,7 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["RunsMade"];
+                    "application/json": components["schemas"]["RunsCreated"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457); `code` says which. */
@@ -10958,7 +10955,7 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["LogPiece"];
+                    "application/json": components["schemas"]["LogChunkRead"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457); `code` says which. */

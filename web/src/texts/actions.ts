@@ -29,7 +29,7 @@ export const texts = {
   allRuns: "Its runs",
   commands: "Commands",
   definition: {
-    image: "Image", digest: "Resolved to", stock: "The stock image", command: "Command", own: "the image’s own", script: "Script", dependencies: "Needs",
+    image: "Image", digest: "Resolved to", stock: "The default image", command: "Command", own: "the image’s own", script: "Script", dependencies: "Needs",
     inputs: "Reads", all: "all files of the mission", resources: "May use", network: "Network", right: "Takes the right", parameters: "Parameters",
     noParameters: "It takes none.", showScript: "Show the script",
     paths: (globs: string) => `files ${globs}`, topics: (globs: string) => `with topics ${globs}`, types: (globs: string) => `with messages of ${globs}`,

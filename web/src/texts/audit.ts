@@ -19,7 +19,7 @@ const operations: Readonly<Record<string, string>> = {
   "file.link": "added, from bytes already here,",
   "file.look": "looked into",
   "file.mend": "mended",
-  "file.prove": "had proven",
+  "file.verify": "had verified",
   "file.put_back": "made, by a run,",
   "file.restore": "put back",
   "file.update": "changed",

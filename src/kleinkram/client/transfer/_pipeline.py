@@ -24,7 +24,8 @@ from kleinkram.client.transfer.outcome import Outcome, TransferResult
 from kleinkram.client.transfer.pace import Pace
 from kleinkram.client.transfer.progress import Watcher
 from kleinkram.client.uploads import Uploads
-from kleinkram.contract.errors import KleinkramError, NotFound, UploadGone, UploadIncomplete, from_problem
+from kleinkram.contract.errors import KleinkramError, NotFound, UploadGone, UploadIncomplete
+from kleinkram.contract.problems import from_problem
 from kleinkram.contract.uploads import Completed, NotCompleted, SignedPart
 
 AHEAD_BYTES = 128 * 1024 * 1024

@@ -14,7 +14,7 @@ from kleinkram.client.transfer.journal import Journal, JournalPart
 from kleinkram.client.transfer.outcome import Outcome, TransferResult
 from kleinkram.client.transfer.plan import LocalFile
 from kleinkram.contract.errors import KleinkramError
-from kleinkram.contract.uploads import ChecksumKind, HeldPart, PartToSign, Send, UploadFinish
+from kleinkram.contract.uploads import ChecksumKind, PartToSign, Send, StoredPart, UploadFinish
 
 
 @dataclass(frozen=True)
@@ -142,6 +142,6 @@ class Sending:
         return self.whole.sha256.hexdigest()
 
 
-def _agree(held: HeldPart, written: JournalPart, size_bytes: int, checksum: str) -> bool:
+def _agree(held: StoredPart, written: JournalPart, size_bytes: int, checksum: str) -> bool:
     same_etag = held.etag.strip('"') == written.etag.strip('"')
     return same_etag and held.size_bytes == size_bytes and written.checksum == checksum

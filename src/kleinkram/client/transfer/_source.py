@@ -11,10 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from awscrt.checksums import crc64nvme
-
 from kleinkram.client.errors import FileChanged, FileUnreadable
 from kleinkram.client.transfer.plan import Identity, LocalFile, identity_of
+from kleinkram.contract.checksums import crc64nvme
 from kleinkram.contract.uploads import ChecksumKind
 
 SLICE_BYTES = 1024 * 1024
@@ -61,7 +60,7 @@ class WholeHash:
 
 
 def new_checksum(kind: ChecksumKind) -> Checksum:
-    """Return an empty checksum of the kind that the store proves parts by."""
+    """Return an empty checksum of the kind that the store verifies parts by."""
     if kind is ChecksumKind.crc64nvme:
         return Crc64()
     if kind is ChecksumKind.sha256:

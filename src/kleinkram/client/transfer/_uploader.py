@@ -24,7 +24,8 @@ from kleinkram.client.transfer.pace import Pace
 from kleinkram.client.transfer.plan import LocalFile
 from kleinkram.client.transfer.progress import Watcher
 from kleinkram.client.uploads import Uploads
-from kleinkram.contract.errors import KleinkramError, NameLeased, QuotaExceeded, UploadGone, from_problem
+from kleinkram.contract.errors import KleinkramError, NameLeased, QuotaExceeded, UploadGone
+from kleinkram.contract.problems import from_problem
 from kleinkram.contract.uploads import (
     MIN_PART_BYTES,
     HashFirst,

@@ -43,7 +43,7 @@ def download(
         connections=connections,
         bytes_per_s=bytes_per_s,
         watcher=watcher,
-        check=client.files.prove,
+        check=client.files.verify,
     )
 
 

@@ -1,4 +1,4 @@
-"""Are these the same bytes? Local files against what the server says of its own, by checksum."""
+"""Verification: local files against the checksums of a mission's files, and stored bytes by the server itself."""
 
 import enum
 import os
@@ -68,9 +68,9 @@ def verify_remote(files: Files, asked: Sequence[FileRead], *, timeout_s: float) 
         TimedOut: it took longer; the server goes on.
     """
     deadline = time.monotonic() + timeout_s
-    before = {file.id: file.proven_at for file in asked}
+    before = {file.id: file.verified_at for file in asked}
     for file in asked:
-        files.prove(file.id)
+        files.verify(file.id)
     waiting = [file.id for file in asked]
     answers: dict[uuid.UUID, FileRead] = {}
     while waiting:
@@ -80,10 +80,10 @@ def verify_remote(files: Files, asked: Sequence[FileRead], *, timeout_s: float) 
                 answers[file_id] = now
         waiting = [file_id for file_id in waiting if file_id not in answers]
         if waiting and time.monotonic() > deadline:
-            raise TimedOut(what=f"Proving {len(waiting)} of {len(asked)} files", seconds=timeout_s)
+            raise TimedOut(what=f"Verifying {len(waiting)} of {len(asked)} files", seconds=timeout_s)
         if waiting:
             time.sleep(_POLL_S)
-    return [_proven(answers[file.id]) for file in asked]
+    return [_verified(answers[file.id]) for file in asked]
 
 
 def is_same(file: FileRead | ArtifactRead, local: Path, check: Callable[[], None]) -> bool:
@@ -135,9 +135,9 @@ def _judge(file: FileRead | None, size_bytes: int, sums: WholeHash) -> Verdict:
 
 
 def _is_later(file: FileRead, before: object) -> bool:
-    return file.state is BlobState.proven and file.proven_at is not None and file.proven_at != before
+    return file.state is BlobState.verified and file.verified_at is not None and file.verified_at != before
 
 
-def _proven(file: FileRead) -> Verified:
-    verdict = Verdict.same if file.state is BlobState.proven else Verdict.damaged
+def _verified(file: FileRead) -> Verified:
+    verdict = Verdict.same if file.state is BlobState.verified else Verdict.damaged
     return Verified(file.path, verdict, file.size_bytes, file.sha256, file)

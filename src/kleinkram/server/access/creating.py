@@ -29,7 +29,7 @@ async def require_creator(db: Connection, actor: Actor, creators: Creators, *, n
         return False
     if actor.is_admin:
         return True
-    needs = "an admin" if creators == "admins" else "somebody affiliated with the lab"
+    needs = "admin rights" if creators == "admins" else "an affiliation with the lab"
     raise Forbidden(noun="server", operation=f"create a {noun}", needs=needs)
 
 

@@ -1,6 +1,7 @@
 """Whether somebody may do something: what a credential is for at all, and what right its carrier has on a place."""
 
 import uuid
+from collections.abc import Iterable
 from typing import Any
 
 from sqlalchemy import Row, Select, func, select
@@ -15,6 +16,7 @@ from kleinkram.server.tables import mission, person, project, share
 
 # Held for the length of a transaction by whatever takes rights away, so that two cannot each leave the other's.
 _TAKING = 0x6B6C5247
+_COUNTABLE = frozenset({"action", "file", "grant", "group", "mission", "project", "recording", "run", "share", "token"})
 
 
 def admit(actor: Actor, operation: str) -> None:
@@ -27,23 +29,24 @@ def admit(actor: Actor, operation: str) -> None:
     """
     need = OPERATIONS[operation]
     if actor.kind is ActorKind.stranger and not need.guests:
-        raise NotAuthenticated(reason="this takes an account")
+        raise NotAuthenticated(reason="this requires an account")
     if actor.kind is ActorKind.share and not need.guests:
-        raise ScopeMissing(operation=_words(operation), scopes="an account")
+        raise ScopeMissing(operation=_words(operation), needs="an account")
     if actor.kind is ActorKind.runner and not need.runners:
-        raise ScopeMissing(operation=_words(operation), scopes="a person's token")
+        raise ScopeMissing(operation=_words(operation), needs="a personal token")
     if need.only_runners and actor.kind is not ActorKind.runner:
-        raise ScopeMissing(operation=_words(operation), scopes="a runner's token")
+        raise ScopeMissing(operation=_words(operation), needs="a runner's token")
     if not need.scopes & actor.scopes and actor.kind is not ActorKind.runner:
-        raise ScopeMissing(operation=_words(operation), scopes=" or ".join(sorted(need.scopes)))
+        raise ScopeMissing(operation=_words(operation), needs=f"a token with the scope {_any_of(need.scopes)}")
     if need.reads and Scope.read not in actor.scopes:
-        raise ScopeMissing(operation=_words(operation), scopes=f"read and {' or '.join(sorted(need.scopes))}")
+        needs = f"a token with the scopes `read` and {_any_of(need.scopes)}"
+        raise ScopeMissing(operation=_words(operation), needs=needs)
     if need.browsers and actor.session_id is None:
-        raise ScopeMissing(operation=_words(operation), scopes="a browser that is signed in")
+        raise ScopeMissing(operation=_words(operation), needs="a browser session")
     if need.on is On.server and not actor.is_admin:
-        raise Forbidden(noun="server", operation=_words(operation), needs="an admin")
+        raise Forbidden(noun="server", operation=_words(operation), needs="admin rights")
     if (need.boundless or need.on is On.server) and actor.limits is not None:
-        raise ScopeMissing(operation=_words(operation), scopes="a credential without limits")
+        raise ScopeMissing(operation=_words(operation), needs="a token without limits")
 
 
 def require_fresh_sign_in(actor: Actor, operation: str, *, within_s: float) -> None:
@@ -137,4 +140,12 @@ def _require(row: Row[Any] | None, operation: str, *, noun: str, ref: uuid.UUID)
 
 
 def _words(operation: str) -> str:
-    return operation.replace("_", " ")
+    """Return an operation's id as an English phrase: `delete_mission` is "delete a mission"."""
+    verb, *rest = operation.split("_")
+    if rest and rest[-1] in _COUNTABLE:
+        rest.insert(0, "an" if rest[0][0] in "aeiou" else "a")
+    return " ".join([verb, *rest])
+
+
+def _any_of(scopes: Iterable[Scope]) -> str:
+    return " or ".join(f"`{scope}`" for scope in sorted(scope.value for scope in scopes))

@@ -14,10 +14,9 @@ from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.operations import OPERATIONS, On
 from kleinkram.server.audit import queries
-from kleinkram.server.bulk import insert_rows, unnest_rows
 from kleinkram.server.change_events import ChangeEvent, publish
-from kleinkram.server.db import Connection, Database
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.db import Connection, Database, insert_rows, unnest_rows
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.tables import audit_event
 
 _AT_ONCE = 500
@@ -83,7 +82,7 @@ def _insert_marked(admin: Actor, rows: Sequence[Mapping[str, object]], places: S
 _CREATED = frozenset({"create", "give", "upload", "link", "arrive", "restore", "claim", "put_back"})
 _REMOVED = frozenset({"delete", "revoke", "leave", "abort", "purge"})
 # What is only asked for, looked at or refused leaves all as it was.
-_NO_CHANGE = frozenset({"download", "prove", "look", "denied", "refused", "limited", "approve", "reset_link"})
+_NO_CHANGE = frozenset({"download", "verify", "look", "denied", "refused", "limited", "approve", "reset_link"})
 
 
 def _notice(actor: Actor | None, event: Event) -> ChangeEvent | None:

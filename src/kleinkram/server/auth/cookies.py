@@ -10,7 +10,7 @@ from fastapi import Request, Response
 
 from kleinkram.server.auth.journeys import JOURNEY_S
 from kleinkram.server.auth.sessions import Browser
-from kleinkram.server.dependencies import session_cookie
+from kleinkram.server.http.dependencies import session_cookie
 from kleinkram.server.settings import Settings
 
 _SECRET = re.compile(r"[A-Za-z0-9_-]{43}")

@@ -17,8 +17,8 @@ from kleinkram.server.auth.passwords import Passwords
 from kleinkram.server.auth.providers import Providers
 from kleinkram.server.auth.sessions import begin_session
 from kleinkram.server.db import Connection, Database
-from kleinkram.server.dependencies import CurrentActor, CurrentDatabase, CurrentSettings
-from kleinkram.server.rate_limit import Count, limit, neighbourhood, turn_of
+from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, CurrentSettings
+from kleinkram.server.http.rate_limit import Count, enforce_limits, reserve_slot, subscriber_network
 from kleinkram.server.settings import Settings
 
 # From so many addresses at once may an account be tried as often as each may try, before tries take turns.
@@ -56,9 +56,11 @@ class Door:
         """
         most = self.settings.sign_ins_per_minute
         if self.asker.address:
-            await limit(self.database, Count("sign-ins", neighbourhood(self.asker.address), most))
+            await enforce_limits(self.database, Count("sign-ins", subscriber_network(self.asker.address), most))
         if account:
-            await asyncio.sleep(await turn_of(self.database, Count("sign-ins", account.lower(), _ADDRESSES * most)))
+            await asyncio.sleep(
+                await reserve_slot(self.database, Count("sign-ins", account.lower(), _ADDRESSES * most))
+            )
 
     async def hash(self, password: str, *, code: str, about: tuple[str | None, ...] = ()) -> str:
         """Hash a new password, which takes a good code; that stays good.

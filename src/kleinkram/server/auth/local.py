@@ -22,7 +22,7 @@ from kleinkram.server.auth.codes import CodeWanted, find_code, make_code, use_co
 from kleinkram.server.auth.passwords import Passwords, refuse_obvious
 from kleinkram.server.auth.sessions import end_sessions
 from kleinkram.server.db import Connection, Database
-from kleinkram.server.runners.fitting import invitation_warning, is_owners_alone, known_runners
+from kleinkram.server.runners.scheduling import has_single_person, invitation_warning, known_runners
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import password, person, person_email
 from kleinkram.server.tables.signing_in import CodePurpose
@@ -119,7 +119,7 @@ async def make_invitation(db: Connection, actor: Actor, *, wanted: InvitationCre
     code = await make_code(db, asked)
     after: Metadata = {"email": wanted.email, "expires_at": code.expires_at.isoformat()}
     await record(db, actor, Event("invitation.create", "invitation", code.id, wanted.email, None, after=after))
-    warning = invitation_warning(await known_runners(db), owners_alone=await is_owners_alone(db))
+    warning = invitation_warning(await known_runners(db), single_person=await has_single_person(db))
     return code.link(settings, CodePurpose.invitation).model_copy(update={"warning": warning})
 
 

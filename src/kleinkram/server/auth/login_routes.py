@@ -31,8 +31,8 @@ from kleinkram.contract.signing_in import (
 )
 from kleinkram.server.auth import local, logins, me, own, sessions, totp
 from kleinkram.server.auth.door import CurrentDoor
-from kleinkram.server.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, Transaction
-from kleinkram.server.pages import PageRequest
+from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, Transaction
+from kleinkram.server.paging import PageRequest
 
 login_router = APIRouter(prefix="/api/v1/auth", tags=["signing in"])
 me_router = APIRouter(prefix="/api/v1/me", tags=["me"])

@@ -19,7 +19,7 @@ async def get_me(db: Connection, actor: Actor) -> MeRead:
         NotAuthenticated: nobody with an account.
     """
     if actor.ref is None:
-        raise NotAuthenticated(reason="this takes an account")
+        raise NotAuthenticated(reason="this requires an account")
     is_oneself = actor.limits is None and actor.kind is ActorKind.person
     emails = select(person_email.c.email).where(
         person_email.c.person_id == actor.person_id, person_email.c.verified_at.is_not(None)

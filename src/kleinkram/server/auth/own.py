@@ -11,7 +11,7 @@ from typing import Any
 from sqlalchemy import Row, Select, exists, func, select, update
 
 from kleinkram.contract.accounts import AccountRead, AddressRead, IdentityRead
-from kleinkram.contract.errors import LastWayIn, NotAuthenticated, NotFound
+from kleinkram.contract.errors import LastSignInMethod, NotAuthenticated, NotFound
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.rights import GroupKind
 from kleinkram.server.access.actor import Actor, unexpired
@@ -31,7 +31,7 @@ async def get_account(db: Connection, actor: Actor, *, settings: Settings) -> Ac
         NotAuthenticated: nobody with an account.
     """
     if actor.ref is None:
-        raise NotAuthenticated(reason="this takes an account")
+        raise NotAuthenticated(reason="this requires an account")
     created_at = (await db.execute(select(person.c.created_at).where(person.c.id == actor.person_id))).scalar_one()
     groups = select(access_group.c.name).join_from(membership, access_group)
     own = (membership.c.person_id == actor.person_id) & unexpired(membership.c.expires_at)
@@ -61,7 +61,7 @@ async def unlink_identity(db: Connection, actor: Actor, *, identity_id: uuid.UUI
 
     Raises:
         NotFound: none of one's own has that id.
-        LastWayIn: without it there would be no way to sign in.
+        LastSignInMethod: without it there would be no way to sign in.
     """
     if actor.person_id is not None:
         # Of two at once that would each leave the other, one waits, and finds itself the last.
@@ -73,7 +73,7 @@ async def unlink_identity(db: Connection, actor: Actor, *, identity_id: uuid.UUI
         raise NotFound(noun="identity", ref=str(identity_id))
     name = wanted.provider or wanted.issuer
     if wanted.is_last:
-        raise LastWayIn(provider=name)
+        raise LastSignInMethod(provider=name)
     await db.execute(update(identity).where(identity.c.id == identity_id).values(unlinked_at=func.now()))
     before: Metadata = {"issuer": wanted.issuer, "email": wanted.email, "person_id": str(actor.person_id)}
     await record(db, actor, Event("identity.unlink", "identity", identity_id, name, None, before=before))

@@ -13,8 +13,8 @@ from kleinkram.contract.errors import KleinkramError, NotFound, SignInRefused
 from kleinkram.server.auth import accounts, journeys, pages
 from kleinkram.server.auth.cookies import bound_browser
 from kleinkram.server.auth.door import CurrentDoor, Door
-from kleinkram.server.dependencies import CurrentSettings
-from kleinkram.server.http import note_refusal
+from kleinkram.server.http.dependencies import CurrentSettings
+from kleinkram.server.http.errors import record_refusal
 from kleinkram.server.settings import Settings
 
 # Not part of the API: for people, not for programs.
@@ -64,7 +64,7 @@ async def end_provider_sign_in(
     try:
         return await _welcome(door, provider, query)
     except KleinkramError as error:
-        await note_refusal(request, error)
+        await record_refusal(request, error)
         return pages.error_page(door.settings, error)
 
 

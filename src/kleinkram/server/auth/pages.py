@@ -8,9 +8,9 @@ from html import escape
 from fastapi.responses import HTMLResponse
 
 from kleinkram.contract.errors import KleinkramError
-from kleinkram.server.headers import PAGE_POLICY
+from kleinkram.server.http.headers import PAGE_POLICY
+from kleinkram.server.http.pages import LOOK, brand
 from kleinkram.server.settings import Settings
-from kleinkram.server.web.serving import LOOK, brand
 
 HEADERS = {
     "Cache-Control": "no-store",

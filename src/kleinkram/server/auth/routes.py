@@ -23,12 +23,12 @@ from kleinkram.server.auth.cookies import bind_browser, drop_session
 from kleinkram.server.auth.door import CurrentDoor, Door
 from kleinkram.server.auth.sessions import end_session, renew_session
 from kleinkram.server.auth.totp import see_second_factor
-from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Transaction, refuse_foreign_page
+from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Transaction, require_same_origin
 from kleinkram.server.tables.signing_in import CodePurpose
 
 router = APIRouter(prefix="/api/v1/auth", tags=["signing in"])
 # A foreign page must not sign somebody in as somebody else either: with a cookie or not, it takes a page of ours.
-_FROM_OUR_PAGE = [Depends(refuse_foreign_page)]
+_FROM_OUR_PAGE = [Depends(require_same_origin)]
 
 
 @router.get("/ways", operation_id="list_sign_in_ways")

@@ -195,7 +195,7 @@ def _step_of(row: Row[Any], code: str) -> int | None:
 
 
 def _wrong() -> SecondFactorWrong:
-    return SecondFactorWrong(most=_MOST_WRONG, minutes=_PAUSE.total_seconds() / 60)
+    return SecondFactorWrong(max_attempts=_MOST_WRONG, minutes=_PAUSE.total_seconds() / 60)
 
 
 async def _has_password(db: Connection, person_id: uuid.UUID) -> bool:

@@ -19,7 +19,7 @@ from kleinkram.server.backup.pace import Pace
 from kleinkram.server.backup.problems import Problems
 from kleinkram.server.backup.repository import Repository
 from kleinkram.server.backup.snapshot import ObjectEntry, ObjectList, Piece, Problem
-from kleinkram.server.storage import Storage
+from kleinkram.server.s3.storage import Storage
 
 _LINES_BYTES = 4 * 1024 * 1024
 _PAUSES_S = (1, 2, 4, 8, 15, 30, 30, 30, 30)

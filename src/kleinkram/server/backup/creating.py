@@ -23,8 +23,8 @@ from kleinkram.server.backup.pace import Pace, amount, telling
 from kleinkram.server.backup.repository import Repository, make_repository, open_place
 from kleinkram.server.backup.shelf import Shelf
 from kleinkram.server.backup.snapshot import Snapshot
+from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings, plain_dsn
-from kleinkram.server.storage import open_storage
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ async def _create(
             found = await facts(connection, settings.store_id)
             created_at = datetime.datetime.now(datetime.timezone.utc)
             with _room_for_list():
-                await wanted.fill(connection, settings.store_id, with_logs="log_segment" in found.tables)
+                await wanted.fill(connection, settings.store_id, with_logs="log_chunk" in found.tables)
             tables = [await copy_table(connection, repository, name, columns) for name, columns in found.tables.items()]
             counted = await sequences(connection)
         lister = Lister(repository, tally)
@@ -140,5 +140,5 @@ def _room_for_list() -> Iterator[None]:
 
 async def _is_still_named(dsn: str, key: str) -> bool:
     async with await psycopg.AsyncConnection.connect(dsn, application_name="kleinkram backup") as connection:
-        row = await (await connection.execute("SELECT FROM log_segment WHERE key = %s", (key,))).fetchone()
+        row = await (await connection.execute("SELECT FROM log_chunk WHERE key = %s", (key,))).fetchone()
     return row is not None

@@ -36,7 +36,7 @@ _WANTED = """
 COPY (
   SELECT key, size_bytes, encode(sha256, 'hex') AS hash FROM blob WHERE doomed_at IS NULL AND store_id = {store}
   UNION ALL
-  SELECT key, size_bytes, NULL FROM log_segment WHERE kept_at IS NOT NULL AND store_id = {store}
+  SELECT key, size_bytes, NULL FROM log_chunk WHERE kept_at IS NOT NULL AND store_id = {store}
   ORDER BY hash, key
 ) TO STDOUT
 """

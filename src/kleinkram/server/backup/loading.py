@@ -2,7 +2,7 @@
 
 The schema is made as it was when the copy was, by the same migrations, and brought to the newest once the rows are in:
 so a backup of any earlier version can be restored, to any version of PostgreSQL. Foreign keys are made anew after the
-rows, which proves every one of them.
+rows, which checks every one of them.
 """
 
 from collections.abc import Callable, Iterable
@@ -150,9 +150,9 @@ def _count_on(database: Database, counted: dict[str, int]) -> None:
 
 
 def _mend(database: Database, target: Target, snapshot: Snapshot, missing: Iterable[Missing]) -> None:
-    """Let the rows say no more than is so: about another store, on which nothing has been proven yet."""
+    """Let the rows say no more than is so: about another store, on which nothing has been verified yet."""
     to, was = target.store_id, snapshot.store_id
-    for table in ("blob", "upload", "log_segment"):
+    for table in ("blob", "upload", "log_chunk"):
         _run(database, f"UPDATE {table} SET store_id = %s WHERE store_id = %s AND store_id <> %s", to, was, to)  # noqa: S608  (constants)
     database.execute("DELETE FROM store_probe")
     # Parts lay in the old store. Whoever sends again begins anew, and finds the name free.

@@ -95,7 +95,7 @@ class Repository:
                 f"{self.path(self.name(sha256))} does not hold what its name says: it was changed or cut off."
             )
 
-    async def prove(self, name: bytes, pace: Pace) -> None:
+    async def verify(self, name: bytes, pace: Pace) -> None:
         """Read what has a name through.
 
         Raises:

@@ -137,6 +137,6 @@ class _Reading:
         """Read one content through."""
         name = self.names[place]
         try:
-            await self.repository.prove(name, self.pace)
+            await self.repository.verify(name, self.pace)
         except (Damaged, FileNotFoundError) as error:
             self.verified.damage.say(str(error))

@@ -1,4 +1,4 @@
-"""Jobs on blobs: read the summary by ranges, prove the bytes, sweep what is no longer wanted.
+"""Jobs on blobs: read the summary by ranges, verify the bytes, sweep what is no longer wanted.
 
 A small blob is read once, whole, for both; many are read one after the other and kept together, since of ten thousand
 small files each would cost a hundred times what reading it does.
@@ -28,23 +28,23 @@ from kleinkram.recordings import (
 )
 from kleinkram.server.blobs import scrubs, service
 from kleinkram.server.blobs.holding import is_held_back
-from kleinkram.server.blobs.proving import Found, Unreadable, read_through
 from kleinkram.server.blobs.reading import Readers
 from kleinkram.server.blobs.scrubbing import scrub_store
+from kleinkram.server.blobs.verification import Found, Unreadable, read_through
 from kleinkram.server.context import AppContext
-from kleinkram.server.jobs.courtesy import PROOF_PATIENCE_S, SUMMARY_PATIENCE_S
+from kleinkram.server.http.rate_limit import delete_expired_counts
+from kleinkram.server.jobs.courtesy import SUMMARY_PATIENCE_S, VERIFY_PATIENCE_S
 from kleinkram.server.jobs.job_context import ATTEMPTS, PATIENTLY, app_context, courtesy_of, given
 from kleinkram.server.jobs.queue import Job, Urgency, hasten, queue
 from kleinkram.server.jobs.retention import forget_ended
-from kleinkram.server.rate_limit import forget_counts
 from kleinkram.server.recordings.service import regroup_forgotten
 from kleinkram.server.trash.emptying import empty_trash
 
 _log = logging.getLogger("kleinkram.blobs")
 _SWEEP_BATCH = 1000
-# So many old proofs are put into the queue at a time.
-_OLD_PROOFS = 500
-# A recording without an index must be read whole. Up to here that happens at once; the proof reads all of it anyway.
+# The most blobs that are queued for another verification at a time.
+_MAX_REVERIFIED = 500
+# A recording without an index must be read whole: at once up to this size, else when the verification reads it.
 _SUMMARY_MOST_BYTES = 64 * 1024 * 1024
 # Slower than any machine that we know reads the slowest format.
 _SCAN_BYTES_PER_S = 5_000_000
@@ -77,9 +77,9 @@ async def summarise_blob(job_context: JobContext, ref: str) -> None:
             await service.keep_failure(db, blob_id, str(failure))
         return
     await _keep_summary(context, blob_id, summary)
-    if summary.content is Content.pending:  # only the proof reads it: somebody may wait for that
+    if summary.content is Content.pending:  # only the verification reads it: somebody may wait for that
         async with context.database.begin() as db:
-            await hasten(db, Job.prove_blob, blob_id)
+            await hasten(db, Job.verify_blob, blob_id)
 
 
 async def _blob_here(context: AppContext, blob_id: uuid.UUID) -> Row[tuple[object, ...]] | None:
@@ -116,7 +116,7 @@ async def _summary(
     timeout_s = context.settings.summary_timeout_s + (size_bytes // _SCAN_BYTES_PER_S if logs else 0)
 
     def sign(key: str) -> str:
-        return context.storage.sign_internal_read(key, expires_s=timeout_s + 60)
+        return context.storage.sign_internal_get(key, expires_s=timeout_s + 60)
 
     wanted = {suffix: (sign(log.key), log.size_bytes) for suffix, log in logs.items()}
     request = request_bytes(
@@ -128,8 +128,8 @@ async def _summary(
     return await readers.summary(request, owner=row.uploaded_by_id, timeout_s=timeout_s)
 
 
-@queue.task(name=Job.prove_blob.value, retry=PATIENTLY, pass_context=True)
-async def prove_blob(job_context: JobContext, ref: str) -> None:
+@queue.task(name=Job.verify_blob.value, retry=PATIENTLY, pass_context=True)
+async def verify_blob(job_context: JobContext, ref: str) -> None:
     """Read a blob once, at a limited rate, and compare it with what was stated of it when it came.
 
     A child process without credentials reads along, and says what the whole of a recording holds.
@@ -138,17 +138,17 @@ async def prove_blob(job_context: JobContext, ref: str) -> None:
     row = await _blob_here(context, blob_id)
     if row is None:
         return
-    # What is only proven anew gives way from now on, whenever it came.
+    # What is only verified again gives way from now on, whenever it came.
     anew = job_context.job.priority < Urgency.whenever
-    await courtesy_of(job_context).give_way(PROOF_PATIENCE_S, since=None if anew else row.created_at)
+    await courtesy_of(job_context).give_way(VERIFY_PATIENCE_S, since=None if anew else row.created_at)
     read = await _read_or_damaged(job_context, context, row)
     if read is None:
         return
     found, scan = read
-    # The proof last: until then a recording that only it reads counts as one that will be read.
+    # Stored last: until then a recording that only this job reads counts as pending.
     await _keep_scan(context, blob_id, scan)
     async with context.database.begin() as db:
-        await service.keep_proofs(db, {blob_id: found.md5})
+        await service.record_verified(db, {blob_id: found.md5})
 
 
 @queue.task(name=Job.examine_blob.value, retry=PATIENTLY, pass_context=True)
@@ -211,7 +211,7 @@ async def _read_or_damaged(job_context: JobContext, context: AppContext, row: Ro
     except Unreadable as error:
         await _keep_damage(context, row.id, BlobState.corrupt, str(error))
         async with context.database.begin() as db:
-            await service.prove_tomorrow(db, row.id)
+            await service.verify_tomorrow(db, row.id)
         return None
     except StoreUnavailable as error:
         await context.storage.check()  # raises when the store is away: then the blob is not to blame
@@ -279,12 +279,12 @@ async def sweep_once(context: AppContext) -> None:
         await service.examine_forgotten(db, store_id=context.settings.store_id, limit=_SWEEP_BATCH)
         await regroup_forgotten(db, limit=_SWEEP_BATCH)
     async with context.database.begin() as db:
-        days = context.settings.prove_again_days
-        await service.examine_old(db, store_id=context.settings.store_id, older_than_days=days, limit=_OLD_PROOFS)
+        days = context.settings.reverify_days
+        await service.examine_old(db, store_id=context.settings.store_id, older_than_days=days, limit=_MAX_REVERIFIED)
         await scrubs.begin_due_scrub(db, context.settings)
     async with context.database.begin() as db:
         await forget_ended(db)
-        await forget_counts(db)
+        await delete_expired_counts(db)
         await empty_trash(db, older_than_days=context.settings.trash_days, limit=_SWEEP_BATCH)
     async with context.database.begin() as db:
         await service.doom_unreferenced(db, limit=_SWEEP_BATCH)

@@ -9,10 +9,10 @@ from sqlalchemy import ARRAY, ColumnElement, Select, Text, exists, func, literal
 
 from kleinkram.contract.files import BlobState, ContentState
 from kleinkram.server.db import among
-from kleinkram.server.tables import blob, file, log_segment, run, run_artifact, run_input, upload
+from kleinkram.server.tables import blob, file, log_chunk, run, run_artifact, run_input, upload
 from kleinkram.server.tables.run import ACTIVE
 
-# Read whole and at once, many after one another: what is in it and its proof are then one thing to do.
+# Read whole and at once, many after one another: what is in it and its verification are then one thing to do.
 SMALL_BYTES = 100_000
 
 
@@ -102,36 +102,36 @@ def unread() -> ColumnElement[bool]:
     return late | again
 
 
-def unproven() -> ColumnElement[bool]:
-    """Say of a blob that nobody has proven it for ten minutes."""
+def unverified() -> ColumnElement[bool]:
+    """Select blobs that arrived over ten minutes ago and are not verified yet."""
     late = blob.c.created_at < func.now() - text("interval '10 minutes'")
     return (blob.c.state == BlobState.stored.value) & late
 
 
-# How many old proofs wait to be made anew.
+# How many blobs wait for another verification.
 WAITING_AT_LEISURE = text(
-    "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'prove_blob' AND status = 'todo' AND priority < 0"
+    "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'verify_blob' AND status = 'todo' AND priority < 0"
 )
 
 
 def wanted_by_state() -> Select[Any]:
     """Return number and bytes of blobs by state; of the lost and corrupt, those that something still refers to."""
     said = (blob.c.state, func.count().label("number"), func.coalesce(func.sum(blob.c.size_bytes), 0))
-    well = blob.c.state.in_((BlobState.stored.value, BlobState.proven.value))
+    well = blob.c.state.in_((BlobState.stored.value, BlobState.verified.value))
     stmt = select(*said[:2], said[2].label("size_bytes")).where(blob.c.doomed_at.is_(None), or_(well, is_referred()))
     return stmt.group_by(blob.c.state).order_by(blob.c.state)
 
 
-def oldest_proof() -> Select[Any]:
-    """Return when the blob was proven whose proof is the oldest."""
-    proven = (blob.c.state == BlobState.proven.value, blob.c.doomed_at.is_(None))
-    return select(func.min(blob.c.proven_at)).where(*proven)
+def oldest_verification() -> Select[Any]:
+    """Return the oldest `verified_at` of all blobs."""
+    verified = (blob.c.state == BlobState.verified.value, blob.c.doomed_at.is_(None))
+    return select(func.min(blob.c.verified_at)).where(*verified)
 
 
-def proven_before(at: ColumnElement[datetime.datetime]) -> Select[Any]:
-    """Return ids of the blobs whose proof is older, the oldest first."""
-    old = (blob.c.state == BlobState.proven.value, blob.c.proven_at < at)
-    return select(blob.c.id).where(blob.c.doomed_at.is_(None), *old).order_by(blob.c.proven_at)
+def verified_before(at: ColumnElement[datetime.datetime]) -> Select[Any]:
+    """Return ids of the blobs that were verified before, the oldest first."""
+    old = (blob.c.state == BlobState.verified.value, blob.c.verified_at < at)
+    return select(blob.c.id).where(blob.c.doomed_at.is_(None), *old).order_by(blob.c.verified_at)
 
 
 def kept_between(
@@ -153,5 +153,5 @@ def kept_between(
 def unknown_among(store_id: str, keys: Collection[str]) -> Select[Any]:
     """Return how many of some keys no row of ours holds."""
     key = func.unnest(literal([*keys], ARRAY(Text))).column_valued("key")
-    ours = [exists().where(table.c.store_id == store_id, table.c.key == key) for table in (blob, upload, log_segment)]
+    ours = [exists().where(table.c.store_id == store_id, table.c.key == key) for table in (blob, upload, log_chunk)]
     return select(func.count(key)).where(~or_(*ours))

@@ -76,7 +76,7 @@ async def scrub_store(context: AppContext, scrub_id: uuid.UUID) -> None:
 async def _compare(walk: _Walk) -> AsyncIterator[None]:
     """Go through the list, and through the blobs that it must show; yield whenever some of them were compared."""
     after = ""
-    async for listed in walk.context.storage.pages():
+    async for listed in walk.context.storage.size_pages():
         if not listed:
             continue
         if min(listed) <= after:
@@ -157,6 +157,6 @@ async def _keep(walk: _Walk, row: Row[Any], stored_bytes: int | None) -> None:
             reason = f"it has {stored_bytes} bytes, and came with {row.size_bytes}"
             walk.tally.corrupt += await service.keep_damage(db, row.id, state=BlobState.corrupt, reason=reason)
         elif row.state in _DAMAGED:
-            # Its size is right. Whether its bytes are is for the proof to say.
-            await service.prove_again(db, row.id)
+            # Its size is right; the verification compares its bytes.
+            await service.verify_again(db, row.id)
             walk.tally.found += row.state == BlobState.lost.value

@@ -68,9 +68,9 @@ async def blobs_by_state(db: Connection) -> Sequence[Row[Any]]:
     return (await db.execute(queries.wanted_by_state())).all()
 
 
-async def oldest_proof_at(db: Connection) -> datetime.datetime | None:
-    """Return when the blob was proven whose proof is the oldest."""
-    found: datetime.datetime | None = (await db.execute(queries.oldest_proof())).scalar_one()
+async def oldest_verification_at(db: Connection) -> datetime.datetime | None:
+    """Return the oldest `verified_at` of all blobs."""
+    found: datetime.datetime | None = (await db.execute(queries.oldest_verification())).scalar_one()
     return found
 
 

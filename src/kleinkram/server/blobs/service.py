@@ -1,4 +1,4 @@
-"""What happens to bytes after they arrived: their summary, their proof, their end."""
+"""What happens to bytes after they arrived: their summary, their verification, their end."""
 
 import datetime
 import math
@@ -17,9 +17,8 @@ from kleinkram.recordings.density import pack
 from kleinkram.server.audit.service import Event, record_all
 from kleinkram.server.blobs import queries
 from kleinkram.server.blobs.fitting import fit
-from kleinkram.server.bulk import unnest_rows
 from kleinkram.server.change_events import ChangeEvent, publish
-from kleinkram.server.db import Connection, among
+from kleinkram.server.db import Connection, among, unnest_rows
 from kleinkram.server.jobs.queue import Job, Urgency, enqueue, has_job, settle, start_now, waiting
 from kleinkram.server.missions.service import lock_missions
 from kleinkram.server.recordings.service import regroup
@@ -33,7 +32,7 @@ _ALL_AT_ONCE, _ROUNDS, _ROUND_S = 50_000, 23, 600
 
 
 async def examine_blobs(db: Connection, blob_ids: Sequence[uuid.UUID]) -> None:
-    """See to it that new blobs are summarised soon and proven in time: small ones at once, by a single job.
+    """See to it that new blobs are summarised soon and verified in time: small ones at once, by a single job.
 
     A database beside which a new one is the log is read again, with it.
     """
@@ -43,7 +42,7 @@ async def examine_blobs(db: Connection, blob_ids: Sequence[uuid.UUID]) -> None:
     large = [str(each) for each in blob_ids if each not in is_small]
     await enqueue(db, Job.examine_blob, ids=small, urgency=Urgency.soon)
     await enqueue(db, Job.summarise_blob, ids=large, urgency=Urgency.soon)
-    await enqueue(db, Job.prove_blob, ids=large, urgency=Urgency.whenever)
+    await enqueue(db, Job.verify_blob, ids=large, urgency=Urgency.whenever)
 
 
 async def examine_forgotten(db: Connection, *, store_id: str, limit: int) -> None:
@@ -52,7 +51,7 @@ async def examine_forgotten(db: Connection, *, store_id: str, limit: int) -> Non
     What we failed to read is tried again once a day.
     """
     small = queries.is_small()
-    by_itself = [(Job.summarise_blob, queries.unread()), (Job.prove_blob, queries.unproven())]
+    by_itself = [(Job.summarise_blob, queries.unread()), (Job.verify_blob, queries.unverified())]
     wanted = [(Job.examine_blob, wanting & small) for _, wanting in by_itself]
     for job, wanting in wanted + [(job, wanting & ~small) for job, wanting in by_itself]:
         statement = (
@@ -66,34 +65,34 @@ async def examine_forgotten(db: Connection, *, store_id: str, limit: int) -> Non
 
 
 async def examine_old(db: Connection, *, store_id: str, older_than_days: int, limit: int) -> None:
-    """See to it that blobs whose proof is older are read again, the oldest first, when nothing else is to be proven.
+    """Queue the blobs that were verified longest ago for another verification, when no new blob waits for its first.
 
     At most `limit` wait for it at a time.
     """
     room = limit - (await db.execute(queries.WAITING_AT_LEISURE)).scalar_one()
     if older_than_days == 0 or room <= 0:
         return
-    old = queries.proven_before(func.now() - datetime.timedelta(days=older_than_days))
-    due = old.where(blob.c.store_id == store_id, ~has_job(Job.prove_blob, blob.c.id)).limit(room)
+    old = queries.verified_before(func.now() - datetime.timedelta(days=older_than_days))
+    due = old.where(blob.c.store_id == store_id, ~has_job(Job.verify_blob, blob.c.id)).limit(room)
     ids = [str(each) for each in (await db.execute(due)).scalars()]
-    await enqueue(db, Job.prove_blob, ids=ids, urgency=Urgency.at_leisure)
+    await enqueue(db, Job.verify_blob, ids=ids, urgency=Urgency.at_leisure)
 
 
-async def prove_again(db: Connection, blob_id: uuid.UUID) -> None:
-    """See to it that a blob is read and compared with its checksums once more, ahead of routine proving.
+async def verify_again(db: Connection, blob_id: uuid.UUID) -> None:
+    """See to it that a blob is read and compared with its checksums once more, ahead of routine verification.
 
     Asking again while a job for it waits only hastens that.
     """
-    waiting = select(blob.c.id).where(blob.c.id == blob_id, has_job(Job.prove_blob, blob.c.id))
+    waiting = select(blob.c.id).where(blob.c.id == blob_id, has_job(Job.verify_blob, blob.c.id))
     if (await db.execute(waiting)).first() is not None:
-        await start_now(db, Job.prove_blob, blob_id)
+        await start_now(db, Job.verify_blob, blob_id)
         return
-    await enqueue(db, Job.prove_blob, ids=[str(blob_id)], urgency=Urgency.soon)
+    await enqueue(db, Job.verify_blob, ids=[str(blob_id)], urgency=Urgency.soon)
 
 
-async def prove_tomorrow(db: Connection, blob_id: uuid.UUID) -> None:
+async def verify_tomorrow(db: Connection, blob_id: uuid.UUID) -> None:
     """See to it that a blob which the store failed to read is read once more: the store may have been at fault."""
-    await enqueue(db, Job.prove_blob, ids=[str(blob_id)], urgency=Urgency.at_leisure, later=_TOMORROW)
+    await enqueue(db, Job.verify_blob, ids=[str(blob_id)], urgency=Urgency.at_leisure, later=_TOMORROW)
 
 
 async def get_blob(db: Connection, blob_id: uuid.UUID) -> Row[Any] | None:
@@ -211,26 +210,26 @@ async def _missions_of(db: Connection, blob_ids: Iterable[uuid.UUID]) -> list[uu
     return sorted((await db.execute(holding.distinct())).scalars())
 
 
-async def keep_proofs(db: Connection, md5s: Mapping[uuid.UUID, bytes]) -> None:
+async def record_verified(db: Connection, md5s: Mapping[uuid.UUID, bytes]) -> None:
     """Keep that the server itself has read blobs, with the MD5 of each, and found their SHA-256.
 
     One that was lost or corrupt is so no more.
     """
     healed = await _damaged_before(db, md5s)
     said = unnest_rows([blob.c.id, blob.c.md5], [{"id": blob_id, "md5": md5} for blob_id, md5 in md5s.items()])
-    values = {"state": BlobState.proven.value, "state_reason": None, "damaged_at": None, "md5": said.c.md5}
-    await db.execute(update(blob).where(blob.c.id == said.c.id).values(**values, proven_at=func.now()))
+    values = {"state": BlobState.verified.value, "state_reason": None, "damaged_at": None, "md5": said.c.md5}
+    await db.execute(update(blob).where(blob.c.id == said.c.id).values(**values, verified_at=func.now()))
     for blob_id, before in healed.items():
-        await _record_of_files(db, blob_id, "file.heal", {"state": before}, {"state": BlobState.proven.value})
+        await _record_of_files(db, blob_id, "file.heal", {"state": before}, {"state": BlobState.verified.value})
     await _tell_of_files(db, md5s)
 
 
 async def keep_examined(
     db: Connection, summaries: Mapping[uuid.UUID, RecordingSummary], md5s: Mapping[uuid.UUID, bytes]
 ) -> None:
-    """Keep what several small blobs hold, and their proofs: no job needs to examine any of them any more."""
+    """Store summaries and verifications of several small blobs: no job needs to examine any of them any more."""
     await keep_summaries(db, summaries)
-    await keep_proofs(db, md5s)
+    await record_verified(db, md5s)
     await settle(db, Job.examine_blob, md5s)
 
 

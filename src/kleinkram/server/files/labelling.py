@@ -6,8 +6,9 @@ from typing import Any
 
 from sqlalchemy import Row
 
-from kleinkram.contract.errors import FieldProblem, Forbidden, InvalidRequest, KleinkramError, NotFound, to_problem
+from kleinkram.contract.errors import FieldProblem, Forbidden, InvalidRequest, KleinkramError, NotFound
 from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.problems import to_problem
 from kleinkram.contract.rights import Right
 from kleinkram.contract.searching import FileLabelled, LabelChange
 from kleinkram.server.access.actor import Actor

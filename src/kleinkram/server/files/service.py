@@ -26,16 +26,16 @@ from kleinkram.contract.trash import Deleted
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.service import Event, record, record_all
-from kleinkram.server.blobs.service import prove_again
+from kleinkram.server.blobs.service import verify_again
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
-from kleinkram.server.etags import require_match
 from kleinkram.server.files import queries
 from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.files.topics import TOPIC_ORDER, to_topics
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
+from kleinkram.server.http.etags import require_match
 from kleinkram.server.missions import service as missions
-from kleinkram.server.pages import PageRequest, Rows, execute_after, fetch_page, values_after
+from kleinkram.server.paging import PageRequest, Rows, execute_after, fetch_page, values_after
 from kleinkram.server.quotas.service import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.shares.service import note_downloads
@@ -226,15 +226,15 @@ async def link_files(
     return [_link(context, row) for row in rows]
 
 
-async def prove_file(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> FileRead:
+async def verify_file(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> FileRead:
     """Have a file's bytes read again soon, and return the file as it is known now.
 
     Raises:
         NotFound: it is not there, or not for this actor.
     """
     row = await _row(db, actor, file_id)
-    await prove_again(db, row.blob_id)
-    await record(db, actor, _event("file.prove", row))
+    await verify_again(db, row.blob_id)
+    await record(db, actor, _event("file.verify", row))
     return queries.to_file(row)
 
 
@@ -304,7 +304,7 @@ def _changed(old: Row[Any], new: Row[Any]) -> tuple[Metadata, Metadata]:
 def _link(context: AppContext, row: Row[Any]) -> DownloadLink:
     expires_s = context.settings.download_url_s
     expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s)
-    url = context.storage.sign_read(row.key, path=row.path, expires_s=expires_s)
+    url = context.storage.sign_get(row.key, path=row.path, expires_s=expires_s)
     seen = queries.to_file(row)
     return DownloadLink(
         file_id=seen.id,

@@ -28,7 +28,7 @@ from kleinkram.server.db import Connection
 from kleinkram.server.grants import queries
 from kleinkram.server.grants.access import access_on, to_access
 from kleinkram.server.grants.queries import Place
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.tables import access_grant, access_group, person
 
 
@@ -196,8 +196,8 @@ async def _see_that_it_is_theirs_to_give(
     lasting = (await db.execute(queries.level_until(actor, standing.place, expires_at))).scalar_one()
     if right.level > lasting:
         until = "without an end" if expires_at is None else f"until {expires_at:%Y-%m-%d %H:%M} UTC"
-        held = Right.of_level(standing.level).value + ("" if right.level > standing.level else ", not as long")
-        raise RightExceeded(noun=standing.place.on.value, wanted=f"{right.value} {until}", held=held)
+        own = Right.of_level(standing.level).value + ("" if right.level > standing.level else ", not as long")
+        raise RightExceeded(noun=standing.place.on.value, requested=f"{right.value} {until}", own=own)
 
 
 async def _see_owners(db: Connection, place: Place) -> None:

@@ -10,7 +10,7 @@ import time
 from fastapi import Request
 from pydantic import BaseModel, ConfigDict
 
-from kleinkram.server.proxies import is_trusted
+from kleinkram.server.http.headers import is_trusted
 from kleinkram.server.settings import Settings
 
 HEADER = "X-Kleinkram-Check"

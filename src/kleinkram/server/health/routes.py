@@ -8,10 +8,10 @@ from fastapi.responses import PlainTextResponse
 import kleinkram
 from kleinkram.contract.people import ServiceRead, ViewerRead
 from kleinkram.contract.rights import TokenKind
-from kleinkram.server.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, CurrentStorage
 from kleinkram.server.health.proxy_check import seen
 from kleinkram.server.health.readiness import Readiness, readiness
 from kleinkram.server.health.recent import Recent
+from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, CurrentStorage
 from kleinkram.server.settings import Settings
 from kleinkram.server.tokens.service import default_days
 

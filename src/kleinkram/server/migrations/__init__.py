@@ -1,4 +1,4 @@
-"""Migrations: the schema from nothing to this version, forward only. Run by the role that owns the schema."""
+"""Migrations: the database schema from nothing to this version, forward only, run by the role that owns the schema."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,12 +12,15 @@ if TYPE_CHECKING:
     from alembic.config import Config
 
 _HERE = Path(__file__).parent
-# The newest revision in `versions/`: written down, so that what only serves need not load the migrator to know it.
-HEAD = "0028"
+# Written down, so that a process that only serves need not load Alembic to know them.
+INITIAL = "0100"
+HEAD = "0100"
+# Revisions below INITIAL existed during development only; one migration replaced them.
+_LAST_COMMIT_BEFORE_INITIAL = "530100f"
 
 
 def alembic_config(url: str, serving_role: str) -> "Config":
-    """Return Alembic's settings for a database, given as SQLAlchemy address with a synchronous driver."""
+    """Return Alembic's configuration for a database, given as SQLAlchemy URL with a synchronous driver."""
     from alembic.config import Config
 
     config = Config()
@@ -28,21 +31,38 @@ def alembic_config(url: str, serving_role: str) -> "Config":
 
 
 async def schema_problem(db: Connection) -> str | None:
-    """Return in words why this program cannot work on the database's schema, or None where it can.
+    """Explain why this program cannot use the database's schema, or return None if it can.
 
-    It can on its own schema and on a later one that names this program's revision, or an earlier one, as compatible.
+    It can use its own schema, and a later one whose oldest compatible program is this one or an earlier one.
     """
     try:
         row = (await db.execute(text("SELECT version_num, compatible_from FROM alembic_version"))).one_or_none()
-    except ProgrammingError:  # no schema, or one from before it named compatible programs
+    except ProgrammingError:  # no schema
         row = None
-    if row is None or not row.version_num.isdecimal() or row.version_num < HEAD:
-        return "the database schema is older than this program; run the migrations"
-    return None if row.version_num == HEAD else later_schema_problem(row.version_num, row.compatible_from)
+    if row is None or not row.version_num.isdecimal():
+        return "the database has no schema; run the migrations"
+    if row.version_num == HEAD:
+        return None
+    if row.version_num > HEAD:
+        return later_schema_problem(row.version_num, row.compatible_from)
+    return (
+        development_schema_problem(row.version_num)
+        or "the database schema is older than this program; run the migrations"
+    )
+
+
+def development_schema_problem(revision: str) -> str | None:
+    """Explain why a schema from before the initial migration cannot be upgraded; None for any other revision."""
+    if not revision.isdecimal() or revision >= INITIAL:
+        return None
+    return (
+        f"the database schema ({revision}) was made by a development version and cannot be upgraded; "
+        f"open it with commit {_LAST_COMMIT_BEFORE_INITIAL}, the last one that can, and download the files you need"
+    )
 
 
 def later_schema_problem(revision: str, compatible_from: str | None) -> str | None:
-    """Return in words why this program cannot work on a schema later than its own, or None where it can."""
+    """Explain why this program cannot use a schema later than its own, or return None if it can."""
     if compatible_from is not None and compatible_from <= HEAD:
         return None
     return (

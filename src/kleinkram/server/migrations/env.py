@@ -1,4 +1,4 @@
-"""Alembic's entry: one connection, one transaction, one migrator at a time."""
+"""Alembic's entry point: one connection, one transaction, one migrator at a time."""
 
 from collections.abc import Collection, Mapping
 
@@ -7,16 +7,14 @@ from alembic.runtime.migration import MigrationContext, MigrationInfo
 from alembic.script import Script
 from sqlalchemy import Connection, ForeignKeyConstraint, create_engine, pool, text
 
-from kleinkram.server.migrations.upgrading import LOCK
+from kleinkram.server.migrations.migrate import LOCK
 from kleinkram.server.tables import metadata
 
-_FIRST_TO_SAY = "0027"
 
-
-def _ours(thing: object, name: str | None, _kind: str, _reflected: bool, _compare_to: object) -> bool:
-    # A key that leads to the queue's tables is as foreign to the described ones as these are.
-    about = thing.referred_table.name if isinstance(thing, ForeignKeyConstraint) else name
-    return not (about or "").startswith(("procrastinate", "idx_procrastinate"))
+def _is_ours(item: object, name: str | None, _kind: str, _reflected: bool, _compare_to: object) -> bool:
+    """Leave out the job queue's tables, their indexes and foreign keys to them."""
+    table = item.referred_table.name if isinstance(item, ForeignKeyConstraint) else name
+    return not (table or "").startswith(("procrastinate", "idx_procrastinate", "ix_procrastinate"))
 
 
 def _write_compatible_from(
@@ -25,9 +23,9 @@ def _write_compatible_from(
     heads: Collection[object],
     run_args: Mapping[str, object],
 ) -> None:
-    """Write which programs work on the schema after a step: none before it, unless its revision says otherwise."""
+    """Write the oldest program that works on the new schema: the revision's own, unless its module names another."""
     revision = step.up_revision
-    if step.is_upgrade and isinstance(revision, Script) and revision.revision >= _FIRST_TO_SAY:
+    if step.is_upgrade and isinstance(revision, Script):
         oldest = getattr(revision.module, "compatible_from", revision.revision)
         op.execute(text("UPDATE alembic_version SET compatible_from = :oldest").bindparams(oldest=oldest))
 
@@ -36,7 +34,7 @@ def _migrate(connection: Connection) -> None:
     context.configure(
         connection=connection,
         target_metadata=metadata,
-        include_object=_ours,
+        include_object=_is_ours,
         compare_server_default=True,
         on_version_apply=_write_compatible_from,
     )
@@ -45,11 +43,11 @@ def _migrate(connection: Connection) -> None:
         context.run_migrations()
 
 
-given = context.config.attributes.get("connection")
-if given is not None:  # a caller's own, in whose transaction it happens
-    _migrate(given)
+callers_connection = context.config.attributes.get("connection")
+if callers_connection is not None:  # with a transaction of the caller
+    _migrate(callers_connection)
 else:
     engine = create_engine(context.config.attributes["url"], poolclass=pool.NullPool)
-    with engine.connect() as own:
-        _migrate(own)
+    with engine.connect() as new_connection:
+        _migrate(new_connection)
     engine.dispose()

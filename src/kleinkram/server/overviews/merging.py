@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 from sqlalchemy import Row
 
 from kleinkram.recordings.density import add_up, unpack
-from kleinkram.recordings.model import Density
-from kleinkram.recordings.timeline import Run, join
+from kleinkram.recordings.model import MessageDensity
+from kleinkram.recordings.timeline import StampRun, join
 
 _ADDED_AT_ONCE = 64
 
@@ -35,7 +35,7 @@ class Merged:
     rate_hz: float | None
     longest_gap_ns: int | None
     stored_bytes: int | None
-    density: Density | None
+    density: MessageDensity | None
 
 
 async def merge(rows: AsyncIterator[Row[Any]], recording_ids: Sequence[uuid.UUID]) -> AsyncIterator[Merged]:
@@ -63,9 +63,9 @@ class _One:
         self._stored_bytes: int | None = 0
         self._recordings: set[uuid.UUID] = set()
         self._recording_id: uuid.UUID | None = None
-        self._runs: list[Run] = []
+        self._runs: list[StampRun] = []
         self._whole = _Whole()
-        self._densities: list[Density] = []
+        self._densities: list[MessageDensity] = []
 
     def add(self, row: Row[Any]) -> None:
         if row.recording_id != self._recording_id:
@@ -78,7 +78,7 @@ class _One:
             self._recordings.add(row.recording_id)
         if row.is_placed:
             gap_ns = row.longest_gap_ns or 0
-            self._runs.append(Run(row.first_ns, row.last_ns, row.message_count or 0, gap_ns))
+            self._runs.append(StampRun(row.first_ns, row.last_ns, row.message_count or 0, gap_ns))
             if row.density is not None:
                 self._densities.append(unpack(row.density))
         if len(self._densities) >= _ADDED_AT_ONCE:
@@ -120,7 +120,7 @@ class _Whole:
     span_ns: int = 0
     longest_gap_ns: int = 0
 
-    def add(self, run: Run) -> None:
+    def add(self, run: StampRun) -> None:
         self.first_ns = run.first_ns if self.first_ns is None else min(self.first_ns, run.first_ns)
         self.last_ns = run.last_ns if self.last_ns is None else max(self.last_ns, run.last_ns)
         self.steps += max(0, run.count - 1)
@@ -128,7 +128,7 @@ class _Whole:
         self.longest_gap_ns = max(self.longest_gap_ns, run.longest_gap_ns)
 
 
-def _added(densities: Sequence[Density]) -> Iterator[Density]:
+def _added(densities: Sequence[MessageDensity]) -> Iterator[MessageDensity]:
     total = add_up(densities)
     if total is not None:
         yield total

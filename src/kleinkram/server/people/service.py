@@ -22,7 +22,7 @@ from kleinkram.server.access.rights import hold_rights
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.auth.codes import end_codes
 from kleinkram.server.db import Connection
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.people import queries
 from kleinkram.server.tables import membership, person, session, share, token
 

@@ -30,7 +30,7 @@ from kleinkram.server.access.visible import (
 from kleinkram.server.db import by_name
 from kleinkram.server.filters.missions import filter_projects
 from kleinkram.server.missions.amounts import duration, file_amounts
-from kleinkram.server.pages import Order
+from kleinkram.server.paging import Order
 from kleinkram.server.tables import mission, person, project, upload
 from kleinkram.server.tables.upload import UNDER_WAY
 

@@ -20,9 +20,9 @@ from kleinkram.server.access.creating import give_first_rights, require_creator
 from kleinkram.server.access.rights import admit, require_project
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
-from kleinkram.server.etags import require_match
+from kleinkram.server.http.etags import require_match
 from kleinkram.server.missions import service as missions
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.projects import queries
 from kleinkram.server.projects.fields import read_fields, usable_fields
 from kleinkram.server.settings import Creators

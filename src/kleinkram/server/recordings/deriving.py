@@ -14,18 +14,18 @@ from kleinkram.contract.events import ChangeKind
 from kleinkram.recordings import (
     Content,
     Depth,
-    GroupKind,
     Lost,
     Problem,
     RecordingFormat,
     RecordingGroup,
+    RecordingGroupKind,
     RecordingSummary,
     Rosbag2Metadata,
     TopicSummary,
     combine,
     group,
 )
-from kleinkram.recordings.rosbag2.folder import combine_folder
+from kleinkram.recordings.combine_summaries import combine_folder
 from kleinkram.server.blobs.fitting import fit
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection
@@ -146,7 +146,7 @@ def _topic(row: Row[Any]) -> TopicSummary:
 def _combined(each: RecordingGroup, members: Sequence[Row[Any]], stated: Stated, topics: Topics) -> RecordingSummary:
     names = [PurePosixPath(path).name for path in each.members]
     summaries = [_summary(row, topics.get(row.blob_id, ())) for row in members]
-    if each.kind is not GroupKind.rosbag2:
+    if each.kind is not RecordingGroupKind.rosbag2:
         return combine(summaries, names)
     path = each.metadata_path or ""
     if path in stated:

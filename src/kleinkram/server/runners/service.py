@@ -16,17 +16,17 @@ from kleinkram.contract.paging import Page
 from kleinkram.contract.rights import Right, Scope, TokenKind
 from kleinkram.contract.runners import (
     LEASE_S,
-    Beat,
-    BeatAnswer,
-    BeatAnswers,
-    Beats,
-    Claim,
-    ClaimAsk,
-    Claimed,
-    ClaimInput,
-    RunnerHello,
+    AssignedInput,
+    ClaimReply,
+    ClaimRequest,
+    Heartbeat,
+    HeartbeatReplies,
+    HeartbeatReply,
+    Heartbeats,
+    LeaseStatus,
+    RunAssignment,
     RunnerRead,
-    Verdict,
+    RunnerRegistration,
 )
 from kleinkram.contract.runs import MAX_SAMPLES, ActionRef, EndReason, RunState
 from kleinkram.contract.secrets import SecretKind
@@ -37,11 +37,11 @@ from kleinkram.server.audit.service import Event, record
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
-from kleinkram.server.events.hub import Hub, Topic
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.events.hub import EventFilter, Hub
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.runners import queries
-from kleinkram.server.runners.fitting import is_owners_alone, with_limits
-from kleinkram.server.runs.ending import end_run, take_back_lost
+from kleinkram.server.runners.scheduling import has_single_person, with_limits
+from kleinkram.server.runs.lifecycle import end_run, requeue_lost_runs
 from kleinkram.server.tables import action_version, mission, project, run, run_input, runner, token, token_limit
 from kleinkram.server.tables.run import HELD
 
@@ -54,7 +54,7 @@ _SCOPES = {
 _ORDER = {RunState.preparing: 0, RunState.running: 1, RunState.collecting: 2}
 # Between two looks where nothing was heard of: a lease that runs out tells nobody.
 _LOOK_EVERY_S = 5.0
-_QUEUE = Topic(frozenset({"run"}))
+_QUEUE = EventFilter(frozenset({"run"}))
 _LEASE = datetime.timedelta(seconds=LEASE_S)
 # What has run is only to be sent: a server that was away for some minutes does not have hours of it done again.
 _LEASE_TO_KEEP = datetime.timedelta(minutes=15)
@@ -62,7 +62,7 @@ _LEASE_TO_KEEP = datetime.timedelta(minutes=15)
 _TOKEN_SPARE_S = 3600
 
 
-async def say_hello(db: Connection, actor: Actor, *, hello: RunnerHello) -> RunnerRead:
+async def register_runner(db: Connection, actor: Actor, *, hello: RunnerRegistration) -> RunnerRead:
     """Note what a runner is, and that it is there. The first runner that uses a token is the only one from then on.
 
     Raises:
@@ -112,7 +112,7 @@ async def _bind(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
     await record(db, actor, Event("token.bind", "token", actor.token_id, name, None, after=after))
 
 
-async def _see_that_labels_are_allowed(db: Connection, actor: Actor, hello: RunnerHello) -> None:
+async def _see_that_labels_are_allowed(db: Connection, actor: Actor, hello: RunnerRegistration) -> None:
     stmt = select(token.c.runner_labels).where(token.c.id == actor.token_id)
     allowed: list[str] | None = (await db.execute(stmt)).scalar_one()
     surplus = sorted(set(hello.labels) - set(allowed)) if allowed is not None else []
@@ -133,7 +133,9 @@ async def list_runners(db: Connection, *, page: PageRequest) -> Page[RunnerRead]
     return Page(items=[queries.to_runner(row, projects) for row in rows.items], next=rows.next, total=rows.total)
 
 
-async def claim(context: AppContext, hub: Hub, actor: Actor, *, runner_id: uuid.UUID, asked: ClaimAsk) -> Claimed:
+async def claim(
+    context: AppContext, hub: Hub, actor: Actor, *, runner_id: uuid.UUID, asked: ClaimRequest
+) -> ClaimReply:
     """Give a runner the oldest run that fits what it has free; wait for one, where there is none.
 
     Raises:
@@ -147,31 +149,31 @@ async def claim(context: AppContext, hub: Hub, actor: Actor, *, runner_id: uuid.
             async with context.database.begin() as db:
                 found = await _claim_now(db, actor, runner_id, asked)
             left_s = until - time.monotonic()
-            if found is not None or left_s <= 0 or hub.is_over:
-                return Claimed(claim=found)
-            await hub.next_change(listener, at_most_s=min(left_s, _LOOK_EVERY_S))
+            if found is not None or left_s <= 0 or hub.is_closed:
+                return ClaimReply(run=found)
+            await hub.next_event(listener, timeout_s=min(left_s, _LOOK_EVERY_S))
 
 
-async def _claim_now(db: Connection, actor: Actor, runner_id: uuid.UUID, asked: ClaimAsk) -> Claim | None:
-    await _see(db, actor, runner_id)
+async def _claim_now(db: Connection, actor: Actor, runner_id: uuid.UUID, asked: ClaimRequest) -> RunAssignment | None:
+    await _note_seen(db, actor, runner_id)
     row = (await db.execute(with_limits(select(runner)).where(runner.c.id == runner_id))).one()
-    await take_back_lost(db)
-    unheard = (await db.execute(queries.unheard_claim(runner_id, asked.held))).one_or_none()
+    await requeue_lost_runs(db)
+    unheard = (await db.execute(queries.unanswered_claim(runner_id, asked.active_run_ids))).one_or_none()
     if unheard is not None:
-        return await _given(db, unheard, runner_id, unheard.attempt)
-    stmt = queries.next_run(row, asked, owners_alone=await is_owners_alone(db))
+        return await _assign(db, unheard, runner_id, unheard.attempt)
+    stmt = queries.next_run(row, asked, single_person=await has_single_person(db))
     while stmt is not None:
         found = (await db.execute(stmt)).one_or_none()
         if found is None:
             break
         if await _may_still(db, found):
-            return await _given(db, found, runner_id, found.attempt + 1)
+            return await _assign(db, found, runner_id, found.attempt + 1)
         message = "Whoever started it may not run it on this mission any more."
         await end_run(db, found, EndReason.cancelled, message)
     return None
 
 
-async def _see(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
+async def _note_seen(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
     """Note that a runner was heard of. One from before tokens were bound becomes the one of its token."""
     mine = (runner.c.id == runner_id) & (runner.c.person_id == actor.person_id)
     values = {"last_seen_at": func.now(), "token_id": actor.token_id}
@@ -190,7 +192,7 @@ async def _may_still(db: Connection, row: Row[Any]) -> bool:
     return level is not None and level >= needed.level
 
 
-async def _given(db: Connection, row: Row[Any], runner_id: uuid.UUID, attempt: int) -> Claim:
+async def _assign(db: Connection, row: Row[Any], runner_id: uuid.UUID, attempt: int) -> RunAssignment:
     state = RunState.preparing.value if attempt != row.attempt else row.state
     held = {"state": state, "runner_id": runner_id, "attempt": attempt, "lease_ends_at": func.now() + _LEASE}
     claimed_at = func.coalesce(run.c.claimed_at, func.now())
@@ -198,7 +200,7 @@ async def _given(db: Connection, row: Row[Any], runner_id: uuid.UUID, attempt: i
     await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
     definition = ActionDefinition.model_validate(row.definition)
     inputs = select(run_input).where(run_input.c.run_id == row.id).order_by(run_input.c.path)
-    return Claim(
+    return RunAssignment(
         run_id=row.id,
         attempt=attempt,
         project_id=row.project_id,
@@ -213,7 +215,7 @@ async def _given(db: Connection, row: Row[Any], runner_id: uuid.UUID, attempt: i
         resources=definition.resources,
         network=definition.network,
         inputs=[
-            ClaimInput(path=each.path, size_bytes=each.size_bytes, sha256=each.sha256.hex())
+            AssignedInput(path=each.path, size_bytes=each.size_bytes, sha256=each.sha256.hex())
             for each in await db.execute(inputs)
         ],
         token=None if definition.network is Network.none else await _run_token(db, row, definition),
@@ -244,19 +246,21 @@ async def _run_token(db: Connection, row: Row[Any], definition: ActionDefinition
     return secret.text
 
 
-async def take_beats(db: Connection, actor: Actor, *, runner_id: uuid.UUID, said: Beats) -> BeatAnswers:
+async def record_heartbeats(
+    db: Connection, actor: Actor, *, runner_id: uuid.UUID, said: Heartbeats
+) -> HeartbeatReplies:
     """Note what a runner's runs are at, hold them for it, and say which are to end.
 
     Raises:
         NotFound: nobody of this person's is that runner.
         Forbidden: the token is another runner's.
     """
-    await _see(db, actor, runner_id)
-    answers = [await _take_beat(db, runner_id, beat) for beat in sorted(said.runs, key=lambda beat: beat.run_id)]
-    return BeatAnswers(runs=answers, lease_s=LEASE_S)
+    await _note_seen(db, actor, runner_id)
+    answers = [await _record_heartbeat(db, runner_id, beat) for beat in sorted(said.runs, key=lambda beat: beat.run_id)]
+    return HeartbeatReplies(runs=answers, lease_s=LEASE_S)
 
 
-async def _take_beat(db: Connection, runner_id: uuid.UUID, beat: Beat) -> BeatAnswer:
+async def _record_heartbeat(db: Connection, runner_id: uuid.UUID, beat: Heartbeat) -> HeartbeatReply:
     held = (run.c.id == beat.run_id) & (run.c.attempt == beat.attempt) & (run.c.runner_id == runner_id)
     gone = func.coalesce(mission.c.deleted_at, project.c.deleted_at).is_not(None).label("is_gone")
     image = action_version.c.definition["image"].astext.label("image")
@@ -264,7 +268,7 @@ async def _take_beat(db: Connection, runner_id: uuid.UUID, beat: Beat) -> BeatAn
     stmt = joined.join(action_version, action_version.c.id == run.c.version_id).where(held, run.c.state.in_(HELD))
     row = (await db.execute(stmt.with_for_update(of=run, key_share=True))).one_or_none()
     if row is None:
-        return BeatAnswer(run_id=beat.run_id, attempt=beat.attempt, verdict=Verdict.gone)
+        return HeartbeatReply(run_id=beat.run_id, attempt=beat.attempt, status=LeaseStatus.lost)
     values = _said(row, beat)
     lease = _LEASE_TO_KEEP if beat.state is RunState.collecting else _LEASE
     await db.execute(update(run).where(run.c.id == row.id).values(lease_ends_at=func.now() + lease, **values))
@@ -275,10 +279,12 @@ async def _take_beat(db: Connection, runner_id: uuid.UUID, beat: Beat) -> BeatAn
     if values:
         await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
     is_over = row.cancel_requested_at is not None or row.is_gone
-    return BeatAnswer(run_id=beat.run_id, attempt=beat.attempt, verdict=Verdict.cancel if is_over else Verdict.go_on)
+    return HeartbeatReply(
+        run_id=beat.run_id, attempt=beat.attempt, status=LeaseStatus.cancel if is_over else LeaseStatus.active
+    )
 
 
-def _said(row: Row[Any], beat: Beat) -> dict[str, Any]:
+def _said(row: Row[Any], beat: Heartbeat) -> dict[str, Any]:
     """Return what a beat changes of a run: it never goes back."""
     values: dict[str, Any] = {}
     if beat.state in _ORDER and _ORDER[beat.state] > _ORDER[RunState(row.state)]:

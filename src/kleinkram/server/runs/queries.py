@@ -19,17 +19,17 @@ from kleinkram.contract.runs import (
     Cause,
     FindingRead,
     MetricRead,
+    ReportFilter,
     RunDetail,
     RunFilter,
     RunInput,
     RunRead,
-    SayingFilter,
 )
 from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.visible import level_on_mission, visible_files, visible_missions
 from kleinkram.server.db import among
 from kleinkram.server.filters.patterns import matches, matches_key
-from kleinkram.server.pages import Order
+from kleinkram.server.paging import Order
 from kleinkram.server.tables import (
     action,
     action_version,
@@ -229,7 +229,7 @@ def to_artifact(row: Row[Any]) -> ArtifactRead:
     )
 
 
-def findings(actor: Actor, matching: SayingFilter) -> Select[Any]:
+def findings(actor: Actor, matching: ReportFilter) -> Select[Any]:
     """Return what visible runs noticed, as `to_finding` reads it."""
     stmt = _said_by_runs(actor, run_finding, matching)
     if matching.severity:
@@ -237,7 +237,7 @@ def findings(actor: Actor, matching: SayingFilter) -> Select[Any]:
     return stmt if matching.code is None else stmt.where(matches(run_finding.c.code, matching.code))
 
 
-def metrics(actor: Actor, matching: SayingFilter) -> Select[Any]:
+def metrics(actor: Actor, matching: ReportFilter) -> Select[Any]:
     """Return the numbers that visible runs found, as `to_metric` reads them."""
     stmt = _said_by_runs(actor, run_metric, matching)
     return stmt if matching.code is None else stmt.where(matches(run_metric.c.name, matching.code))
@@ -257,7 +257,7 @@ def first_metrics(actor: Actor, run_ids: Sequence[uuid.UUID]) -> Select[Any]:
     return select(ranked).where(ranked.c.place <= MAX_LISTED_METRICS).order_by(ranked.c.run_id, ranked.c.place)
 
 
-def _said_by_runs(actor: Actor, table: Any, matching: SayingFilter) -> Select[Any]:
+def _said_by_runs(actor: Actor, table: Any, matching: ReportFilter) -> Select[Any]:
     place = (run.c.mission_id, *_PLACE, *_ACTION)
     chosen = [column.label(f"said_{column.name}") for column in table.c if column is not table.c.file]
     # The name of an input goes out of sight with the file.

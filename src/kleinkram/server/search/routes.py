@@ -11,8 +11,8 @@ from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.query import whole
 from kleinkram.contract.searching import FacetsRead, FileQuery, QueryText, SearchRead
 from kleinkram.contract.stats import StatsRead
-from kleinkram.server.dependencies import CurrentActor, Transaction
-from kleinkram.server.pages import PageRequest
+from kleinkram.server.http.dependencies import CurrentActor, Transaction
+from kleinkram.server.paging import PageRequest
 from kleinkram.server.search import facets, service
 
 router = APIRouter(prefix="/api/v1", tags=["search"])

@@ -11,10 +11,10 @@ from fastapi.responses import HTMLResponse
 
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.shares import SHARE_PAGE
-from kleinkram.server.dependencies import CurrentSettings
-from kleinkram.server.headers import PAGE_POLICY
+from kleinkram.server.http.dependencies import CurrentSettings
+from kleinkram.server.http.headers import PAGE_POLICY
+from kleinkram.server.http.pages import LOOK, brand
 from kleinkram.server.settings import Settings
-from kleinkram.server.web.serving import LOOK, brand
 
 # Not part of the API: for people, not for programs.
 router = APIRouter(prefix=SHARE_PAGE, include_in_schema=False)

@@ -17,7 +17,7 @@ from kleinkram.server.access.secrets import new_secret
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection
 from kleinkram.server.missions.service import lock_mission
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.settings import Settings
 from kleinkram.server.shares import queries
 from kleinkram.server.tables import share, share_file

@@ -11,7 +11,7 @@ from kleinkram.server.tables.mission import mission
 from kleinkram.server.tables.mission_topic import MOST_KEPT_TOPICS, mission_topic, mission_topics
 from kleinkram.server.tables.person import person, person_email, session, token, token_limit
 from kleinkram.server.tables.project import project
-from kleinkram.server.tables.run import log_segment, run, run_artifact, run_finding, run_input, run_metric
+from kleinkram.server.tables.run import log_chunk, run, run_artifact, run_finding, run_input, run_metric
 from kleinkram.server.tables.runner import runner
 from kleinkram.server.tables.scrub import scrub
 from kleinkram.server.tables.share import share, share_file
@@ -42,7 +42,7 @@ __all__ = [
     "file",
     "identity",
     "job_error",
-    "log_segment",
+    "log_chunk",
     "login_request",
     "membership",
     "metadata",

@@ -154,8 +154,8 @@ run_metric = Table(
 )
 
 # Pieces of logs in the store. Without a run they, and then their rows, are swept.
-log_segment = Table(
-    "log_segment",
+log_chunk = Table(
+    "log_chunk",
     metadata,
     Column("key", Text, primary_key=True),
     Column("store_id", Text, nullable=False, server_default="main"),
@@ -166,5 +166,5 @@ log_segment = Table(
     # Null until the runner said that it is there.
     Column("kept_at", DateTime(timezone=True)),
     created_at_column(),
-    Index("ix_log_segment_run_id", "run_id", "attempt", "offset_bytes"),
+    Index("ix_log_chunk_run_id", "run_id", "attempt", "offset_bytes"),
 )

@@ -16,7 +16,7 @@ runner = Table(
     Column("labels", ARRAY(Text), nullable=False, server_default="{}"),
     Column("capacity", JSONB, nullable=False),
     Column("abilities", JSONB, nullable=False),
-    Column("stock_image", Text),
+    Column("default_image", Text),
     Column("version", Text, nullable=False),
     created_at_column(),
     Column("last_seen_at", DateTime(timezone=True), nullable=False, server_default=text("now()")),

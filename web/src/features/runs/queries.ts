@@ -12,8 +12,8 @@ export type RunQuery = NonNullable<operations["list_runs"]["parameters"]["query"
 export type Finding = Schemas["FindingRead"];
 export type Metric = Schemas["MetricRead"];
 export type Preview = Schemas["Preview"];
-export type Sample = Schemas["Sample"];
-export type LogPiece = Schemas["LogPiece"];
+export type Sample = Schemas["UsageSample"];
+export type LogChunkRead = Schemas["LogChunkRead"];
 
 const PAGE = 500;
 const ACTIVE: readonly RunState[] = ["queued", "preparing", "running", "collecting"];

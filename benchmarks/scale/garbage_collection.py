@@ -1,0 +1,46 @@
+"""Sweeps until nothing is left to sweep, as a process of its own: `python -m benchmarks.scale.garbage_collection`.
+
+Prints how many rounds it took. The environment is the worker's.
+"""
+
+import asyncio
+import os
+
+from sqlalchemy import func, select
+
+from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.context import AppContext
+from kleinkram.server.db import open_database
+from kleinkram.server.s3.storage import open_storage
+from kleinkram.server.settings import Settings
+from kleinkram.server.tables import mission
+
+# As the worker: whatever people wait for goes first.
+_NICENESS = 10
+
+
+async def main() -> int:
+    """Sweep, round after round; returns how many rounds it took."""
+    settings = Settings()
+    database = open_database(settings)
+    rounds = 0
+    # A mission goes after the last of its files.
+    due = (
+        select(mission.c.id)
+        .where(mission.c.deleted_at < func.now() - func.make_interval(0, 0, 0, settings.trash_days))
+        .limit(1)
+    )
+    async with open_storage(settings) as storage:
+        while True:
+            async with database.begin() as db:
+                if (await db.execute(due)).first() is None:
+                    break
+            await sweep_once(AppContext(database, storage, settings))
+            rounds += 1
+    await database.close()
+    return rounds
+
+
+if __name__ == "__main__":
+    os.nice(_NICENESS)
+    print(asyncio.run(main()))

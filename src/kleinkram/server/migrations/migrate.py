@@ -1,0 +1,128 @@
+"""Upgrade a database to this version's schema while servers use it: they wait for seconds at most, and lose nothing.
+
+One migrator at a time; the others wait, and then find nothing to do. Each revision is one transaction. A revision that
+does not get its table locks within two seconds is rolled back, so that statements queued behind it run, and is retried.
+"""
+
+import logging
+import time
+from dataclasses import dataclass
+
+import psycopg
+from alembic import command
+from alembic.config import Config
+from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from sqlalchemy import Connection, create_engine, pool, text
+from sqlalchemy.exc import DBAPIError
+
+from kleinkram.server.migrations import HEAD, alembic_config, development_schema_problem, later_schema_problem
+
+_log = logging.getLogger("kleinkram.migrations")
+# The advisory lock that migrators of one database take.
+LOCK = 0x6B6C65696E
+_POLL_S = 0.2
+_FIRST_PAUSE_S = 0.5
+_LONGEST_PAUSE_S = 10.0
+_LOCK_ERRORS = (psycopg.errors.LockNotAvailable, psycopg.errors.DeadlockDetected)
+
+
+class MigrationBlocked(Exception):
+    """Another transaction kept a migration from its locks for too long. The text says what to do."""
+
+
+class SchemaUnsupported(Exception):
+    """The database has a schema that this program cannot use or upgrade. The text says what to do."""
+
+
+@dataclass(frozen=True)
+class LockTimeouts:
+    """How long one attempt waits for table locks, and how long a revision is retried."""
+
+    attempt_s: float = 2.0
+    total_s: float = 600.0
+
+
+def migrate(url: str, serving_role: str, timeouts: LockTimeouts = LockTimeouts()) -> list[str]:
+    """Upgrade a database, given as SQLAlchemy URL, to this version; return the applied revisions.
+
+    Revisions applied before one that fails stay applied. The timeouts limit waiting for locks, not a migration's work.
+
+    Raises:
+        MigrationBlocked: a revision did not get its locks in time.
+        SchemaUnsupported: a later version or a development version made the schema.
+    """
+    engine = create_engine(url, poolclass=pool.NullPool)
+    try:
+        with engine.connect() as connection:
+            _wait_for_other_migrators(connection)
+            config = alembic_config(url, serving_role)
+            config.attributes["connection"] = connection
+            revisions = _missing_revisions(connection, config)
+            for revision in revisions:
+                _apply(connection, config, revision, timeouts)
+            return revisions
+    finally:
+        engine.dispose()
+
+
+def _wait_for_other_migrators(connection: Connection) -> None:
+    # A session lock: it spans the transactions that follow, and ends with the connection.
+    is_logged = False
+    while True:
+        with connection.begin():
+            if connection.execute(text("SELECT pg_try_advisory_lock(:lock)"), {"lock": LOCK}).scalar_one():
+                return
+        if not is_logged:
+            _log.info("waiting for another migrator")
+            is_logged = True
+        time.sleep(_POLL_S)
+
+
+def _missing_revisions(connection: Connection, config: Config) -> list[str]:
+    with connection.begin():
+        current = MigrationContext.configure(connection).get_current_revision() or "base"
+        problem = development_schema_problem(current)
+        if current != "base" and current > HEAD:
+            oldest = connection.execute(text("SELECT compatible_from FROM alembic_version")).scalar_one()
+            problem = later_schema_problem(current, oldest)
+            if problem is None:
+                _log.warning(
+                    "the schema is later than this program and compatible with it: nothing to do",
+                    extra={"fields": {"revision": current}},
+                )
+                return []
+        if problem is not None:
+            raise SchemaUnsupported(f"Nothing was changed: {problem}.")
+    steps = ScriptDirectory.from_config(config).iterate_revisions("head", current)
+    return [step.revision for step in reversed([*steps])]
+
+
+def _apply(connection: Connection, config: Config, revision: str, timeouts: LockTimeouts) -> None:
+    start, pause_s = time.monotonic(), _FIRST_PAUSE_S
+    while True:
+        try:
+            with connection.begin():
+                connection.execute(text(f"SET LOCAL lock_timeout = {round(timeouts.attempt_s * 1000)}"))
+                command.upgrade(config, revision)
+        except DBAPIError as error:  # noqa: PERF203  (retrying is what the loop is for)
+            if not isinstance(error.orig, _LOCK_ERRORS):
+                raise
+            waited_s = time.monotonic() - start
+            if waited_s + pause_s > timeouts.total_s:
+                raise MigrationBlocked(_explain(revision, waited_s)) from error
+            _log.warning("a table is in use; retrying", extra={"fields": {"revision": revision}})
+            time.sleep(pause_s)
+            pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
+        else:
+            _log.info("migrated", extra={"fields": {"revision": revision}})
+            return
+
+
+def _explain(revision: str, waited_s: float) -> str:
+    list_sessions = "SELECT pid, application_name, xact_start FROM pg_stat_activity ORDER BY xact_start"
+    return (
+        f"Revision {revision} did not get its locks within {waited_s:.0f} s: another session keeps a transaction open. "
+        f"`{list_sessions}` lists the sessions; end that one, then migrate again. Earlier revisions stay applied; this "
+        "one changed nothing."
+    )
