@@ -106,7 +106,7 @@ def test_files_and_topics(lab: Lab) -> None:
 
 def test_files_in_the_order_of_time(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     """Someone who sees very many missions lists the same files by time."""
-    monkeypatch.setattr(missions_service, "FEW_MISSIONS", 0)
+    monkeypatch.setattr(missions_service, "MAX_VISIBLE_IDS", 0)
     for eye, api in _looks(lab):
         if not eye.reads:
             continue

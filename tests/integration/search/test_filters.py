@@ -244,7 +244,7 @@ def test_someone_who_sees_few_missions_finds_what_an_admin_finds_in_them(
     people.grant(api, many, Right.read, project_id=project["id"])
     crowd = api.project()["id"]
     people.grant(api, many, Right.read, project_id=crowd)
-    for number in range(missions_service.FEW_MISSIONS):
+    for number in range(missions_service.MAX_VISIBLE_IDS):
         sample.file(api.mission(crowd)["id"], f"{number}.txt")
     for person in (reader, many):
         theirs = api.as_(person.token)
@@ -272,8 +272,8 @@ def test_a_list_continues_when_someone_begins_to_see_many_or_few_missions(
     reader = people.person(api)
     people.grant(api, reader, Right.read, mission_id=mission)
     theirs, found, query = api.as_(reader.token), list[str](), {"sort": sort, "limit": "1"}
-    for most in itertools.cycle((missions_service.FEW_MISSIONS, 0)):
-        monkeypatch.setattr(missions_service, "FEW_MISSIONS", most)
+    for most in itertools.cycle((missions_service.MAX_VISIBLE_IDS, 0)):
+        monkeypatch.setattr(missions_service, "MAX_VISIBLE_IDS", most)
         page = theirs.get("/files", query).ok()
         found += _ids(page["items"])
         if page["next"] is None:
@@ -291,8 +291,8 @@ def test_someone_finds_the_same_files_whether_or_not_their_missions_count_as_few
     reader = people.person(api)
     for mission in missions:
         people.grant(api, reader, Right.read, mission_id=mission)
-    for most in (0, missions_service.FEW_MISSIONS):
-        monkeypatch.setattr(missions_service, "FEW_MISSIONS", most)
+    for most in (0, missions_service.MAX_VISIBLE_IDS):
+        monkeypatch.setattr(missions_service, "MAX_VISIBLE_IDS", most)
         assert sorted(_ids(api.as_(reader.token).all("/files", {"sort": "created"}))) == sorted(ids)
 
 

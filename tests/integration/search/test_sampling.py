@@ -8,7 +8,7 @@ import pytest
 
 from kleinkram.server.filters import text as text_filters
 from kleinkram.server.missions import service as missions_service
-from kleinkram.server.search import planning
+from kleinkram.server.search import planner
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.sample import Sample
@@ -44,8 +44,8 @@ def _full(start_api: StartApi) -> Api:
 @pytest.fixture(name="sampled")
 def _sampled(monkeypatch: pytest.MonkeyPatch) -> int:
     """A sample so small that the files count as very many."""
-    monkeypatch.setattr(planning, "SAMPLED_FILES", 60)
-    return planning.SAMPLED_FILES
+    monkeypatch.setattr(planner, "SAMPLED_FILES", 60)
+    return planner.SAMPLED_FILES
 
 
 def test_few_files_are_all_counted(full: Api) -> None:
@@ -221,8 +221,8 @@ def _spread(start_api: StartApi) -> tuple[Api, str]:
         (text_filters, "_MAX_NAMES", 500),
         (text_filters, "_MAX_NAMES", 1),
         (text_filters, "_MAX_NAMES", 0),
-        (planning, "_MAX_MATCHED", 2),
-        (planning, "COMMON", 0),
+        (planner, "_MAX_MATCHED", 2),
+        (planner, "COMMON", 0),
     ],
 )
 def test_a_search_finds_the_same_whichever_plan_it_follows(
@@ -243,9 +243,9 @@ def test_a_common_word_lists_what_a_rare_one_does(spread: tuple[Api, str], monke
     api, word = spread
     rare = api.get("/search", {"query": word, "limit": "50"}).ok()
     size = api.sql("SELECT count(*) FROM file")[0][0]
-    monkeypatch.setattr(planning, "SAMPLED_FILES", size)
-    monkeypatch.setattr(planning, "_COMMON_TOGETHER", 0)
-    monkeypatch.setattr(planning, "COMMON", 1)
+    monkeypatch.setattr(planner, "SAMPLED_FILES", size)
+    monkeypatch.setattr(planner, "_COMMON_TOGETHER", 0)
+    monkeypatch.setattr(planner, "COMMON", 1)
     common = api.get("/search", {"query": word, "limit": "50"}).ok()
     assert (rare["is_whole"], common["is_whole"]) == (True, False)
     for kind in ("files", "missions"):

@@ -30,7 +30,7 @@ def _readers(start_api: StartApi, request: pytest.FixtureRequest) -> Iterator[li
         found.append((api.as_(people.token(api, reader).secret), mission, word))
     with pytest.MonkeyPatch.context() as patch:
         if request.param:
-            patch.setattr(missions_service, "FEW_MISSIONS", 0)
+            patch.setattr(missions_service, "MAX_VISIBLE_IDS", 0)
         yield found
 
 

@@ -49,7 +49,7 @@ Still = Callable[[ColumnElement[Any]], ColumnElement[bool]]
 Place = tuple[ColumnElement[Any], ColumnElement[Any]]
 # Putting these into words again with each request would cost about as much as asking the database for them: so much is
 # kept of who asked last.
-_KEPT = 1000
+_CACHE_SIZE = 1000
 # Whoever is in one of these together knows of each other; all admins of a server need not.
 _SHARED = (GroupKind.custom.value, GroupKind.affiliation.value)
 _GROUPS = (*_SHARED, GroupKind.admins.value)
@@ -302,12 +302,12 @@ def _reaches_mission(actor: Actor, right: Right) -> ColumnElement[bool]:
     return and_(within, _granted_on_mission(actor.person_id, right))
 
 
-@functools.lru_cache(maxsize=_KEPT)
+@functools.lru_cache(maxsize=_CACHE_SIZE)
 def _granted_on_mission(person_id: uuid.UUID | None, right: Right) -> ColumnElement[bool]:
     return or_(mission.c.project_id.in_(_my_projects(person_id, right)), _granted_itself(person_id, right))
 
 
-@functools.lru_cache(maxsize=_KEPT)
+@functools.lru_cache(maxsize=_CACHE_SIZE)
 def _granted_itself(person_id: uuid.UUID | None, right: Right) -> ColumnElement[bool]:
     return mission.c.id.in_(_granted_to(person_id, access_grant.c.mission_id, right))
 
@@ -325,7 +325,7 @@ def _public_level() -> ColumnElement[int]:
     return case((project.c.is_public, Right.read.level), else_=0)
 
 
-@functools.lru_cache(maxsize=_KEPT)
+@functools.lru_cache(maxsize=_CACHE_SIZE)
 def _memberships(person_id: uuid.UUID | None, still: Still = unexpired) -> ColumnElement[Any]:
     mine = select(membership.c.group_id).where(membership.c.person_id == person_id, still(membership.c.expires_at))
     return func.array(mine.correlate(None).scalar_subquery())
@@ -341,14 +341,14 @@ def _granted(actor: Actor, place: ColumnElement[Any], right: Right) -> Select[An
     return _granted_to(actor.person_id, place, right)
 
 
-@functools.lru_cache(maxsize=_KEPT)
+@functools.lru_cache(maxsize=_CACHE_SIZE)
 def _granted_to(person_id: uuid.UUID | None, place: ColumnElement[Any], right: Right) -> Select[Any]:
     # Asked with IN and of nothing outside: found once a statement and hashed, however many grants there are.
     mine = (access_grant.c.group_id == any_(_memberships(person_id))) & unexpired(access_grant.c.expires_at)
     return select(place).where(mine, place.is_not(None), access_grant.c.level >= right.level).correlate(None)
 
 
-@functools.lru_cache(maxsize=_KEPT)
+@functools.lru_cache(maxsize=_CACHE_SIZE)
 def _public_or_granted_level(person_id: uuid.UUID | None) -> ColumnElement[int]:
     return func.greatest(_public_level(), *_levels_granted_on_mission(person_id))
 
@@ -369,7 +369,7 @@ def _granted_level(
     return level(person_id, place, outer, still)
 
 
-@functools.lru_cache(maxsize=_KEPT)
+@functools.lru_cache(maxsize=_CACHE_SIZE)
 def _level_granted_to(person_id: uuid.UUID | None, place: Place, outer: Any, still: Still) -> ColumnElement[int]:
     granted_on, here = place
     mine = (access_grant.c.group_id == any_(_memberships(person_id, still))) & still(access_grant.c.expires_at)

@@ -16,7 +16,7 @@ from kleinkram.contract.errors import Forbidden, NameTaken, NotFound, SignInFail
 from kleinkram.contract.metadata import Metadata
 from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.access.groups import add_person, prove_address
-from kleinkram.server.access.rights import hold_person
+from kleinkram.server.access.rights import lock_person
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.auth.codes import CodeWanted, find_code, make_code, use_code
 from kleinkram.server.auth.passwords import Passwords, refuse_obvious
@@ -189,7 +189,7 @@ async def reset_password(db: Connection, asker: Actor, *, reset: PasswordReset, 
     if whose is None:
         raise SignInRefused(reason="this account was deactivated. An admin of this server can say why.")
     actor = whose.asking(asker.operation or "", request_id=asker.request_id, address=asker.address)
-    await hold_person(db, person_id)
+    await lock_person(db, person_id)
     await _keep_password(db, person_id, name=whose.name, new=reset.password, hashed=hashed, field="password")
     ended: Metadata = {"sessions": await end_sessions(db, actor), "tokens": await end_personal_tokens(db, actor)}
     await record(db, actor, Event("password.reset", "person", person_id, whose.name, None, after=ended))

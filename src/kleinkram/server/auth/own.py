@@ -16,7 +16,7 @@ from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.rights import GroupKind
 from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.access.groups import OWNER_ID
-from kleinkram.server.access.rights import hold_person
+from kleinkram.server.access.rights import lock_person
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.auth.totp import read_totp
 from kleinkram.server.db import Connection
@@ -65,7 +65,7 @@ async def unlink_identity(db: Connection, actor: Actor, *, identity_id: uuid.UUI
     """
     if actor.person_id is not None:
         # Of two at once that would each leave the other, one waits, and finds itself the last.
-        await hold_person(db, actor.person_id)
+        await lock_person(db, actor.person_id)
     wanted = next(
         (each for each in await list_identities(db, actor, settings=settings) if each.id == identity_id), None
     )

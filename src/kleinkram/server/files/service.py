@@ -96,15 +96,15 @@ async def list_files(
         listed = await list_files(db, actor, matching=matching, sort=sort, page=replace(page, count=False))
         return listed.model_copy(update={"total": total})
     if plan is NO_PLAN and matching.mission_id is None:
-        plan = replace(NO_PLAN, mission_ids=await missions.find_few_missions(db, actor))
+        plan = replace(NO_PLAN, mission_ids=await missions.find_visible_mission_ids(db, actor))
     rows = None
-    if sort in _BY_PATH and not page.count and matching.mission_id is None and not plan.finds_few:
+    if sort in _BY_PATH and not page.count and matching.mission_id is None and not plan.is_selective:
         rows = await _page_of_first_missions(db, actor, matching, sort, page)
     if rows is None:
         matched = queries.matching_files(actor, matching, plan)
         if plan.matched is not None:
             matched = matched.where(among(file.c.id, plan.matched.first_ids))
-        order = queries.file_order(sort, by_index=not plan.finds_few)
+        order = queries.file_order(sort, by_index=not plan.is_selective)
         rows = await fetch_page(db, matched, order, page, described=queries.rows_of_found)
     return Page(items=queries.to_files(rows.items), next=rows.next, total=rows.total)
 

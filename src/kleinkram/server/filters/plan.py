@@ -53,7 +53,7 @@ class SearchPlan:
     mission_ids: Sequence[uuid.UUID] | None = None
 
     @property
-    def finds_few(self) -> bool:
+    def is_selective(self) -> bool:
         """Whether so few files match that they are looked up and sorted, instead of read in the list's order."""
         return any(each is not None for each in (self.leading_word, self.matched, self.mission_ids))
 

@@ -100,7 +100,7 @@ def whole_mission(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
     return mission_rows(actor, visible_missions(actor).where(mission.c.id == mission_id))
 
 
-def hold_projects_of(mission_ids: Collection[uuid.UUID]) -> Select[Any]:
+def lock_projects_of(mission_ids: Collection[uuid.UUID]) -> Select[Any]:
     """Return the select that keeps the projects of missions from being deleted, restored or dropped."""
     holding = select(mission.c.project_id).where(among(mission.c.id, mission_ids))
     found = select(project.c.id).where(project.c.id.in_(holding)).order_by(project.c.id)

@@ -47,7 +47,7 @@ from kleinkram.server.yaml_text import Document
 _JUDGED_AT_ONCE = 500
 SAMPLED_MISSIONS = 100
 # Of more, the files are so many that each mission's own are no shorter way.
-FEW_MISSIONS = 32
+MAX_VISIBLE_IDS = 32
 
 
 async def lock_mission(db: Connection, mission_id: uuid.UUID) -> bool:
@@ -61,7 +61,7 @@ async def lock_missions(db: Connection, mission_ids: Collection[uuid.UUID]) -> s
     Their projects are kept from being deleted, restored or dropped meanwhile. Says nothing of who may see them, nor
     whether they are in the trash: that is read afterwards, by a statement of its own, and then stays true.
     """
-    await db.execute(queries.hold_projects_of(mission_ids))
+    await db.execute(queries.lock_projects_of(mission_ids))
     return set((await db.execute(queries.lock_missions(mission_ids))).scalars())
 
 
@@ -122,8 +122,8 @@ async def list_missions(
     return Page(items=queries.to_missions(rows.items), next=rows.next, total=rows.total)
 
 
-async def find_few_missions(db: Connection, actor: Actor) -> Sequence[uuid.UUID] | None:
-    """Return all missions that an actor sees, where there are at most `FEW_MISSIONS`; None where there are more.
+async def find_visible_mission_ids(db: Connection, actor: Actor) -> Sequence[uuid.UUID] | None:
+    """Return all missions that an actor sees, where there are at most `MAX_VISIBLE_IDS`; None where there are more.
 
     PostgreSQL expects everybody to see most missions. Whoever sees few of two million files would otherwise wait for
     seconds, until an index of all files in order has been read past everybody else's. It grants nothing: every
@@ -131,9 +131,9 @@ async def find_few_missions(db: Connection, actor: Actor) -> Sequence[uuid.UUID]
     """
     if actor.is_admin:
         return None
-    ids = visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True).limit(FEW_MISSIONS + 1)
+    ids = visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True).limit(MAX_VISIBLE_IDS + 1)
     mission_ids = (await db.execute(ids)).scalars().all()
-    return None if len(mission_ids) > FEW_MISSIONS else mission_ids
+    return None if len(mission_ids) > MAX_VISIBLE_IDS else mission_ids
 
 
 async def estimate_matching(db: Connection, actor: Actor, found: FileFilter, plan: SearchPlan) -> int | None:

@@ -16,7 +16,7 @@ from kleinkram.contract.paging import Page
 from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.contract.trash import Deleted
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.creating import give_first_rights, require_creator
+from kleinkram.server.access.creation import grant_first_rights, require_creator
 from kleinkram.server.access.rights import admit, require_project
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
@@ -79,7 +79,7 @@ async def create_project(db: Connection, actor: Actor, *, wanted: ProjectCreate,
     except IntegrityError as error:
         raise _name_taken(error, wanted.name) from error
     after = {"name": wanted.name, "description": wanted.description, "metadata_fields": values["metadata_fields"]}
-    given = await give_first_rights(db, actor, project_id)
+    given = await grant_first_rights(db, actor, project_id)
     after |= {"grants": {name: right.value for name, right in given.items()}} if given else {}
     event = Event("project.create", "project", project_id, wanted.name, project_id, after=after, by_power=by_power)
     await record(db, actor, event)

@@ -45,7 +45,7 @@ from kleinkram.server.db import among
 from kleinkram.server.filters.files import filter_files, filter_topics
 from kleinkram.server.filters.plan import SearchPlan
 from kleinkram.server.search import chosen_values
-from kleinkram.server.search.planning import sampled_files
+from kleinkram.server.search.planner import sampled_files
 from kleinkram.server.tables import blob, file, mission, project, topic
 
 MOST_VALUES = 12

@@ -17,7 +17,7 @@ from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
 from kleinkram.server.search import chosen_values
 from kleinkram.server.search.facet_queries import PLAIN_FACETS, facet_rows, parameters, variants
-from kleinkram.server.search.planning import plan_search
+from kleinkram.server.search.planner import plan_search
 from kleinkram.server.search.queries import enlarge_work_memory
 
 # Files that are looked at, and for how long; fewer where that takes too long.

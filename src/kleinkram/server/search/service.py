@@ -22,7 +22,7 @@ from kleinkram.server.filters.plan import SearchPlan
 from kleinkram.server.missions import service as missions
 from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.search import queries
-from kleinkram.server.search.planning import Sample, find_matched, plan_search
+from kleinkram.server.search.planner import Sample, find_matched, plan_search
 
 # More rows than anybody reads, and few enough to answer with at once.
 MAX_GROUPS = 10_000

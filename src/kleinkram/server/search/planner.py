@@ -17,7 +17,7 @@ from kleinkram.server.files.queries import file_order, matching_files
 from kleinkram.server.filters.files import file_conditions
 from kleinkram.server.filters.plan import ID_COUNT, MatchedFiles, SearchPlan, rounded
 from kleinkram.server.filters.text import file_contains, has_index, look_up_words, words_of
-from kleinkram.server.missions.service import find_few_missions
+from kleinkram.server.missions.service import find_visible_mission_ids
 from kleinkram.server.paging import in_order
 from kleinkram.server.tables import file
 
@@ -70,9 +70,9 @@ async def plan_search(
         InvalidQuery: a `where` cannot be used, or there are too many words.
     """
     words = [*dict.fromkeys(words_of(filters[0].text))]
-    few_missions = await find_few_missions(db, actor)
-    if few_missions is not None:
-        return SearchPlan(mission_ids=few_missions), Sample([0] * len(filters), 0, 0, "{}", COMMON)
+    visible_ids = await find_visible_mission_ids(db, actor)
+    if visible_ids is not None:
+        return SearchPlan(mission_ids=visible_ids), Sample([0] * len(filters), 0, 0, "{}", COMMON)
     plan = SearchPlan(await look_up_words(db, words))
     await db.execute(allow_hash_joins(False))
     conditions = [and_(true(), *file_conditions(actor, each, plan)) for each in filters]
