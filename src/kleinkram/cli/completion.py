@@ -24,7 +24,7 @@ def complete_endpoint(ctx: typer.Context, incomplete: str) -> list[str]:
     """Return the saved endpoints whose names begin so."""
 
     def saved() -> Iterator[str]:
-        from kleinkram.client.saved_endpoints import load_endpoints
+        from kleinkram.client.config import load_endpoints
 
         yield from (name for name in load_endpoints().endpoints if name.startswith(incomplete))
 
@@ -33,7 +33,7 @@ def complete_endpoint(ctx: typer.Context, incomplete: str) -> list[str]:
 
 def _names(path: str, incomplete: str, project: object) -> Iterator[str]:
     from kleinkram.client._http import Api
-    from kleinkram.client._paging import pages
+    from kleinkram.client._nouns import pages
     from kleinkram.client.config import find_endpoint
     from kleinkram.contract.missions import MissionRead
     from kleinkram.contract.projects import ProjectRead

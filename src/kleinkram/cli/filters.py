@@ -11,8 +11,7 @@ import typer
 from kleinkram.cli.options import MissionsOption, ProjectsOption, the_only
 from kleinkram.cli.units import parse_size, parse_time
 from kleinkram.client import Client
-from kleinkram.client.checking import checked
-from kleinkram.client.references import is_glob
+from kleinkram.client._nouns import checked, is_glob
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import FileFilter, FileRead
 from kleinkram.contract.missions import MissionFilter, MissionRead

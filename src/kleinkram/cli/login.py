@@ -12,10 +12,19 @@ import typer
 
 from kleinkram.cli.options import AsJson, read_token
 from kleinkram.cli.render import escape, moment, note, show_json
-from kleinkram.client.config import TOKEN_VARIABLE, URL_VARIABLE, EndpointSource, find_endpoint
+from kleinkram.client.config import (
+    TOKEN_VARIABLE,
+    URL_VARIABLE,
+    EndpointSource,
+    SavedEndpoint,
+    add_endpoint,
+    find_endpoint,
+    load_endpoints,
+    name_for,
+    normal_url,
+)
 from kleinkram.client.errors import EndpointTaken, InvalidInput, NoBrowser
-from kleinkram.client.saved_endpoints import SavedEndpoint, add_endpoint, load_endpoints, name_for, normal_url
-from kleinkram.client.signing_in import begin_browser, begin_device, end_token, see_server, wait_for_device, who_has
+from kleinkram.client.sign_in import begin_browser, begin_device, end_token, see_server, wait_for_device, who_has
 from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.signing_in import SignedIn
 

@@ -8,10 +8,17 @@ import typer
 from kleinkram.cli.errors import exit_code_of
 from kleinkram.cli.options import AsJson
 from kleinkram.cli.render import escape, moment, note, show_json
-from kleinkram.client.config import TOKEN_VARIABLE, EndpointSource, find_endpoint
+from kleinkram.client.config import (
+    TOKEN_VARIABLE,
+    EndpointSource,
+    SavedEndpoint,
+    find_endpoint,
+    load_endpoints,
+    remove_endpoint,
+    require_endpoint,
+)
 from kleinkram.client.errors import InvalidInput
-from kleinkram.client.saved_endpoints import SavedEndpoint, load_endpoints, remove_endpoint, require_endpoint
-from kleinkram.client.signing_in import end_token
+from kleinkram.client.sign_in import end_token
 from kleinkram.contract.errors import KleinkramError
 
 

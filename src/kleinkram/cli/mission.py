@@ -26,7 +26,7 @@ from kleinkram.cli.options import (
 )
 from kleinkram.cli.render import escape, line, note, show_json, show_json_list
 from kleinkram.cli.units import count, size
-from kleinkram.client.checking import checked
+from kleinkram.client._nouns import checked
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.missions import MissionFilter, MissionSort
 from kleinkram.contract.names import is_id

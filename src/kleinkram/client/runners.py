@@ -8,7 +8,7 @@ import uuid
 from collections.abc import Callable, Sequence
 
 from kleinkram.client._http import PATIENCE_S, Api
-from kleinkram.client._paging import Listing, pages
+from kleinkram.client._nouns import Listing, pages
 from kleinkram.client.uploads import Uploads
 from kleinkram.contract.runners import (
     ArtifactUploadsCreate,

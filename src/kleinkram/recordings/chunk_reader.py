@@ -263,7 +263,7 @@ class _ChunkReader:
             return []
         self._searched = True
         file = self._file
-        message = "its index lists chunks where none stands: what stands between the others is read instead"
+        message = "its index lists chunks that are not there; the space between the others is read instead"
         file.problem_log.add("index-damaged", file.source.name, message)
         return unlisted(file.source, file.table.rows, file.format.open_chunk)
 

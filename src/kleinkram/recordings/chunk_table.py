@@ -82,7 +82,7 @@ class Int64Table(Generic[RowT]):
             self._cells.extend(row)
         except OverflowError:
             del self._cells[size:]
-            raise Malformed("index", "a chunk is said to lie beyond any file") from None
+            raise Malformed("index", "a chunk lies beyond any possible file size") from None
 
     def replace(self, number: int, row: RowT) -> None:
         """Replace a row."""

@@ -128,7 +128,7 @@ def _jumps_between(summaries: Sequence[RecordingSummary], names: Sequence[str]) 
         if 2 * len(back) > len(shared):
             where = names[number] if names else f"file {number + 1}"
             message = f"it begins {back[-1] / 1e9:.1f} s before the file before it ends: the clock was set in between, "
-            problems.append(Problem(_CLOCK_JUMP, where, message + "so order, span and gaps are not to be trusted"))
+            problems.append(Problem(_CLOCK_JUMP, where, message + "so order, span and gaps are unreliable"))
         ended.update((name, last_ns) for name, _, last_ns in known)
     return problems
 

@@ -27,7 +27,7 @@ def is_known_compression(name: str) -> bool:
 
 def unknown_compression(name: str) -> Malformed:
     """Return why a chunk with an unknown compression is not read."""
-    return Malformed("chunk", f"compression '{name}' is not one that we read", certain=False)
+    return Malformed("chunk", f"unknown compression '{name}'", certain=False)
 
 
 def unreadable_chunk(name: str, *, stored: int, uncompressed: int) -> Malformed | None:

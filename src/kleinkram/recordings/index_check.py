@@ -105,7 +105,7 @@ def fault_of_claim(claim: ChunkClaim, listed: frozenset[int] | None, messages: C
         return _fault(claim.start, f"the index is wrong: it says that its messages {wrong}")
     if listed is not None and not messages.channels <= listed:
         missing = ", ".join(map(str, sorted(messages.channels - listed)[:5]))
-        message = f"the index is wrong: it does not say that the chunk holds messages of channel {missing}"
+        message = f"the index is wrong: it omits messages of channel {missing}"
         return _fault(claim.start, message)
     if claim.messages in (messages.messages, UNKNOWN):
         return None
@@ -156,7 +156,7 @@ def compare_with_scan(
             at += 1
         if at == len(actual) or actual[at].start != claim.start:
             if not is_damaged:
-                faults.note(claim.start, "the index is wrong: it lists a chunk that does not stand here")
+                faults.note(claim.start, "the index is wrong: it lists a chunk that is not here")
             continue
         chunk = actual[at]
         at += 1

@@ -109,9 +109,7 @@ def _problems_of_topic(topic: TopicSummary, types: Sequence[TopicType], times: T
         message = f"{stamped} stamped more than a year away from the rest; left out of the span"
         problems.append(Problem("suspect-stamps", topic.name, message))
     if times.gaps_are_upper_bounds:
-        message = (
-            "its messages are too far out of order to say its longest gap for sure; the one given is the most it can be"
-        )
+        message = "its messages are too far out of order to determine the longest gap; the value is an upper bound"
         problems.append(Problem("gaps-upper-bound", topic.name, message))
     if len(types) > 1:
         names = ", ".join(kind.message_type or "(no type)" for kind in types)
@@ -133,7 +131,7 @@ def clock_jump_problems(jumps: Mapping[str, Jump]) -> list[Problem]:
     back = f"log times jump back by {_span(jump.before_ns - jump.after_ns)} at {_time(jump.before_ns)}"
     reader = f", and forward again at {_time(jump.return_ns)}" if jump.return_ns is not None else ""
     where = name if len(jumps) == 1 else f"{len(jumps)} topics"
-    message = f"{back}{reader}: the clock was set while it recorded, so order, span and gaps are not to be trusted"
+    message = f"{back}{reader}: the clock was set while it recorded, so order, span and gaps are unreliable"
     return [Problem("clock-jump", where, message)]
 
 
@@ -180,11 +178,11 @@ def describe_readable(messages: int, lost: Lost | None) -> str:
     if lost == Lost(0, 0, 0):
         return f"{readable}; nothing is lost"
     if lost == Lost(0, 0, None):
-        return f"{readable}; whether more was recorded is not known"
+        return f"{readable}; whether more was recorded is unknown"
     parts = [f"{lost.bytes} bytes"]
     if lost.chunks:
         parts.insert(0, counted(lost.chunks, "chunk"))
-    parts.append("how many messages is not known" if lost.messages is None else counted(lost.messages, "message"))
+    parts.append("an unknown number of messages" if lost.messages is None else counted(lost.messages, "message"))
     return f"{readable}; lost: {', '.join(parts)}"
 
 

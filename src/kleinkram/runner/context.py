@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from urllib.parse import urlsplit
 
 from kleinkram.client.runners import Runners
-from kleinkram.client.service import Service
+from kleinkram.client.server import Service
 from kleinkram.client.transfer._store import StoreDoor
 from kleinkram.contract.actions import Network
 from kleinkram.runner.executors.base import Executor, Job, PortForward

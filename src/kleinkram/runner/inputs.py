@@ -12,7 +12,7 @@ import urllib3
 
 from kleinkram.client._retry import Backoff
 from kleinkram.client.runners import Runners
-from kleinkram.client.service import Service
+from kleinkram.client.server import Service
 from kleinkram.client.transfer._store import PATIENCE_S, Answer, StoreDoor
 from kleinkram.contract.actions import Network
 from kleinkram.contract.errors import FileUnavailable, InvalidRequest, KleinkramError, NotFound, RunGone

@@ -19,7 +19,7 @@ from kleinkram.client._http import Api
 from kleinkram.client._retry import Backoff
 from kleinkram.client.config import Endpoint, EndpointSource
 from kleinkram.client.runners import Runners
-from kleinkram.client.service import Service
+from kleinkram.client.server import Service
 from kleinkram.client.transfer._store import StoreDoor
 from kleinkram.contract.actions import Resources
 from kleinkram.contract.errors import Forbidden, KleinkramError, NotAuthenticated, NotFound, ScopeMissing

@@ -6,7 +6,7 @@ import pytest
 
 from kleinkram.client import errors
 from kleinkram.client._http import query_of, reason_of
-from kleinkram.client.checking import checked
+from kleinkram.client._nouns import checked
 from kleinkram.client.errors import ClientError, InvalidInput, remember_request, request_id_of
 from kleinkram.client.transfer._store import Answer, meaning
 from kleinkram.contract.errors import InternalError, NotFound

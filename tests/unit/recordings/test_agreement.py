@@ -12,6 +12,7 @@ import pytest
 
 from kleinkram.recordings import Recording
 from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap.records import Opcode
 from tests.conftest import CASES, MakeCase
 
 from .agreement import Accounts, accounts_of, disagreements
@@ -104,11 +105,11 @@ def test_messages_between_chunks_are_read_over_a_network_as_they_are_from_a_disk
     source = mcap_of([[("/t", T0 + 10 * number + at, bytes(100)) for at in range(5)] for number in range(4)])
     data = source.read(0, source.size_bytes)
     starts = [match.start() for match in re.finditer(rb"\x06.{8}.{24}.{4}\x04\0\0\0zstd", data, re.DOTALL)][:4]
-    end = data.index(bytes([records.DATA_END]) + struct.pack("<Q", 4), starts[-1])
+    end = data.index(bytes([Opcode.DATA_END]) + struct.pack("<Q", 4), starts[-1])
     pieces = [data[: starts[0]]]
     for number, (start, stop) in enumerate(zip(starts, [*starts[1:], end], strict=True)):
         head = struct.pack("<HIQQ", 0, 0, T0 + 10 * number + 7, 0)
-        loose = records.RECORD_HEAD.pack(records.MESSAGE, len(head) + 3) + head + b"own"
+        loose = records.RECORD_HEAD.pack(Opcode.MESSAGE, len(head) + 3) + head + b"own"
         pieces += [data[start:stop], loose, loose]
     (tmp_path / "mixed.mcap").write_bytes(b"".join(pieces))
     (accounts,) = accounts_of(tmp_path)

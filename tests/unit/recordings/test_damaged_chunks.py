@@ -16,6 +16,7 @@ import zstandard
 from kleinkram.recordings import Content, Lost, Recording, RecordingSummary
 from kleinkram.recordings import damage_report as damage_report_module
 from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
 from kleinkram.recordings.formats.rosbag1.writer import BagCompression, BagWriter
 from kleinkram.recordings.sources import source_reader
@@ -28,18 +29,18 @@ from .test_hostile import chunk, mcap_of, record
 
 T0 = 1_700_000_000_000_000_000
 PACK = {b"": bytes, b"zstd": zstandard.compress, b"lz4": lz4.frame.compress}
-INDEX_OF_1000 = records.RECORD_HEAD.pack(records.MESSAGE_INDEX, 2 + 4 + 16 * 1_000)
+INDEX_OF_1000 = records.RECORD_HEAD.pack(Opcode.MESSAGE_INDEX, 2 + 4 + 16 * 1_000)
 
 
 def channel_record(number: int, topic: bytes) -> bytes:
     return record(
-        records.CHANNEL, struct.pack("<HHI", number, 0, len(topic)) + topic + struct.pack("<I3sI", 3, b"cdr", 0)
+        Opcode.CHANNEL, struct.pack("<HHI", number, 0, len(topic)) + topic + struct.pack("<I3sI", 3, b"cdr", 0)
     )
 
 
 def messages(count: int, first: int = 0, channel: int = 0) -> bytes:
     return b"".join(
-        record(records.MESSAGE, struct.pack("<HIQQ", channel, 0, T0 + first + n, T0 + first + n) + bytes(range(200)))
+        record(Opcode.MESSAGE, struct.pack("<HIQQ", channel, 0, T0 + first + n, T0 + first + n) + bytes(range(200)))
         for n in range(count)
     )
 
@@ -109,7 +110,7 @@ def test_a_cut_chunk_is_saved_and_measured(compression: Compression) -> None:
 
 def test_a_large_message_that_is_cut_is_not_counted() -> None:
     body = struct.pack("<HIQQ", 0, 0, T0, T0) + bytes(20 * 2**20)
-    content = channel_record(0, b"/a") + messages(1) + record(records.MESSAGE, body)
+    content = channel_record(0, b"/a") + messages(1) + record(Opcode.MESSAGE, body)
     data = mcap_of(chunk(b"", content, len(content)))[: 5 * 2**20]
     summary = scan(source_reader(MemorySource(data)))
     assert summary.message_count == 1

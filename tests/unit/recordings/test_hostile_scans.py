@@ -14,6 +14,7 @@ from kleinkram.recordings import damage_report as damage_report_module
 from kleinkram.recordings.compression import decompress
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap import scan as scan_module
+from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.formats.mcap.scan import scan_records
 from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
 from kleinkram.recordings.formats.rosbag1 import records as bag_records
@@ -36,7 +37,7 @@ def bag_head(opcode: int, **fields: bytes) -> bytes:
 
 def mcap_chunk_head() -> bytes:
     body = struct.pack("<QQQII", 0, 0, REACH, zlib.crc32(b"x"), 0) + struct.pack("<Q", REACH)
-    return records.RECORD_HEAD.pack(records.CHUNK, len(body) + REACH) + body
+    return records.RECORD_HEAD.pack(Opcode.CHUNK, len(body) + REACH) + body
 
 
 def bag_of(head: bytes) -> bytes:
@@ -95,13 +96,13 @@ HEADER_OF_INNER = len(records.MAGIC)
 INNER = {
     "whole": small_mcap(),
     "a file in a file": front_and_rest(small_mcap())[0]
-    + record(records.ATTACHMENT, attachment_of(small_mcap()))
+    + record(Opcode.ATTACHMENT, attachment_of(small_mcap()))
     + front_and_rest(small_mcap())[1],
     "its magic is overwritten": bytes(HEADER_OF_INNER) + small_mcap()[HEADER_OF_INNER:],
 }
 
 
-@pytest.mark.parametrize("opcode", [records.ATTACHMENT, records.MESSAGE, records.METADATA])
+@pytest.mark.parametrize("opcode", [Opcode.ATTACHMENT, Opcode.MESSAGE, Opcode.METADATA])
 @pytest.mark.parametrize("length", [2**60, 2**39, 1_200, 700])
 @pytest.mark.parametrize("inner", INNER)
 def test_the_messages_of_a_file_inside_of_this_one_are_not_its_own(inner: str, length: int, opcode: int) -> None:
@@ -110,7 +111,7 @@ def test_the_messages_of_a_file_inside_of_this_one_are_not_its_own(inner: str, l
     damaged = struct.pack("<BQ", opcode, length) + attachment_of(INNER[inner])
     summary = scan(source_reader(MemorySource(front + damaged + rest, "a.mcap")))
     assert summary.content is Content.recovered
-    assert summary.message_count == 40 + (opcode == records.MESSAGE and length < len(damaged))
+    assert summary.message_count == 40 + (opcode == Opcode.MESSAGE and length < len(damaged))
     assert summary.lost is not None
     assert summary.lost.bytes >= len(INNER[inner]) - 1_200
     assert any("another MCAP begins inside" in problem.message for problem in summary.problems)
@@ -120,7 +121,7 @@ def test_a_file_inside_of_this_one_that_has_no_end_takes_the_rest_with_it() -> N
     """Where it ends cannot be known: too little is counted rather than what is not this file's."""
     front, rest = front_and_rest(small_mcap())
     cut = small_mcap()[:-60]
-    damaged = struct.pack("<BQ", records.ATTACHMENT, 2**60) + attachment_of(cut)
+    damaged = struct.pack("<BQ", Opcode.ATTACHMENT, 2**60) + attachment_of(cut)
     summary = scan(source_reader(MemorySource(front + damaged + rest, "a.mcap")))
     assert (summary.content, summary.message_count) == (Content.broken, 0)
 
@@ -155,8 +156,8 @@ def test_a_topic_may_have_any_name() -> None:
     topic = b"\0channel 5"
     definition = struct.pack("<HHI", 5, 0, len(topic)) + topic + struct.pack("<I3sI", 3, b"cdr", 0)
     message = struct.pack("<HIQQ", 5, 0, 7, 7)
-    pieces = [records.RECORD_HEAD.pack(records.CHANNEL, len(definition)) + definition]
-    pieces += 3 * [records.RECORD_HEAD.pack(records.MESSAGE, len(message)) + message]
+    pieces = [records.RECORD_HEAD.pack(Opcode.CHANNEL, len(definition)) + definition]
+    pieces += 3 * [records.RECORD_HEAD.pack(Opcode.MESSAGE, len(message)) + message]
     summary = scan(source_reader(MemorySource(records.MAGIC + b"".join(pieces), "a.mcap")))
     assert [(actual.name, actual.count) for actual in summary.topics] == [(topic.decode(), 3)]
 
@@ -170,10 +171,10 @@ def test_heads_of_definitions_are_not_read_as_often_as_they_stand_there(monkeypa
         bytes_parsed += len(body)
         records.read_schema(facts, body, where)
 
-    monkeypatch.setitem(scan_module._READERS, records.SCHEMA, read_schema)
+    monkeypatch.setitem(scan_module._READERS, Opcode.SCHEMA, read_schema)
     monkeypatch.setattr(damage_report_module, "_FREE_WASTED_BYTES", 2**20)
     length = 2**20
-    head = records.RECORD_HEAD.pack(records.SCHEMA, length) + struct.pack("<HIII", 1, 0, 0, length - 14)
+    head = records.RECORD_HEAD.pack(Opcode.SCHEMA, length) + struct.pack("<HIII", 1, 0, 0, length - 14)
     data = records.MAGIC + head * HEADS + bytes(length)
     scan_records(source_reader(MemorySource(data, "a.mcap")))
     assert 0 < bytes_parsed <= 2**20 + 6 * len(data)

@@ -10,6 +10,7 @@ import pytest
 
 from kleinkram.recordings import FileSource, Recording, RecordingSummary, summarise
 from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.sources import file_reader
 from kleinkram.recordings.summary import scan
 
@@ -104,9 +105,9 @@ def bag_chunk_far_away(number: int, value: bytearray) -> None:
 
 
 WRONG = {
-    "every-start-late.mcap": lambda: change_mcap(records.CHUNK_INDEX, every_start_late),
-    "one-chunk-far-away.mcap": lambda: change_mcap(records.CHUNK_INDEX, one_chunk_far_away),
-    "no-channel-b.mcap": lambda: change_mcap(records.CHUNK_INDEX, no_channel_b),
+    "every-start-late.mcap": lambda: change_mcap(Opcode.CHUNK_INDEX, every_start_late),
+    "one-chunk-far-away.mcap": lambda: change_mcap(Opcode.CHUNK_INDEX, one_chunk_far_away),
+    "no-channel-b.mcap": lambda: change_mcap(Opcode.CHUNK_INDEX, no_channel_b),
     "every-start-late.bag": lambda: change_bag(b"start_time", bag_start_late),
     "one-chunk-far-away.bag": lambda: change_bag(b"start_time", bag_chunk_far_away),
 }
@@ -172,7 +173,7 @@ def chunk_two_at_the_end(number: int, body: bytearray) -> None:
 
 def test_a_local_file_is_read_whole_and_in_order_though_the_index_puts_a_chunk_too_late(tmp_path: Path) -> None:
     path = tmp_path / "late.mcap"
-    path.write_bytes(change_mcap(records.CHUNK_INDEX, chunk_two_at_the_end))
+    path.write_bytes(change_mcap(Opcode.CHUNK_INDEX, chunk_two_at_the_end))
     with Recording.open(path) as recording:
         assert [m.log_time_ns for m in recording.raw_messages()] == [T0 + n * S for n in range(CHUNKS * PER_CHUNK)]
         assert {problem.code for problem in recording.problems} == {"index-damaged"}
@@ -180,7 +181,7 @@ def test_a_local_file_is_read_whole_and_in_order_though_the_index_puts_a_chunk_t
 
 def test_every_reader_of_a_file_finds_all_once_one_of_them_has_seen_that_the_index_is_wrong(tmp_path: Path) -> None:
     path = tmp_path / "late.mcap"
-    path.write_bytes(change_mcap(records.CHUNK_INDEX, chunk_two_at_the_end))
+    path.write_bytes(change_mcap(Opcode.CHUNK_INDEX, chunk_two_at_the_end))
     with ParallelSource(path) as source, Recording.open(source) as recording:
         first = recording.raw_messages(end=T0 + 3 * PER_CHUNK * S)
         actual = [next(first).log_time_ns]
@@ -198,7 +199,7 @@ def test_an_empty_answer_over_a_network_is_not_believed_before_the_index_was_com
             struct.pack_into("<QQ", body, 0, T0, T0 + S)
 
     path = tmp_path / "moved.mcap"
-    path.write_bytes(change_mcap(records.CHUNK_INDEX, moved))
+    path.write_bytes(change_mcap(Opcode.CHUNK_INDEX, moved))
     with ParallelSource(path) as source, Recording.open(source) as recording:
         start = T0 + PER_CHUNK * S
         actual = [m.log_time_ns for m in recording.raw_messages(start=start, end=start + 2 * PER_CHUNK * S)]
@@ -211,7 +212,7 @@ def test_wrong_times_in_the_statistics_are_named_and_not_repeated(source: type[F
         struct.pack_into("<QQ", body, 26, T0 + 2 * S, T0 + 900 * S)
 
     path = tmp_path / "statistics.mcap"
-    path.write_bytes(change_mcap(records.STATISTICS, shift))
+    path.write_bytes(change_mcap(Opcode.STATISTICS, shift))
     for summary in (by_index(path), by_scan(path)):
         (problem,) = (problem for problem in summary.problems if problem.code == "index-damaged")
         assert (problem.where, "begin 2 s later" in problem.message) == ("statistics", True)
@@ -224,7 +225,7 @@ def test_a_wrong_count_of_a_topic_in_the_statistics_is_named(tmp_path: Path) -> 
         body[46:48], body[56:58] = body[56:58], body[46:48]
 
     path = tmp_path / "counts.mcap"
-    path.write_bytes(change_mcap(records.STATISTICS, swap))
+    path.write_bytes(change_mcap(Opcode.STATISTICS, swap))
     for summary in (by_index(path), by_scan(path)):
         assert {(p.code, p.where) for p in summary.problems} == {("counts-disagree", "/a"), ("counts-disagree", "/b")}
 
@@ -269,7 +270,7 @@ def test_a_healthy_file_is_read_over_a_network_without_its_message_indexes() -> 
 def test_a_chunk_that_claims_more_than_it_holds_is_left_out_and_named() -> None:
     source = mcap_of(messages())
     data = bytearray(source.read(0, source.size_bytes))
-    at = next(at for opcode, at, _ in mcap_records(data, len(records.MAGIC), len(data)) if opcode == records.CHUNK)
+    at = next(at for opcode, at, _ in mcap_records(data, len(records.MAGIC), len(data)) if opcode == Opcode.CHUNK)
     struct.pack_into("<QI", data, at + 16, 2**40, 0)
     with Recording.open(MemorySource(bytes(data))) as recording:
         assert sum(1 for _ in recording.raw_messages()) == (CHUNKS - 1) * PER_CHUNK

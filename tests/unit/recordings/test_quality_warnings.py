@@ -10,6 +10,7 @@ import pytest
 
 from kleinkram.recordings import Problem, combine, summarise
 from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.formats.mcap.writer import McapWriter
 from kleinkram.recordings.formats.rosbag1 import records as bag_records
 from kleinkram.recordings.model import span_text
@@ -168,9 +169,9 @@ def mcap_of(*publishers: tuple[bytes, bytes]) -> bytes:
         metadata = key + value if publisher else b""
         head = struct.pack("<HHI", number, number + 1, 2) + b"/t" + struct.pack("<II", 0, len(metadata))
         bodies = (
-            (records.SCHEMA, struct.pack("<H", number + 1) + name + bytes(8)),
-            (records.CHANNEL, head + metadata),
-            (records.MESSAGE, struct.pack("<HIQQ", number, 0, T0, T0)),
+            (Opcode.SCHEMA, struct.pack("<H", number + 1) + name + bytes(8)),
+            (Opcode.CHANNEL, head + metadata),
+            (Opcode.MESSAGE, struct.pack("<HIQQ", number, 0, T0, T0)),
         )
         pieces += [records.RECORD_HEAD.pack(opcode, len(body)) + body for opcode, body in bodies]
     return b"".join(pieces)

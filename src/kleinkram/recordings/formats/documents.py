@@ -160,4 +160,4 @@ JSON = text_format(RecordingFormat.json, "JSON, not a recording", describe_json)
 ROSBAG2_METADATA = text_format(
     RecordingFormat.rosbag2_metadata, "the metadata of a rosbag2 recording, not a recording by itself"
 )
-UNKNOWN = text_format(RecordingFormat.unknown, "not a recording that we know")
+UNKNOWN = text_format(RecordingFormat.unknown, "not a known recording format")

@@ -90,5 +90,5 @@ def misleading_extension(name: str, file_format: Format) -> Problem | None:
     is_right = file_format in promised if promised else file_format.is_text or extension not in _TEXT_EXTENSIONS
     if is_right or file_format is EMPTY:
         return None
-    what = "of no kind that we know" if file_format is UNKNOWN else f"that of {file_format.kind.value}"
+    what = "of an unknown format" if file_format is UNKNOWN else f"that of {file_format.kind.value}"
     return Problem("extension-lies", name, f"it is named '{extension}', but its content is {what}")

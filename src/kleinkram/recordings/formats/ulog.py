@@ -347,7 +347,7 @@ class _UlogScanner:
     def _resync(self) -> None:
         """Pass over damage, up to the next sync message or data that were appended."""
         stream, start = self._stream, self._stream.position
-        self.scan.losses.note(Malformed(f"byte {start}", "something that is no message"))
+        self.scan.losses.note(Malformed(f"byte {start}", "invalid data instead of a message"))
         boundary = self._next_boundary()
         stop = stream.size_bytes if boundary is None else boundary
         while stream.position < stop:

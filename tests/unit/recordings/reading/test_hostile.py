@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from kleinkram.recordings import NotARecording, Recording, TooCostly
 from kleinkram.recordings.errors import SourceError
 from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.formats.rosbag2.pages import LEAF_INDEX
 from kleinkram.recordings.sample import generate_db3
 from kleinkram.recordings.sources import FileSource
@@ -108,7 +109,7 @@ def test_a_chunk_that_fails_its_checksum_is_left_out_and_named() -> None:
 def chunk_record(content: bytes, *, claimed: int, stored: bytes | None = None) -> bytes:
     stored = zstandard.compress(content) if stored is None else stored
     head = struct.pack("<QQQII", T0, T0, claimed, 0, 4) + b"zstd" + struct.pack("<Q", len(stored))
-    return records.RECORD_HEAD.pack(records.CHUNK, len(head) + len(stored)) + head + stored
+    return records.RECORD_HEAD.pack(Opcode.CHUNK, len(head) + len(stored)) + head + stored
 
 
 @pytest.mark.parametrize("claimed", [2**62, 2**40, 100])
@@ -157,7 +158,7 @@ def test_a_source_that_fails_is_a_source_error() -> None:
 def test_no_bytes_are_read_beyond_a_bound() -> None:
     out = BytesIO()
     out.write(records.MAGIC)
-    out.write(records.RECORD_HEAD.pack(records.MESSAGE, 2**63))
+    out.write(records.RECORD_HEAD.pack(Opcode.MESSAGE, 2**63))
     out.write(bytes(100))
     assert read_all(out.getvalue(), "huge.mcap") == (0, 2)
 

@@ -14,7 +14,7 @@ from kleinkram.recordings.chunk_table import ChunkTable, Row, StoredChunk
 from kleinkram.recordings.compression import Buffer, decompress, decompress_beginning
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.formats.mcap import records
-from kleinkram.recordings.formats.mcap.records import MESSAGE, RECORD_HEAD, McapFacts
+from kleinkram.recordings.formats.mcap.records import RECORD_HEAD, McapFacts, Opcode
 from kleinkram.recordings.formats.mcap.resync import CHUNK_FIXED, no_record
 from kleinkram.recordings.index_check import ChunkMessages
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_CHUNK_INDEX, MAX_NAME, MAX_TAKE, WINDOW
@@ -24,6 +24,7 @@ from kleinkram.recordings.sources import Source
 from kleinkram.recordings.streams import ByteStream, LookaheadStream, open_range
 
 MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+_MESSAGE_OPCODE = int(Opcode.MESSAGE)  # faster to compare with than a member of an enum
 MESSAGE_FIXED = MESSAGE_HEAD.size - RECORD_HEAD.size
 
 
@@ -35,7 +36,7 @@ def points_at_messages(content: bytes, channel_id: int, stamps: Iterable[int], o
     if offsets and max(offsets) > len(content) - MESSAGE_HEAD.size:
         return False
     heads = map(_INDEXED_HEAD.unpack_from, repeat(content), offsets)
-    return all(map(eq, heads, zip(repeat(MESSAGE), repeat(channel_id), stamps)))  # repeat never ends
+    return all(map(eq, heads, zip(repeat(_MESSAGE_OPCODE), repeat(channel_id), stamps)))  # repeat never ends
 
 
 def walk_messages(data: Buffer, at: int, end: int, batch: Batch) -> tuple[int, int]:
@@ -49,7 +50,7 @@ def walk_messages(data: Buffer, at: int, end: int, batch: Batch) -> tuple[int, i
     while at <= last_head:
         opcode, length, channel_id, _sequence, log_time, publish_time = unpack(data, at)
         after = at + 9 + length
-        if opcode != MESSAGE or after > end or length < fixed:
+        if opcode != _MESSAGE_OPCODE or after > end or length < fixed:
             break
         batch[channel_id].extend((log_time, publish_time, after - at))
         start, at = at, after
@@ -57,7 +58,7 @@ def walk_messages(data: Buffer, at: int, end: int, batch: Batch) -> tuple[int, i
 
 
 _U64 = struct.Struct("<Q")
-_DEFINITIONS = {records.SCHEMA: records.read_schema, records.CHANNEL: records.read_channel}
+_DEFINITIONS = {Opcode.SCHEMA: records.read_schema, Opcode.CHANNEL: records.read_channel}
 
 
 class ChunkHead(NamedTuple):
@@ -139,7 +140,7 @@ def walk_contents(raw: bytes, facts: McapFacts, batch: Batch) -> McapChunkConten
             return McapChunkContents(at, Malformed(f"byte {at}", "it ends within a record"))
         opcode, length = RECORD_HEAD.unpack_from(raw, at)
         body = at + RECORD_HEAD.size
-        if opcode in (0, records.MESSAGE) or body + length > end:
+        if opcode in (0, Opcode.MESSAGE) or body + length > end:
             return McapChunkContents(at, Malformed(f"byte {at}", "its records break off"))
         if opcode in _DEFINITIONS:
             try:
@@ -185,7 +186,7 @@ def open_chunk(stream: ByteStream) -> StoredChunk:
     """
     start = stream.position
     opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
-    if opcode != records.CHUNK:
+    if opcode != Opcode.CHUNK:
         raise Malformed(f"byte {start}", f"a record of type {opcode} where a chunk should be")
     return read_chunk_fields(stream, length)
 
@@ -225,7 +226,7 @@ def read_message_index(source: Source, row: Row) -> ChunkMessages | None:
         while not stream.at_end():
             where = f"byte {stream.position}"
             opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
-            if opcode != records.MESSAGE_INDEX:
+            if opcode != Opcode.MESSAGE_INDEX:
                 return None
             channel_id, stamps, _offsets = records.read_message_index(stream.take(length), where)
             messages.add_index(channel_id, stamps)
@@ -242,7 +243,7 @@ def parse_messages(content: Buffer, channels: Mapping[int, Channel], selection: 
     """
     _, start_ns, end_ns = selection
     view = content if isinstance(content, bytes) else bytes(content)
-    unpack, message, channel_of, new = _MESSAGE.unpack_from, records.MESSAGE, channels.get, tuple.__new__
+    unpack, message, channel_of, new = _MESSAGE.unpack_from, _MESSAGE_OPCODE, channels.get, tuple.__new__
     at, size = 0, len(view)
     last = size - _MESSAGE.size
     messages: Block = []
@@ -267,7 +268,7 @@ def _is_short_tail(view: bytes, at: int) -> bool:
     """Return whether the rest, shorter than a message, is whole records."""
     while at + records.RECORD_HEAD.size <= len(view):
         opcode, length = records.RECORD_HEAD.unpack_from(view, at)
-        if opcode == records.MESSAGE:
+        if opcode == Opcode.MESSAGE:
             return False
         at += records.RECORD_HEAD.size + length
     return at == len(view)
@@ -287,11 +288,11 @@ def read_records(stream: ByteStream) -> Iterator[McapRecord]:
         if opcode == 0:
             raise Malformed(f"byte {start}", no_record(record_head))
         head = b""
-        if opcode == records.MESSAGE:
+        if opcode == Opcode.MESSAGE:
             if length < MESSAGE_FIELDS.size:
                 raise Malformed(f"byte {start}", f"a message of {length} bytes, too short to be one")
             head = stream.take(MESSAGE_FIELDS.size)
-        elif opcode in (records.SCHEMA, records.CHANNEL):
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             head = stream.take(length)
         yield McapRecord(opcode, start, length, head)
         if stream.position < end:
@@ -337,7 +338,7 @@ def table_of_records(stream: ByteStream) -> ChunkTable:
     builder = RunBuilder(table)
     try:
         for record in read_records(stream):
-            if record.opcode == records.MESSAGE:
+            if record.opcode == Opcode.MESSAGE:
                 channel_id, _, log_ns, _ = MESSAGE_FIELDS.unpack(record.head)
                 end = record.start + records.RECORD_HEAD.size + record.length
                 stream.skip(end - stream.position)

@@ -17,7 +17,7 @@ from kleinkram.recordings.compression import is_known_compression, unknown_compr
 from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Malformed, NotIndexed
 from kleinkram.recordings.formats.mcap import records
-from kleinkram.recordings.formats.mcap.records import McapFacts
+from kleinkram.recordings.formats.mcap.records import McapFacts, Opcode
 from kleinkram.recordings.formats.mcap.resync import CHUNK_FIXED
 from kleinkram.recordings.index_check import ChunkClaim, ChunkMessages, wrong_compression
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAME, MAX_TAKE, TAIL, WINDOW
@@ -30,12 +30,12 @@ _HEAD_BYTES = 4096
 _CHUNK_HEAD_BYTES = 4096
 _MAX_RECORDS_WALKED = 1_000
 _READERS = {
-    records.CHUNK_INDEX: records.read_chunk_index,
-    records.STATISTICS: records.read_statistics,
-    records.ATTACHMENT_INDEX: records.read_attachment_index,
-    records.METADATA_INDEX: records.read_metadata_index,
-    records.SCHEMA: records.read_schema,
-    records.CHANNEL: records.read_channel,
+    Opcode.CHUNK_INDEX: records.read_chunk_index,
+    Opcode.STATISTICS: records.read_statistics,
+    Opcode.ATTACHMENT_INDEX: records.read_attachment_index,
+    Opcode.METADATA_INDEX: records.read_metadata_index,
+    Opcode.SCHEMA: records.read_schema,
+    Opcode.CHANNEL: records.read_channel,
 }
 
 
@@ -99,7 +99,7 @@ def _read_summary_section(known: _KnownEnds, facts: McapFacts) -> int:
     if footer_at < len(records.MAGIC) or not tail.endswith(records.MAGIC):
         raise NotIndexed("no-footer", "it was never closed, so it has no index", is_problem=False)
     opcode, length = records.RECORD_HEAD.unpack_from(tail, footer_at)
-    if opcode != records.FOOTER or length != records.FOOTER_BODY.size:
+    if opcode != Opcode.FOOTER or length != records.FOOTER_BODY.size:
         raise NotIndexed("no-footer", "it was never closed, so it has no index", is_problem=False)
     summary_start: int
     summary_start, _offsets_start, crc = records.FOOTER_BODY.unpack_from(tail, footer_at + records.RECORD_HEAD.size)
@@ -107,7 +107,7 @@ def _read_summary_section(known: _KnownEnds, facts: McapFacts) -> int:
     if summary_start == 0:
         raise NotIndexed("no-summary", "the file has no summary section", is_problem=False)
     if not len(records.MAGIC) < summary_start <= footer_start:
-        raise Malformed(f"byte {footer_start}", f"the summary is said to begin at byte {summary_start}")
+        raise Malformed(f"byte {footer_start}", f"the footer places the summary at byte {summary_start}")
     if summary_start >= tail_start:
         stream = open_bytes(tail[summary_start - tail_start : footer_at], summary_start)
     else:
@@ -125,7 +125,7 @@ def _read_summary_section(known: _KnownEnds, facts: McapFacts) -> int:
 def _read_summary_record(stream: ByteStream, facts: McapFacts) -> None:
     where = f"byte {stream.position}"
     opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
-    if opcode in (records.SCHEMA, records.CHANNEL):
+    if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
         body = stream.take(min(length, MAX_TAKE))
         _READERS[opcode](facts, body, where)
         stream.skip(length - len(body))
@@ -141,7 +141,7 @@ def _read_header(known: _KnownEnds, facts: McapFacts) -> None:
     stream = open_bytes(known.read(start, _HEAD_BYTES - start), start)
     try:
         opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
-        if opcode != records.HEADER:
+        if opcode != Opcode.HEADER:
             facts.header_damage = Malformed(f"byte {start}", "the first record is not a header")
             return
         if length > _HEAD_BYTES - start - records.RECORD_HEAD.size:
@@ -194,7 +194,7 @@ def _read_compression(source: Source, row: Row) -> str | None:
     try:
         opcode, _length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
         name_length = CHUNK_FIXED.unpack(stream.take(CHUNK_FIXED.size))[-1]
-        if opcode == records.CHUNK and name_length <= MAX_NAME:
+        if opcode == Opcode.CHUNK and name_length <= MAX_NAME:
             return stream.take(name_length).decode("utf-8", "replace")
     except Malformed:
         pass  # it is cut: the same as none
@@ -241,7 +241,7 @@ def _read_chunk_entries(stream: ByteStream, facts: McapFacts) -> tuple[list[Chun
     while not stream.at_end():
         where = f"byte {stream.position}"
         opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
-        if opcode != records.MESSAGE_INDEX:
+        if opcode != Opcode.MESSAGE_INDEX:
             raise Malformed(where, f"a record of type {opcode} where a message index should be")
         channel_id, stamps, offsets = records.read_message_index(stream.take(length), where)
         messages.add_index(channel_id, stamps)
@@ -290,7 +290,7 @@ def _check_space_between_chunks(known: _KnownEnds, facts: McapFacts, summary_sta
             head = open_bytes(known.read(position, records.RECORD_HEAD.size), position)
             opcode, length = records.RECORD_HEAD.unpack(head.take(records.RECORD_HEAD.size))
             left -= 1
-            if opcode in (records.MESSAGE, records.CHUNK) or left == 0:
+            if opcode in (Opcode.MESSAGE, Opcode.CHUNK) or left == 0:
                 raise NotIndexed("no-chunk-index", "the index does not list all messages", is_problem=False)
             position += records.RECORD_HEAD.size + length
         position = max(position, end)

@@ -9,6 +9,7 @@ import struct
 import sys
 from array import array
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import NamedTuple
 
 from kleinkram.recordings.chunk_table import ANY_CHANNEL, ChunkTable, Row
@@ -21,8 +22,6 @@ from kleinkram.recordings.messages import Channel, Schema
 from kleinkram.recordings.model import Fact
 
 MAGIC = b"\x89MCAP0\r\n"
-HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
-ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
 RECORD_HEAD = struct.Struct("<BQ")
 FOOTER_BODY = struct.Struct("<QQI")
 FOOTER_BYTES = RECORD_HEAD.size + FOOTER_BODY.size + len(MAGIC)
@@ -35,6 +34,26 @@ STATISTICS_BODY = struct.Struct("<QHIIIIQQ")
 _CHUNK_PLACE = struct.Struct("<QQQQ")
 _CHANNEL_AND_U64 = struct.Struct("<HQ")
 _ATTACHMENT_PLACE = struct.Struct("<QQQQQ")
+
+
+class Opcode(IntEnum):
+    """The type of a record."""
+
+    HEADER = 1
+    FOOTER = 2
+    SCHEMA = 3
+    CHANNEL = 4
+    MESSAGE = 5
+    CHUNK = 6
+    MESSAGE_INDEX = 7
+    CHUNK_INDEX = 8
+    ATTACHMENT = 9
+    ATTACHMENT_INDEX = 10
+    STATISTICS = 11
+    METADATA = 12
+    METADATA_INDEX = 13
+    SUMMARY_OFFSET = 14
+    DATA_END = 15
 
 
 class ChannelRecord(NamedTuple):

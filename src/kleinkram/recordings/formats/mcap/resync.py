@@ -14,7 +14,7 @@ from kleinkram.recordings.compression import Buffer
 from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.formats.mcap import records
-from kleinkram.recordings.formats.mcap.records import FOOTER_BYTES, HEADER, MAGIC, RECORD_HEAD
+from kleinkram.recordings.formats.mcap.records import FOOTER_BYTES, MAGIC, RECORD_HEAD, Opcode
 from kleinkram.recordings.limits import MAX_NAME
 from kleinkram.recordings.streams import LookaheadStream
 
@@ -29,7 +29,7 @@ _MESSAGE_BYTES = 22
 _LONGEST_COMPRESSION = 64
 _FIRST_PRIVATE = 0x80
 _FOLLOWERS, _FOLLOWERS_OF_STRANGER = 1, 4
-_ONE_BIT_AWAY = (records.HEADER, records.CHANNEL, records.METADATA_INDEX)
+_ONE_BIT_AWAY = (Opcode.HEADER, Opcode.CHANNEL, Opcode.METADATA_INDEX)
 _COMPRESSIONS = (b"", b"zstd", b"lz4")
 _CANDIDATE = re.compile(rb"[\x01-\x0f](?=.{5}\0{3})", re.DOTALL)
 """An opcode, and the length of a record below 1 TB."""
@@ -52,7 +52,7 @@ def record_end(data: Buffer, at: int, left: int) -> int | None:
 
 def stands_outside_chunks(data: Buffer, at: int, left: int) -> bool:
     """Return whether a record of a kind that is never inside a chunk begins here."""
-    inside = (records.SCHEMA, records.CHANNEL, records.MESSAGE)
+    inside = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
     return record_end(data, at, left) is not None and data[at] not in inside
 
 
@@ -71,19 +71,19 @@ def fault(data: Buffer, at: int, left: int) -> str | None:
     is_known = opcode in _OPCODES
     if opcode == 0 or (not is_known and not _is_unknown_kind(data, at, length, left)):
         return no_record(data[at : at + RECORD_HEAD.size])
-    if not is_known or opcode == records.MESSAGE:
+    if not is_known or opcode == Opcode.MESSAGE:
         return None
     if is_unfinished_chunk(data, at):
         return None
     needed = _body_length(opcode, data, at + RECORD_HEAD.size, length)
     # Later versions may add fields to a record, but not to a chunk, which ends in length-prefixed data.
-    if needed is None or needed > length or (opcode == records.CHUNK and needed != length):
+    if needed is None or needed > length or (opcode == Opcode.CHUNK and needed != length):
         return "a record whose lengths contradict each other"
     if (
         needed < length
         and record_end(data, at + RECORD_HEAD.size + needed, left - RECORD_HEAD.size - needed) is not None
     ):
-        return "a record that is said to be so long that it holds the next one, too"
+        return "a record whose length includes the next record"
     return None
 
 
@@ -98,7 +98,7 @@ def is_unfinished_chunk(data: Buffer, at: int) -> bool:
     fixed_at = at + RECORD_HEAD.size
     _first, _last, uncompressed, _crc, name_length = CHUNK_FIXED.unpack_from(data, fixed_at)
     stored_at = fixed_at + CHUNK_FIXED.size + name_length
-    if opcode != records.CHUNK or name_length > _LONGEST_COMPRESSION or stored_at + _U64.size > len(data):
+    if opcode != Opcode.CHUNK or name_length > _LONGEST_COMPRESSION or stored_at + _U64.size > len(data):
         return False
     (stored,) = _U64.unpack_from(data, stored_at)
     return records.PLACEHOLDER in (length, uncompressed, stored)
@@ -113,9 +113,9 @@ def is_disguised(data: Buffer, at: int, left: int, *, behind_chunk: bool) -> boo
     if left < RECORD_HEAD.size:
         return False
     opcode, length = RECORD_HEAD.unpack_from(data, at)
-    if opcode != records.MESSAGE or length > left - RECORD_HEAD.size:
+    if opcode != Opcode.MESSAGE or length > left - RECORD_HEAD.size:
         return False
-    kinds = (*_ONE_BIT_AWAY, records.MESSAGE_INDEX) if behind_chunk else _ONE_BIT_AWAY
+    kinds = (*_ONE_BIT_AWAY, Opcode.MESSAGE_INDEX) if behind_chunk else _ONE_BIT_AWAY
     return any(_body_length(kind, data, at + RECORD_HEAD.size, length) == length for kind in kinds)
 
 
@@ -124,7 +124,7 @@ def fault_at_hand(data: Buffer, at: int, left: int) -> str | None:
     if at + min(LOOK, left) > len(data) or left < RECORD_HEAD.size:
         return None
     opcode, length = RECORD_HEAD.unpack_from(data, at)
-    if length > left - RECORD_HEAD.size and opcode != records.CHUNK:
+    if length > left - RECORD_HEAD.size and opcode != Opcode.CHUNK:
         return "a record that reaches beyond the end of the file"
     return fault(data, at, left)
 
@@ -139,7 +139,7 @@ def _is_unknown_kind(data: Buffer, at: int, length: int, left: int) -> bool:
     opcode, following = RECORD_HEAD.unpack_from(data, after)
     is_private = opcode >= _FIRST_PRIVATE and RECORD_HEAD.size + following <= left
     # A message index follows a chunk: what is before it is one whose beginning is lost.
-    return is_private or (opcode != records.MESSAGE_INDEX and record_end(data, after, left) is not None)
+    return is_private or (opcode != Opcode.MESSAGE_INDEX and record_end(data, after, left) is not None)
 
 
 def find_record(data: Buffer, start: int, end: int, left: int, channels: Container[int]) -> int | None:
@@ -153,7 +153,7 @@ def find_record(data: Buffer, start: int, end: int, left: int, channels: Contain
         after = record_end(data, at, left - (at - start))
         if after is None:
             continue
-        if data[at] != records.MESSAGE:
+        if data[at] != Opcode.MESSAGE:
             return at
         (channel_id,) = _U16.unpack_from(data, at + RECORD_HEAD.size)
         needed = _FOLLOWERS if channel_id in channels else _FOLLOWERS_OF_STRANGER
@@ -180,7 +180,7 @@ def _is_followed(data: Buffer, at: int, left: int, records_needed: int) -> bool:
     return True
 
 
-class _Counted(NamedTuple):
+class _LengthPrefixed(NamedTuple):
     """A length-prefixed field. `unit`: the size of its entries; `most`: the largest credible length."""
 
     length: struct.Struct
@@ -188,32 +188,32 @@ class _Counted(NamedTuple):
     most: int = 2**64
 
 
-_STRING = _Counted(_U32)
-_LAYOUTS: dict[int, tuple[int | _Counted, ...]] = {
-    records.HEADER: (_STRING, _STRING),
-    records.SCHEMA: (2, _STRING, _STRING, _STRING),
-    records.CHANNEL: (4, _STRING, _STRING, _STRING),
-    records.CHUNK: (28, _Counted(_U32, most=MAX_NAME), _Counted(_U64)),
-    records.MESSAGE_INDEX: (2, _Counted(_U32, unit=16)),
-    records.CHUNK_INDEX: (32, _STRING, 8, _STRING, 16),
-    records.ATTACHMENT: (16, _STRING, _STRING, _Counted(_U64), 4),
-    records.ATTACHMENT_INDEX: (40, _STRING, _STRING),
-    records.STATISTICS: (records.STATISTICS_BODY.size, _Counted(_U32, unit=10)),
-    records.METADATA: (_STRING, _STRING),
-    records.METADATA_INDEX: (16, _STRING),
-    records.SUMMARY_OFFSET: (17,),
-    records.DATA_END: (4,),
+_STRING = _LengthPrefixed(_U32)
+_LAYOUTS: dict[int, tuple[int | _LengthPrefixed, ...]] = {
+    Opcode.HEADER: (_STRING, _STRING),
+    Opcode.SCHEMA: (2, _STRING, _STRING, _STRING),
+    Opcode.CHANNEL: (4, _STRING, _STRING, _STRING),
+    Opcode.CHUNK: (28, _LengthPrefixed(_U32, most=MAX_NAME), _LengthPrefixed(_U64)),
+    Opcode.MESSAGE_INDEX: (2, _LengthPrefixed(_U32, unit=16)),
+    Opcode.CHUNK_INDEX: (32, _STRING, 8, _STRING, 16),
+    Opcode.ATTACHMENT: (16, _STRING, _STRING, _LengthPrefixed(_U64), 4),
+    Opcode.ATTACHMENT_INDEX: (40, _STRING, _STRING),
+    Opcode.STATISTICS: (records.STATISTICS_BODY.size, _LengthPrefixed(_U32, unit=10)),
+    Opcode.METADATA: (_STRING, _STRING),
+    Opcode.METADATA_INDEX: (16, _STRING),
+    Opcode.SUMMARY_OFFSET: (17,),
+    Opcode.DATA_END: (4,),
 }
 """Fields of each record: fixed bytes, or bytes that follow their length."""
 
-_OPCODES = frozenset((*_LAYOUTS, records.FOOTER, records.MESSAGE))
+_OPCODES = frozenset((*_LAYOUTS, Opcode.FOOTER, Opcode.MESSAGE))
 
 
 def _body_length(opcode: int, data: Buffer, body: int, length: int) -> int | None:
     """Return the length of a record body by the lengths inside it; None: they are invalid."""
-    if opcode == records.MESSAGE:
+    if opcode == Opcode.MESSAGE:
         return max(length, _MESSAGE_BYTES)
-    if opcode == records.FOOTER:
+    if opcode == Opcode.FOOTER:
         end = body + records.FOOTER_BODY.size
         return records.FOOTER_BODY.size if data[end : end + len(records.MAGIC)] == records.MAGIC else None
     at = body
@@ -239,13 +239,13 @@ _MARK = re.compile(_END + b"|" + re.escape(MAGIC), re.DOTALL)
 
 def pass_damage(stream: LookaheadStream, channels: Container[int], losses: DamageReport) -> None:
     """Skip at least one byte, up to the next record of this file."""
-    start = 0 if stream.window[stream.at] == HEADER and stream.position != len(MAGIC) else 1
+    start = 0 if stream.window[stream.at] == Opcode.HEADER and stream.position != len(MAGIC) else 1
     while stream.left:
         width = _bring(stream)
         at, end = stream.at, stream.at + width
         record_at = find_record(stream.window, at + start, end, stream.left - start, channels)
         inner = find_inner(stream.window, at, end if record_at is None else record_at, stream.left)
-        if inner is None and record_at is not None and stream.window[record_at] == HEADER:
+        if inner is None and record_at is not None and stream.window[record_at] == Opcode.HEADER:
             inner = record_at
         start = 0
         if inner is not None:
@@ -281,7 +281,7 @@ def _opens(match: re.Match[bytes]) -> bool:
 
 def _pass_inner(stream: LookaheadStream, losses: DamageReport) -> None:
     """Skip another MCAP, which begins here, and those inside it."""
-    message = "another MCAP begins inside of this one; what stands in it is not counted"
+    message = "another MCAP begins inside of this one; its records are not counted"
     losses.note(Malformed(f"byte {stream.position}", message))
     depth = 1
     stream.advance(1)

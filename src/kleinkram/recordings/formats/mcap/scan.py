@@ -8,7 +8,7 @@ place where one can begin. What is left out on the way is measured.
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN
@@ -17,7 +17,7 @@ from kleinkram.recordings.damage_report import DamageReport, IndexedChunk
 from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.formats.mcap import chunks, records, resync
 from kleinkram.recordings.formats.mcap.chunks import points_at_messages, walk_messages
-from kleinkram.recordings.formats.mcap.records import RECORD_HEAD, ChannelRecord, McapFacts
+from kleinkram.recordings.formats.mcap.records import RECORD_HEAD, ChannelRecord, McapFacts, Opcode
 from kleinkram.recordings.formats.mcap.resync import (
     LOOK,
     fault,
@@ -41,14 +41,14 @@ from kleinkram.recordings.sources import SequentialReader
 from kleinkram.recordings.streams import LookaheadStream
 
 _U32 = struct.Struct("<I")
-_NAMES = {records.MESSAGE: "a message", records.CHUNK: "a chunk", records.ATTACHMENT: "an attachment"}
-_READERS = {
-    records.HEADER: records.read_header,
-    records.SCHEMA: records.read_schema,
-    records.CHANNEL: records.read_channel,
-    records.STATISTICS: records.read_statistics,
-    records.CHUNK_INDEX: records.read_chunk_index,
-    records.METADATA: records.read_metadata,
+_NAMES: dict[int, str] = {Opcode.MESSAGE: "a message", Opcode.CHUNK: "a chunk", Opcode.ATTACHMENT: "an attachment"}
+_READERS: dict[int, Callable[[McapFacts, bytes, str], None]] = {
+    Opcode.HEADER: records.read_header,
+    Opcode.SCHEMA: records.read_schema,
+    Opcode.CHANNEL: records.read_channel,
+    Opcode.STATISTICS: records.read_statistics,
+    Opcode.CHUNK_INDEX: records.read_chunk_index,
+    Opcode.METADATA: records.read_metadata,
 }
 
 
@@ -144,7 +144,7 @@ class _McapScanner:
             self._check(opcode, length, where)
             self._pass_record(opcode, length, where)
         except Cut as cut:
-            if opcode == records.CHUNK:
+            if opcode == Opcode.CHUNK:
                 self._read_cut_chunk(cut, min(RECORD_HEAD.size + length, stream.left))
             else:
                 self._resync(cut)
@@ -167,7 +167,7 @@ class _McapScanner:
         stream = self._stream
         if wrong := fault(stream.window, stream.at, stream.left):
             raise Malformed(where, wrong)
-        if opcode == records.CHUNK and resync.is_unfinished_chunk(stream.window, stream.at):
+        if opcode == Opcode.CHUNK and resync.is_unfinished_chunk(stream.window, stream.at):
             raise Cut(where, "a chunk was begun here and never finished: its lengths were never filled in")
         if length > (left := stream.left - RECORD_HEAD.size):
             name = _NAMES.get(opcode, "a record")
@@ -180,22 +180,22 @@ class _McapScanner:
             Malformed: it cannot be one; nothing was passed over.
         """
         stream, total = self._stream, RECORD_HEAD.size + length
-        if opcode == records.HEADER and stream.position != len(records.MAGIC):
+        if opcode == Opcode.HEADER and stream.position != len(records.MAGIC):
             raise Malformed(where, "the header of a file in the middle of it")
-        if opcode == records.MESSAGE_INDEX:
+        if opcode == Opcode.MESSAGE_INDEX:
             self._note_listed(length)
         else:
             self._end_chunk()
-        if opcode == records.CHUNK:
+        if opcode == Opcode.CHUNK:
             self._pass_chunk(total)
-        elif opcode == records.ATTACHMENT:
+        elif opcode == Opcode.ATTACHMENT:
             self._sections.pass_attachment(length, where)
-        elif opcode == records.FOOTER:
+        elif opcode == Opcode.FOOTER:
             self._sections.pass_footer(where)
             self.scan.closed = True
-        elif opcode == records.DATA_END:
+        elif opcode == Opcode.DATA_END:
             self._sections.pass_data_end(total, where)
-        elif opcode == records.MESSAGE:
+        elif opcode == Opcode.MESSAGE:
             self._unchunked.take_large(total)
             self._pass(total)
         else:
@@ -203,7 +203,7 @@ class _McapScanner:
                 at_hand = stream.ahead(RECORD_HEAD.size + min(length, MAX_TAKE))
                 body = bytes(stream.window[stream.at + RECORD_HEAD.size : stream.at + at_hand])
                 if length > LOOK and self.scan.losses.is_search_budget_spent(stream.position):
-                    raise Malformed(where, "a record that nothing vouches for")
+                    raise Malformed(where, "an unverified record, after too many bytes were searched without result")
                 _READERS[opcode](self.scan.facts, body, where)
             self._pass(total)
 
@@ -251,7 +251,7 @@ class _McapScanner:
             raise why
         stream.ahead(total + LOOK)
         if scan.losses.is_search_budget_spent(stream.position) and not self._is_followed(total):
-            raise Malformed("chunk", "nothing stands behind it")
+            raise Malformed("chunk", "unverified, after too many bytes were searched without result")
         if head.compression:
             scan.losses.unpack(head.uncompressed, end=stream.position + total)
         stored = stream.window[stream.at + head.data_start : stream.at + total]
@@ -364,7 +364,7 @@ class _McapScanner:
         except Malformed:
             is_right = False
         if not is_right:
-            self.scan.facts.index_faults.note(start, "its message index points at something else than its messages")
+            self.scan.facts.index_faults.note(start, "its message index has wrong offsets")
 
     def _end_chunk(self) -> None:
         """Compare the last chunk with its message indexes."""
@@ -380,7 +380,7 @@ class _McapScanner:
         if wrong is None:
             stream.advance(total)
         else:
-            if stream.window[stream.at] == records.STATISTICS:
+            if stream.window[stream.at] == Opcode.STATISTICS:
                 self.scan.facts.statistics = None  # bytes of it are missing
             self.scan.losses.wasted_bytes += total if total > LOOK else 0
             self._resync(Malformed(f"byte {stream.position + total}", wrong), believed=total)

@@ -18,7 +18,7 @@ from kleinkram.recordings.chunk_table import Row, StoredChunk
 from kleinkram.recordings.compression import Buffer
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.formats.rosbag1 import records
-from kleinkram.recordings.formats.rosbag1.records import Connection, Fields
+from kleinkram.recordings.formats.rosbag1.records import Connection, Fields, Op
 from kleinkram.recordings.index_check import ChunkMessages
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_DEFINITIONS, MAX_HEADER, MAX_NAMES, MAX_TAKE, MAX_TOPICS
 from kleinkram.recordings.message_counts import Batch, MessageObserver, ReadableRanges
@@ -172,7 +172,7 @@ def parse_record(data: Buffer, at: int, where: str) -> BagRecord:
         raise Malformed(where, "a record breaks off")
     fields = Fields(bytes(data[header_at : header_at + header_bytes]), where)
     opcode = fields.opcode()
-    if not records.MESSAGE <= opcode <= records.CONNECTION:
+    if not Op.MESSAGE_DATA <= opcode <= Op.CONNECTION:
         raise Malformed(where, f"a record of type {opcode}, which no bag has")
     data_start = header_at + header_bytes + _U32.size
     data_bytes = int(_U32.unpack_from(data, data_start - _U32.size)[0])
@@ -183,17 +183,17 @@ def parse_record(data: Buffer, at: int, where: str) -> BagRecord:
 
 def _check_lengths(record: BagRecord, where: str) -> None:
     fields, data_bytes = record.fields, record.data_bytes
-    if record.opcode == records.MESSAGE:
+    if record.opcode == Op.MESSAGE_DATA:
         fields.u32("conn"), fields.time_ns("time")
-    elif record.opcode == records.CONNECTION:
+    elif record.opcode == Op.CONNECTION:
         fields.u32("conn"), fields.text("topic")
-    elif record.opcode == records.CHUNK:
+    elif record.opcode == Op.CHUNK:
         if fields.text("compression") == "none" and fields.u32("size") != data_bytes:
             raise Malformed(where, "a chunk whose lengths contradict each other")
-    elif record.opcode == records.INDEX_DATA:
+    elif record.opcode == Op.INDEX_DATA:
         if data_bytes != records.INDEX_ENTRY_BYTES * fields.u32("count"):
             raise Malformed(where, "index data whose length does not fit its count")
-    elif record.opcode == records.CHUNK_INFO and data_bytes != 8 * fields.u32("count"):
+    elif record.opcode == Op.CHUNK_INFO and data_bytes != 8 * fields.u32("count"):
         raise Malformed(where, "a chunk info whose length does not fit its count")
 
 
@@ -238,7 +238,7 @@ def _message_at(content: Buffer, place: int, layout: MessageLayout | None) -> tu
         if layout.constants(fields) == layout.expected:
             return layout.values(fields)[:3]
     record = parse_record(content, place, "")
-    if record.opcode != records.MESSAGE:
+    if record.opcode != Op.MESSAGE_DATA:
         return None
     seconds, nanoseconds = divmod(record.fields.time_ns("time"), 10**9)
     return record.fields.u32("conn"), seconds, nanoseconds
@@ -256,7 +256,7 @@ def is_record(data: Buffer, at: int) -> bool:
 def stands_outside_chunks(data: Buffer, at: int) -> bool:
     """Return whether a record header begins here that is never inside a chunk."""
     try:
-        return parse_record(data, at, "").opcode != records.MESSAGE
+        return parse_record(data, at, "").opcode != Op.MESSAGE_DATA
     except Malformed:
         return False
 
@@ -310,9 +310,9 @@ def read_record(data: Buffer, at: int, facts: BagFacts, batch: Batch) -> int:
     record = parse_record(data, at, where)
     if record.end > len(data):
         raise Malformed(where, "a record reaches beyond the end")
-    if record.opcode == records.CONNECTION:
+    if record.opcode == Op.CONNECTION:
         define(record, bytes(data[record.data_start : record.end]), facts, where)
-    elif record.opcode == records.MESSAGE:
+    elif record.opcode == Op.MESSAGE_DATA:
         add_message(record, batch)
         if facts.layout is None:
             facts.layout = learn_layout(data, at)
@@ -339,7 +339,6 @@ def define(record: BagRecord, data: bytes, facts: BagFacts, where: str) -> None:
     facts.define(number, connection, where)
 
 
-MESSAGE_DATA = 0x02
 _HEAD_WINDOW = 4096
 _S = 1_000_000_000
 
@@ -429,7 +428,7 @@ def _read_message_head(view: bytes, at: int, length: int, heads: dict[int, Messa
     where = f"byte {at} of the chunk"
     raw = view[at : at + length]
     fields = Fields(raw, where)
-    if fields.opcode() != MESSAGE_DATA:
+    if fields.opcode() != Op.MESSAGE_DATA:
         return -1, 0
     number, log_ns = fields.u32("conn"), fields.time_ns("time")
     heads[length] = _learn(raw)

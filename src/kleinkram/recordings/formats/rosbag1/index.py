@@ -17,6 +17,7 @@ from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.formats.rosbag1 import records
 from kleinkram.recordings.formats.rosbag1.chunks import BagFacts
+from kleinkram.recordings.formats.rosbag1.records import Op
 from kleinkram.recordings.index_check import ChunkClaim, ChunkMessages, IndexFaults
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_TAKE, WINDOW
 from kleinkram.recordings.message_counts import PlaceKind
@@ -66,7 +67,7 @@ def _read_bag_header(source: Source) -> tuple[int, int, int]:
     """Return where the index begins, and how many connections and chunks it lists."""
     start = len(records.MAGIC)
     fields, _data_bytes = records.read_fields(open_range(source, start, source.size_bytes, window=_HEAD_WINDOW))
-    if fields.opcode() != records.BAG_HEADER:
+    if fields.opcode() != Op.BAG_HEADER:
         raise Malformed(f"byte {start}", "the first record is not a bag header")
     if fields.text("encryptor", ""):
         raise Malformed(f"byte {start}", "the bag is encrypted", certain=False)
@@ -87,9 +88,9 @@ def _read_index_section(stream: ByteStream, index: BagIndex, left: int) -> None:
         if data_bytes > MAX_TAKE:
             raise Malformed(where, f"an index record of {data_bytes} bytes; at most {MAX_TAKE} are read", certain=False)
         data, opcode = stream.take(data_bytes), fields.opcode()
-        if opcode == records.CONNECTION:
+        if opcode == Op.CONNECTION:
             index.facts.define(*records.read_connection(fields, data, where), where)
-        elif opcode == records.CHUNK_INFO:
+        elif opcode == Op.CHUNK_INFO:
             _read_chunk_info(index, fields, data, where)
         else:
             raise Malformed(where, f"a record of type {opcode} in the index")
@@ -98,7 +99,7 @@ def _read_index_section(stream: ByteStream, index: BagIndex, left: int) -> None:
         missing = counted(left, "record is", "records are")
         raise Malformed(f"byte {stream.position}", f"the file is cut within its index: {missing} missing")
     if not stream.at_end():
-        raise Malformed(f"byte {stream.position}", "the index goes on behind what the bag's header says")
+        raise Malformed(f"byte {stream.position}", "the index continues after the records that the bag header counts")
 
 
 def _read_chunk_info(index: BagIndex, fields: records.Fields, data: bytes, where: str) -> None:

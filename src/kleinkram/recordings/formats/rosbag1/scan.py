@@ -16,7 +16,7 @@ from kleinkram.recordings.damage_report import DamageReport, IndexedChunk
 from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.formats.rosbag1 import chunks, records
 from kleinkram.recordings.formats.rosbag1.chunks import BagFacts, BagRecord, find_record, parse_record, read_contents
-from kleinkram.recordings.formats.rosbag1.records import Fields
+from kleinkram.recordings.formats.rosbag1.records import Fields, Op
 from kleinkram.recordings.index_check import ChunkClaim, ChunkMessages, IndexFaults, compare_with_scan, new_table
 from kleinkram.recordings.limits import LOOK_AHEAD, MAX_CHUNK_BYTES, MAX_CHUNK_INDEX, MAX_HEADER, MAX_TAKE
 from kleinkram.recordings.message_counts import Batch, MessageCounter, MessageObserver, MessagePlace, PlaceKind
@@ -27,7 +27,7 @@ from kleinkram.recordings.streams import LookaheadStream
 _LOOK = 64 * 2**10
 _SEARCH_BYTES = 4 * 2**20
 _LEAST_CHUNK_HEAD = 40
-_NAMES = {records.MESSAGE: "a message", records.CHUNK: "a chunk", records.CONNECTION: "a connection"}
+_NAMES: dict[int, str] = {Op.MESSAGE_DATA: "a message", Op.CHUNK: "a chunk", Op.CONNECTION: "a connection"}
 
 
 @dataclass
@@ -100,7 +100,7 @@ class _BagScanner:
             self._check_end(record, where)
             self._pass_record(record, where)
         except Cut as cut:
-            if record.opcode == records.CHUNK and not self._goes_on():
+            if record.opcode == Op.CHUNK and not self._goes_on():
                 self._read_cut_chunk(record, cut)
             else:
                 self._resync(cut)
@@ -133,7 +133,7 @@ class _BagScanner:
             Malformed: it cannot be one; nothing was passed over.
         """
         stream, total = self._stream, record.end - record.start
-        if record.opcode == records.INDEX_DATA:
+        if record.opcode == Op.INDEX_DATA:
             if self._chunk is not None:
                 self._chunk.records += 1
                 self._chunk.messages += record.fields.u32("count")
@@ -141,24 +141,24 @@ class _BagScanner:
                     self._check_index_data(self._chunk.start, record)
         else:
             self._end_chunk()
-        if record.opcode == records.CHUNK:
+        if record.opcode == Op.CHUNK:
             self._pass_chunk(record)
             return
-        if record.opcode == records.BAG_HEADER:
+        if record.opcode == Op.BAG_HEADER:
             self._note_header(record, where)
-        elif record.opcode == records.MESSAGE:
+        elif record.opcode == Op.MESSAGE_DATA:
             batch = Batch(self.scan.facts.connections)
             chunks.add_message(record, batch)
             self._notify_observer(MessagePlace(PlaceKind.records, stream.position, total, total), batch)
             self.scan.counter.add(batch)
-        elif record.opcode in (records.CONNECTION, records.CHUNK_INFO):
+        elif record.opcode in (Op.CONNECTION, Op.CHUNK_INFO):
             self._note_index_record(record, where)
         after = stream.at + total
         is_at_hand = stream.left > total and after + min(_LOOK, stream.left - total) <= len(stream.window)
         if is_at_hand and not chunks.is_record(stream.window, after):
             damage = Malformed(f"byte {stream.position + total}", "no record where one should begin")
             self.scan.losses.wasted_bytes += total
-            if record.opcode == records.CHUNK_INFO:
+            if record.opcode == Op.CHUNK_INFO:
                 self._claims.forget_chunk_info()
             self._resync(damage, believed=total)
         else:
@@ -182,9 +182,9 @@ class _BagScanner:
         data_at = record.data_start - record.start
         stream.ahead(data_at + record.data_bytes)
         if record.data_bytes > _LOOK and self.scan.losses.is_search_budget_spent(stream.position):
-            raise Malformed(where, "an index record that nothing vouches for")
+            raise Malformed(where, "an unverified index record, after too many bytes were searched without result")
         data = bytes(stream.window[stream.at + data_at : stream.at + data_at + record.data_bytes])
-        if record.opcode == records.CONNECTION:
+        if record.opcode == Op.CONNECTION:
             self.scan.losses.wasted_bytes += record.data_bytes
             chunks.define(record, data, self.scan.facts, where)
             self.scan.losses.wasted_bytes -= record.data_bytes
@@ -238,7 +238,7 @@ class _BagScanner:
         except Malformed:
             is_right = False
         if not is_right:
-            self.scan.index_faults.note(start, "its index data point at something else than its messages")
+            self.scan.index_faults.note(start, "its index data have wrong offsets")
 
     def _read_chunk(self, record: BagRecord, stored: memoryview) -> tuple[ChunkMessages, int]:
         """Read a chunk; return its messages, and its length in the file."""
@@ -307,7 +307,7 @@ class _BagScanner:
         if self.scan.losses.is_search_budget_spent(stream.position) and (
             compression == "none" or not chunks.stands_outside_chunks(stream.window, stream.at + total)
         ):
-            raise Malformed("chunk", "nothing vouches for it")
+            raise Malformed("chunk", "unverified, after too many bytes were searched without result")
 
     def _read_cut_chunk(self, record: BagRecord, cut: Cut) -> None:
         """Read what is left of a chunk that reaches beyond the end of the file."""

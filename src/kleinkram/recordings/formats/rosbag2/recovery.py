@@ -25,6 +25,7 @@ from kleinkram.recordings.formats.base import ChunkedMember, MemberContents
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.chunks import MESSAGE_FIELDS, table_of_records
 from kleinkram.recordings.formats.mcap.format import MCAP_CHUNKS
+from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.formats.rosbag2 import pages
 from kleinkram.recordings.formats.rosbag2.database import MessageRow, TopicRow
 from kleinkram.recordings.formats.rosbag2.pages import Cell, Column, PageFile
@@ -311,7 +312,7 @@ def _records(recovery: Recovery, numbers: dict[int, int], counts: dict[int, int]
             continue
         counts[number] += 1
         head = MESSAGE_FIELDS.pack(number, 0, row.timestamp, row.timestamp)
-        yield records.RECORD_HEAD.pack(records.MESSAGE, len(head) + len(data)) + head + data
+        yield records.RECORD_HEAD.pack(Opcode.MESSAGE, len(head) + len(data)) + head + data
 
 
 def _reading(pieces: Iterator[bytes]) -> Callable[[int], bytes]:

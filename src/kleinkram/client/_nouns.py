@@ -1,4 +1,4 @@
-"""Lists that page by themselves: one request a page, made when the reader gets there."""
+"""Shared by all nouns: validating requests, resolving references (id, name, glob) and lists that load page by page."""
 
 from __future__ import annotations
 
@@ -6,20 +6,136 @@ import datetime
 import enum
 import itertools
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from html import escape
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar, cast
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client.errors import ReadingMissing
+from kleinkram.client.errors import InvalidInput, ReadingMissing
+from kleinkram.contract.errors import AmbiguousName, NotFound
+from kleinkram.contract.names import is_id, name_key
 from kleinkram.contract.paging import MAX_PAGE_SIZE, Page
+from kleinkram.contract.wording import in_plain_words
 
 if TYPE_CHECKING:
     import pandas as pd
 
+
 T = TypeVar("T", bound=BaseModel)
+Time = int | str | datetime.datetime
+"""Nanoseconds since 1970, ISO 8601 text, or a datetime; UTC where it has no zone."""
+
+_EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.timezone.utc)
+
+
+def checked(kind: type[T], what: str, /, **fields: object) -> T:
+    """Return a request model of these fields.
+
+    Raises:
+        InvalidInput: they are not what the model takes; says which and why.
+    """
+    try:
+        return kind.model_validate(fields)
+    except ValidationError as error:
+        raise invalid(what, error) from None
+
+
+def invalid(what: str, error: ValidationError) -> InvalidInput:
+    """Return the named error for fields that a model does not take, about the first that is wrong."""
+    where = " ".join(str(part) for part in error.errors(include_url=False)[0]["loc"])
+    return InvalidInput(what=f"{what} ({where})" if where else what, reason=in_plain_words(error))
+
+
+def as_datetime(what: str, time: object) -> datetime.datetime | None:
+    """Return a time given as nanoseconds since 1970, a datetime (UTC without a zone), or ISO text; None for None.
+
+    Raises:
+        InvalidInput: it is none of these.
+    """
+    if time is None:
+        return None
+    if isinstance(time, datetime.datetime):
+        return time if time.tzinfo else time.replace(tzinfo=datetime.timezone.utc)
+    from kleinkram.recordings.messages import to_ns  # who gives no time does not pay for the readers
+
+    try:
+        moment: datetime.datetime = _EPOCH + datetime.timedelta(microseconds=to_ns(cast(Time, time)) // 1000)
+        return moment
+    except OverflowError:
+        raise InvalidInput(what=f"The time {time!r} ({what})", reason="it is too far from 1970") from None
+    except (TypeError, ValueError) as error:
+        raise InvalidInput(what=f"The time {time!r} ({what})", reason=str(error)) from None
+
+
+RowT = TypeVar("RowT")
+
+_SHOWN_CANDIDATES = 20
+
+
+class HasId(Protocol):
+    """A noun as a list or `get` returned it."""
+
+    @property
+    def id(self) -> uuid.UUID:
+        """Its id."""
+
+
+Ref = str | uuid.UUID | HasId
+"""What stands for a noun: its name, its id (a UUID or text), or the noun itself."""
+
+
+def known_id(ref: Ref, noun: str) -> uuid.UUID | None:
+    """Return the id that a reference is or has; None for a name.
+
+    Raises:
+        InvalidInput: it is none of these.
+    """
+    if isinstance(ref, str):
+        return uuid.UUID(ref) if is_id(ref) else None
+    noun_id = ref if isinstance(ref, uuid.UUID) else getattr(ref, "id", None)
+    if not isinstance(noun_id, uuid.UUID):
+        raise InvalidInput(what=f"The {noun} {ref!r}", reason="give its name, its id, or what a list returned")
+    return noun_id
+
+
+def refs_of(noun: str, value: object) -> list[object]:
+    """Return one reference or several as a list.
+
+    Raises:
+        InvalidInput: there is none, which would stand for all.
+    """
+    several = [*value] if isinstance(value, list | tuple | set | frozenset) else [value]
+    if not several:
+        raise InvalidInput(what=f"The filter ({noun})", reason="it names none; leave it out where all are meant")
+    return several
+
+
+def is_glob(ref: str) -> bool:
+    """Say whether a reference may stand for many."""
+    return "*" in ref or "?" in ref
+
+
+def resolve_one(
+    noun: str, ref: str, rows: Iterable[RowT], *, name: Callable[[RowT], str], label: Callable[[RowT], str]
+) -> RowT:
+    """Return the row that `ref` names, letter case and Unicode form apart; a glob may match just one.
+
+    Raises:
+        NotFound: none does.
+        AmbiguousName: several do; lists them by `label`.
+    """
+    noun_id = list(rows)
+    exact = [row for row in noun_id if name_key(name(row)) == name_key(ref)]
+    if not exact and is_glob(ref):
+        exact = noun_id
+    if not exact:
+        raise NotFound(noun=noun, ref=ref)
+    if len(exact) > 1:
+        raise AmbiguousName(noun=noun, ref=ref, candidates=[label(row) for row in exact[:_SHOWN_CANDIDATES]])
+    return exact[0]
+
 
 _SHOWN = 20
 
