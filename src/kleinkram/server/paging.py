@@ -92,7 +92,7 @@ async def fetch_page(
     items = rows[: request.limit]
     total = len(items) if request.count else None
     if request.count and (after is not None or len(rows) > request.limit):
-        bare = statement.with_only_columns(order.columns[-1], maintain_column_froms=True).order_by(None)
+        bare = statement.with_only_columns(order.columns[-1]).order_by(None)
         total = (await db.execute(select(func.count()).select_from(bare.subquery()))).scalar_one()
     return Rows(items, _encode(items[-1], order) if len(rows) > request.limit else None, total)
 
