@@ -203,9 +203,9 @@ def _read_compression(source: Source, row: Row) -> str | None:
 
 def _read_message_indexes(source: Source, facts: McapFacts, timeline: Timeline, losses: DamageReport) -> None:
     rows = facts.table.rows
-    for row in rows:
-        if row.end - row.start - row.length > MAX_CHUNK_INDEX:
-            raise Malformed(f"byte {row.start}", "the index of a chunk is too large to be read", certain=False)
+    for start, size in _index_ranges(facts):
+        if size > MAX_CHUNK_INDEX:
+            raise Malformed(f"byte {start}", "the index of a chunk is too large to be read", certain=False)
     for channel in facts.channels.values():
         timeline.topic(channel.topic)
     watermarks = smallest_to_come(rows.column(Row._fields.index("first_ns")))
@@ -223,16 +223,21 @@ def _read_message_indexes(source: Source, facts: McapFacts, timeline: Timeline, 
         timeline.settle(before_ns)
 
 
+def _index_ranges(facts: McapFacts) -> Iterator[tuple[int, int]]:
+    """Yield where the message indexes of each chunk begin, and their size."""
+    starts, lengths, ends = (facts.table.rows.column(Row._fields.index(name)) for name in ("start", "length", "end"))
+    return ((start + length, end - start - length) for start, length, end in zip(starts, lengths, ends, strict=True))
+
+
 def _index_streams(source: Source, facts: McapFacts) -> Iterator[ByteStream]:
     """Yield the message indexes of each chunk; over a network, the next ones are fetched meanwhile."""
-    rows = facts.table.rows
-    if any(row.end - row.start - row.length > WINDOW for row in rows):
-        for row in rows:
-            yield open_range(source, row.start + row.length, row.end)
+    if any(size > WINDOW for _, size in _index_ranges(facts)):
+        for start, size in _index_ranges(facts):
+            yield open_range(source, start, start + size)
         return
-    ranges = ((row.start + row.length, row.end - row.start - row.length) for row in rows)
-    for row, data in zip(rows, read_short_ranges(source, ranges), strict=True):
-        yield open_bytes(data, row.start + row.length)
+    answers = read_short_ranges(source, _index_ranges(facts))
+    for (start, _), data in zip(_index_ranges(facts), answers, strict=True):
+        yield open_bytes(data, start)
 
 
 def _read_chunk_entries(stream: ByteStream, facts: McapFacts) -> tuple[list[ChunkEntries], ChunkMessages]:
