@@ -62,7 +62,7 @@ def run_local(
     An action with an image runs in a container, built first of the Dockerfile beside its manifest; any other runs as a
     process.
     """
-    from kleinkram.cli.progress import watching
+    from kleinkram.cli.transfer_view import watching
     from kleinkram.runner.local_run import run_locally
 
     definition = read_manifest(action)

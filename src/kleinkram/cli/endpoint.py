@@ -7,8 +7,7 @@ from typing import Annotated
 import typer
 
 from kleinkram.cli.commands import Noun
-from kleinkram.cli.completion import complete_endpoint
-from kleinkram.cli.options import AsJson, read_text, read_token
+from kleinkram.cli.options import AsJson, complete_endpoint, read_text, read_token
 from kleinkram.cli.render import details, moment, note, show_json, table
 from kleinkram.client.config import (
     EndpointSource,

@@ -144,7 +144,7 @@ def artifacts(
             return
         if not rows:
             raise NothingToDo(reason="No artifact matches")
-        from kleinkram.cli.progress import watching
+        from kleinkram.cli.transfer_view import watching
 
         began_at = time.monotonic()
         try:
