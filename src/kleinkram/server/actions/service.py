@@ -21,7 +21,7 @@ from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
 from kleinkram.contract.paging import Page
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.creating import require_creator
+from kleinkram.server.access.creation import require_creator
 from kleinkram.server.access.rights import require_project
 from kleinkram.server.actions import queries
 from kleinkram.server.audit.service import Event, record

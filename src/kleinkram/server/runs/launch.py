@@ -39,7 +39,7 @@ from kleinkram.server.access.visible import level_on_mission, visible_files, vis
 from kleinkram.server.actions import service as actions
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection
-from kleinkram.server.filters.files import narrow_files
+from kleinkram.server.filters.files import filter_files
 from kleinkram.server.runners.scheduling import (
     Needs,
     alive_runners,
@@ -243,7 +243,7 @@ async def _inputs(db: Connection, actor: Actor, definition: ActionDefinition, pl
         mission_id=place.id, path=wanted.paths, topic=wanted.topics, message_type=wanted.message_types
     )
     columns = (file.c.id, file.c.path, file.c.blob_id, blob.c.size_bytes, blob.c.sha256, blob.c.state)
-    stmt = narrow_files(actor, visible_files(actor), matching).with_only_columns(*columns, maintain_column_froms=True)
+    stmt = filter_files(actor, visible_files(actor), matching).with_only_columns(*columns, maintain_column_froms=True)
     rows = (await db.execute(stmt.order_by(file.c.path))).all()
     if not rows:
         said = [f"{name} {', '.join(globs)}" for name, globs in wanted.model_dump().items() if globs]
