@@ -31,25 +31,30 @@ def verify(
     left_out: Sequence[ClientError] = ()
     with connect() as client:
         if remote:
-            found = _remote(client, project, mission, paths or [], timeout)
+            checks = _remote(client, project, mission, paths or [], timeout)
         else:
             plan = _plan(paths or [])
             one_mission = the_ref("mission", None, the_only("mission", mission))
             mission_id = client.missions.get(one_mission, project=the_only("project", project)).id
-            found, left_out = verify_local(client.files, mission_id, plan), plan.left_out
+            checks, left_out = verify_local(client.files, mission_id, plan), plan.left_out
     if as_json:
-        show_json({"items": [_plain(one) for one in found], "left_out": [plain_error(each) for each in left_out]})
+        show_json(
+            {
+                "items": [_plain(one) for one in checks],
+                "left_out": [plain_error(failure) for failure in left_out],
+            }
+        )
     else:
         table(
             ["verdict", "path", "size"],
-            [(one.verdict.value, path, size(one.size_bytes)) for one, path in _named(found)],
+            [(one.verdict.value, path, size(one.size_bytes)) for one, path in _named(checks)],
         )
-        _say_damage(found)
-    unread = [one.error for one in found if one.error is not None]
+        _say_damage(checks)
+    unread = [one.error for one in checks if one.error is not None]
     say_left_out(unread)
-    odd = [one for one in found if one.verdict is not Verdict.same]
-    note(f"{len(found) - len(odd)} of {count(len(found) + len(left_out), 'file')} are the same.")
-    if len(odd) > len(unread):
+    differing = [one for one in checks if one.verdict is not Verdict.same]
+    note(f"{len(checks) - len(differing)} of {count(len(checks) + len(left_out), 'file')} are the same.")
+    if len(differing) > len(unread):
         raise typer.Exit(ExitCode.bytes_differ)
     if code := exit_code_of([*unread, *left_out]):
         raise typer.Exit(code)
@@ -75,16 +80,16 @@ def _remote(client: Client, project: Many, mission: Many, paths: list[str], time
     return verify_remote(client.files, files, timeout_s=timeout_s)
 
 
-def _named(found: list[Verified]) -> list[tuple[Verified, str]]:
+def _named(checks: list[Verified]) -> list[tuple[Verified, str]]:
     """Return each with its path, and with project and mission before it where these are several."""
-    places = [(one.file.mission.project.name, one.file.mission.name) if one.file else () for one in found]
+    places = [(one.file.mission.project.name, one.file.mission.name) if one.file else () for one in checks]
     if len({place for place in places if place}) < 2:
-        return [(one, one.path) for one in found]
-    return [(one, "/".join([*place, one.path])) for one, place in zip(found, places, strict=True)]
+        return [(one, one.path) for one in checks]
+    return [(one, "/".join([*place, one.path])) for one, place in zip(checks, places, strict=True)]
 
 
-def _say_damage(found: list[Verified]) -> None:
-    for one, path in _named(found):
+def _say_damage(checks: list[Verified]) -> None:
+    for one, path in _named(checks):
         if one.file is not None and one.file.damaged_at is not None:
             reason, since = one.file.state_reason, moment(one.file.damaged_at)
             note(f"{path} is {one.file.state.value} since {since}: {reason}. Upload it again to mend it.")
