@@ -41,7 +41,7 @@ BANNED = frozenset(
         "odd",
         "oddities",
         "oddity",
-        "verified",
+        "proven",
         "said",
         "told",
         "twin",

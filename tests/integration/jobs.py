@@ -9,7 +9,7 @@ from procrastinate import JobContext, PsycopgConnector
 from procrastinate.worker import Worker
 
 from kleinkram.server import worker
-from kleinkram.server.blobs.reading import Readers
+from kleinkram.server.blobs.reader_processes import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
 from kleinkram.server.jobs.courtesy import Courtesy
@@ -60,7 +60,7 @@ async def drain(context: AppContext, courtesy: Courtesy, rests: Rests | None = N
 
     connector = PsycopgConnector(conninfo=plain_dsn(context.settings.database_url), min_size=1, max_size=4)
     with queue.replace_connector(connector) as app:
-        async with app.open_async(), Readers() as readers:
+        async with app.open_async(), ReaderProcesses() as readers:
             await app.run_worker_async(
                 wait=False,
                 concurrency=4,

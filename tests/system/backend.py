@@ -7,7 +7,7 @@ from urllib.parse import quote
 
 import psycopg
 
-from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
 from kleinkram.server.runs.jobs import maintain_runs_once as tend_runs
@@ -36,7 +36,7 @@ def tidy(cluster: Cluster) -> None:
         await maintain_uploads(context, stale_after_s=0)
         await tend_runs(context)
         for _ in range(2):
-            await sweep_once(context)
+            await collect_garbage(context)
 
     on_site(cluster, all_rounds)
 

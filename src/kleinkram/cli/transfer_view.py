@@ -47,14 +47,14 @@ class Lines:
     def moved(self, path: str, size_bytes: int, total_bytes: int) -> None:
         """Say nothing before the end."""
 
-    def held(self, path: str, size_bytes: int, total_bytes: int) -> None:
+    def skipped(self, path: str, size_bytes: int, total_bytes: int) -> None:
         """Say nothing before the end."""
 
     def ended(self, path: str, outcome: str, reason: str | None) -> None:
         """Say what became of a file."""
         note(f"{outcome:<10} {escape(path)}" + (f": {escape(reason)}" if reason else ""))
 
-    def said(self, text: str) -> None:
+    def notify(self, text: str) -> None:
         """Pass it on."""
         note(escape(text))
 
@@ -82,9 +82,9 @@ class Bars:
 
     def moved(self, path: str, size_bytes: int, total_bytes: int) -> None:
         """Move the bars on."""
-        self.held(path, size_bytes, total_bytes)
+        self.skipped(path, size_bytes, total_bytes)
 
-    def held(self, path: str, size_bytes: int, total_bytes: int) -> None:
+    def skipped(self, path: str, size_bytes: int, total_bytes: int) -> None:
         """Move the bars on."""
         with self._lock:
             if path not in self._files:
@@ -99,9 +99,9 @@ class Bars:
             if (task := self._files.pop(path, None)) is not None:
                 self.progress.remove_task(task)
         if reason:
-            self.said(f"{outcome} {path}: {reason}")
+            self.notify(f"{outcome} {path}: {reason}")
 
-    def said(self, text: str) -> None:
+    def notify(self, text: str) -> None:
         """Print above the bars."""
         self.progress.console.print(escape(text), markup=False, highlight=False)
 

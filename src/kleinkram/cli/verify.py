@@ -14,7 +14,7 @@ from kleinkram.cli.transfer_view import plain_error, say_left_out
 from kleinkram.cli.units import count, size
 from kleinkram.client import Client
 from kleinkram.client.errors import ClientError, InvalidInput, NothingToDo
-from kleinkram.client.transfer import UploadPlan, Verdict, Verified, plan_upload, verify_local, verify_remote
+from kleinkram.client.transfer import FileVerdict, UploadPlan, Verdict, plan_upload, verify_local, verify_remote
 
 
 def verify(
@@ -31,30 +31,25 @@ def verify(
     left_out: Sequence[ClientError] = ()
     with connect() as client:
         if remote:
-            checks = _remote(client, project, mission, paths or [], timeout)
+            found = _remote(client, project, mission, paths or [], timeout)
         else:
             plan = _plan(paths or [])
             one_mission = the_ref("mission", None, the_only("mission", mission))
             mission_id = client.missions.get(one_mission, project=the_only("project", project)).id
-            checks, left_out = verify_local(client.files, mission_id, plan), plan.left_out
+            found, left_out = verify_local(client.files, mission_id, plan), plan.left_out
     if as_json:
-        show_json(
-            {
-                "items": [_plain(one) for one in checks],
-                "left_out": [plain_error(failure) for failure in left_out],
-            }
-        )
+        show_json({"items": [_plain(one) for one in found], "left_out": [plain_error(each) for each in left_out]})
     else:
         table(
             ["verdict", "path", "size"],
-            [(one.verdict.value, path, size(one.size_bytes)) for one, path in _named(checks)],
+            [(one.verdict.value, path, size(one.size_bytes)) for one, path in _named(found)],
         )
-        _say_damage(checks)
-    unread = [one.error for one in checks if one.error is not None]
+        _say_damage(found)
+    unread = [one.error for one in found if one.error is not None]
     say_left_out(unread)
-    differing = [one for one in checks if one.verdict is not Verdict.same]
-    note(f"{len(checks) - len(differing)} of {count(len(checks) + len(left_out), 'file')} are the same.")
-    if len(differing) > len(unread):
+    odd = [one for one in found if one.verdict is not Verdict.same]
+    note(f"{len(found) - len(odd)} of {count(len(found) + len(left_out), 'file')} are the same.")
+    if len(odd) > len(unread):
         raise typer.Exit(ExitCode.bytes_differ)
     if code := exit_code_of([*unread, *left_out]):
         raise typer.Exit(code)
@@ -70,7 +65,7 @@ def _plan(paths: list[str]) -> UploadPlan:
     return plan
 
 
-def _remote(client: Client, project: Many, mission: Many, paths: list[str], timeout_s: float) -> list[Verified]:
+def _remote(client: Client, project: Many, mission: Many, paths: list[str], timeout_s: float) -> list[FileVerdict]:
     choice = Choice(project=project, mission=mission)
     if choice.is_empty() and not paths:
         raise InvalidInput(what="The command", reason="say which files: -p, -m, a path, a glob or an id")
@@ -80,22 +75,22 @@ def _remote(client: Client, project: Many, mission: Many, paths: list[str], time
     return verify_remote(client.files, files, timeout_s=timeout_s)
 
 
-def _named(checks: list[Verified]) -> list[tuple[Verified, str]]:
+def _named(found: list[FileVerdict]) -> list[tuple[FileVerdict, str]]:
     """Return each with its path, and with project and mission before it where these are several."""
-    places = [(one.file.mission.project.name, one.file.mission.name) if one.file else () for one in checks]
+    places = [(one.file.mission.project.name, one.file.mission.name) if one.file else () for one in found]
     if len({place for place in places if place}) < 2:
-        return [(one, one.path) for one in checks]
-    return [(one, "/".join([*place, one.path])) for one, place in zip(checks, places, strict=True)]
+        return [(one, one.path) for one in found]
+    return [(one, "/".join([*place, one.path])) for one, place in zip(found, places, strict=True)]
 
 
-def _say_damage(checks: list[Verified]) -> None:
-    for one, path in _named(checks):
+def _say_damage(found: list[FileVerdict]) -> None:
+    for one, path in _named(found):
         if one.file is not None and one.file.damaged_at is not None:
             reason, since = one.file.state_reason, moment(one.file.damaged_at)
             note(f"{path} is {one.file.state.value} since {since}: {reason}. Upload it again to mend it.")
 
 
-def _plain(one: Verified) -> dict[str, object]:
+def _plain(one: FileVerdict) -> dict[str, object]:
     state = one.file.state.value if one.file else None
     reason = one.file.state_reason if one.file else None
     return {

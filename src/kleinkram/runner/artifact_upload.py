@@ -11,11 +11,10 @@ from pathlib import Path
 from kleinkram.client._retry import Backoff
 from kleinkram.client.errors import ServerUnreachable, StoreTroubled, StoreUnreachable
 from kleinkram.client.runners import ArtifactUploads
-from kleinkram.client.transfer._uploader import Uploader
-from kleinkram.client.transfer.outcome import TransferResult
-from kleinkram.client.transfer.pace import Pace
 from kleinkram.client.transfer.plan import LocalFile, identity_of
-from kleinkram.client.transfer.progress import Unwatched
+from kleinkram.client.transfer.report import SilentObserver, TransferResult
+from kleinkram.client.transfer.threads import RateLimit
+from kleinkram.client.transfer.upload import Uploader
 from kleinkram.contract.errors import (
     BodyTooLarge,
     DatabaseUnavailable,
@@ -223,8 +222,8 @@ class _ArtifactUploader:
             uploads,
             server,
             assignment.run_id,
-            pace=Pace(None),
-            watcher=Unwatched(),
+            pace=RateLimit(None),
+            watcher=SilentObserver(),
             ended=self._add_result,
             journals=journals,
         )

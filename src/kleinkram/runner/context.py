@@ -6,7 +6,7 @@ from urllib.parse import urlsplit
 
 from kleinkram.client.runners import Runners
 from kleinkram.client.server import Service
-from kleinkram.client.transfer._store import StoreDoor
+from kleinkram.client.transfer.store import StoreClient
 from kleinkram.contract.actions import Network
 from kleinkram.runner.executors.base import Executor, Job, PortForward
 from kleinkram.runner.inputs import AUTHORITIES, script_command
@@ -21,7 +21,7 @@ class RunnerContext:
 
     executor: Executor
     runners: Runners
-    store: StoreDoor
+    store: StoreClient
     url: str
     token: str
     service: Service

@@ -13,7 +13,7 @@ import urllib3
 from kleinkram.client._retry import Backoff
 from kleinkram.client.runners import Runners
 from kleinkram.client.server import Service
-from kleinkram.client.transfer._store import PATIENCE_S, Answer, StoreDoor
+from kleinkram.client.transfer.store import PATIENCE_S, StoreAnswer, StoreClient
 from kleinkram.contract.actions import Network
 from kleinkram.contract.errors import FileUnavailable, InvalidRequest, KleinkramError, NotFound, RunGone
 from kleinkram.contract.names import check_file_path
@@ -54,7 +54,7 @@ class Preparation:
         self,
         executor: Executor,
         runners: Runners,
-        store: StoreDoor,
+        store: StoreClient,
         service: Service,
         *,
         default_image: str | None,
@@ -180,7 +180,7 @@ class _ImagePull:
 class InputDownload:
     """Downloads the inputs of one run by signed URLs, and resumes broken downloads. `store` is shared by all runs."""
 
-    def __init__(self, runners: Runners, store: StoreDoor, assignment: RunAssignment, stop: StopSignal) -> None:
+    def __init__(self, runners: Runners, store: StoreClient, assignment: RunAssignment, stop: StopSignal) -> None:
         self._runners = runners.with_patience(PATIENCE_S, stop.wait)
         self._store = store
         self._assignment = assignment
@@ -250,10 +250,10 @@ class InputDownload:
                 answer.close()
             if part.offset > before:
                 backoff = Backoff(PATIENCE_S, self._stop.wait)
-            elif answer.answer is Answer.sign_again and refusals < _MAX_REFUSALS:
+            elif answer.answer is StoreAnswer.sign_again and refusals < _MAX_REFUSALS:
                 refusals += 1
                 self._sign([path])
-            elif answer.answer in {Answer.taken, Answer.try_again}:
+            elif answer.answer in {StoreAnswer.taken, StoreAnswer.try_again}:
                 if not backoff.pause():
                     raise _unavailable(f"The input {path} cannot be downloaded: {answer.why}.")
             else:

@@ -14,7 +14,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from kleinkram.client.runners import Runners
-from kleinkram.client.transfer._store import Answer, StoreDoor
+from kleinkram.client.transfer.store import StoreAnswer, StoreClient
 from kleinkram.contract.checksums import crc64nvme
 from kleinkram.contract.errors import KleinkramError, RunGone
 from kleinkram.contract.runners import LogChunkConfirm, LogChunkCreate, RunAssignment
@@ -89,7 +89,7 @@ class LogUpload:
         self,
         executor: Executor,
         runners: Runners,
-        store: StoreDoor,
+        store: StoreClient,
         assignment: RunAssignment,
         directory: Path,
         redactor: Redactor,
@@ -174,7 +174,7 @@ class LogUpload:
         while True:
             try:
                 upload = self._runners.create_log_chunk(run_id, request)
-                if self._store.put(upload.url, upload.headers, len(chunk), [chunk]).answer is Answer.taken:
+                if self._store.put(upload.url, upload.headers, len(chunk), [chunk]).answer is StoreAnswer.taken:
                     confirmation = LogChunkConfirm(attempt=attempt, offset=offset, size_bytes=len(chunk))
                     self._runners.confirm_log_chunk(run_id, confirmation)
                     return

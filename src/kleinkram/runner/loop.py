@@ -20,7 +20,7 @@ from kleinkram.client._retry import Backoff
 from kleinkram.client.config import Endpoint, EndpointSource
 from kleinkram.client.runners import Runners
 from kleinkram.client.server import Service
-from kleinkram.client.transfer._store import StoreDoor
+from kleinkram.client.transfer.store import StoreClient
 from kleinkram.contract.actions import Resources
 from kleinkram.contract.errors import Forbidden, KleinkramError, NotAuthenticated, NotFound, ScopeMissing
 from kleinkram.contract.runners import (
@@ -80,7 +80,7 @@ class Runner:
         self._runners = Runners(self._api)
         # A request that hangs must not cost the leases.
         self._heartbeat_api = Api(endpoint, read_timeout_s=_HEARTBEAT_TIMEOUT_S)
-        self._store = StoreDoor(_STORE_CONNECTIONS)
+        self._store = StoreClient(_STORE_CONNECTIONS)
         self._is_stopping = threading.Event()
         self._is_closed = threading.Event()
         self._is_unreachable = False

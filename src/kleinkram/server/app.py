@@ -13,11 +13,11 @@ from kleinkram.server.actions.routes import router as actions
 from kleinkram.server.admin.routes import router as admin
 from kleinkram.server.audit.looking import Looks
 from kleinkram.server.audit.routes import router as audit
-from kleinkram.server.auth.claiming import offer_claim
-from kleinkram.server.auth.login_routes import login_router, me_router, people_router
-from kleinkram.server.auth.page_routes import router as sign_in_pages
-from kleinkram.server.auth.passwords import Passwords
-from kleinkram.server.auth.providers import open_providers
+from kleinkram.server.auth.authorization_request import open_providers
+from kleinkram.server.auth.bootstrap_admin import log_bootstrap_code
+from kleinkram.server.auth.local_accounts import PasswordHasher
+from kleinkram.server.auth.pages import router as sign_in_pages
+from kleinkram.server.auth.routes import me_router, people_router
 from kleinkram.server.auth.routes import router as auth
 from kleinkram.server.db import open_database
 from kleinkram.server.events.hub import open_hub
@@ -78,7 +78,6 @@ ROUTERS = (
     home_summary,
     admin,
     auth,
-    login_router,
     me_router,
     people_router,
     sign_in_pages,
@@ -112,12 +111,12 @@ def create_app(settings: Settings) -> FastAPI:
                     await record_capabilities(db, settings.store_id, abilities)
                     await ensure_affiliations(db, settings.affiliations)
                     if settings.owner_token_file is None:
-                        await offer_claim(db)
+                        await log_bootstrap_code(db)
                     else:
                         await let_owner_in(db, settings.owner_token_file)
                 app.state.database = database
                 app.state.providers = providers
-                app.state.passwords = Passwords()
+                app.state.password_hasher = PasswordHasher()
                 app.state.storage = store.with_capabilities(abilities)
                 app.state.pages_may_send = await configure_cors(store, settings)
                 _log.info(

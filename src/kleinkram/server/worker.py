@@ -19,7 +19,7 @@ from procrastinate.jobs import Status
 
 import kleinkram
 from kleinkram.server.blobs import jobs as _blob_jobs
-from kleinkram.server.blobs.reading import Readers
+from kleinkram.server.blobs.reader_processes import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Database, open_database
 from kleinkram.server.health.metrics_server import serve_metrics
@@ -109,7 +109,7 @@ async def _run_lanes(app: App, settings: Settings, database: Database) -> None:
     is_over = asyncio.Event()
     async with (
         open_storage(settings) as storage,
-        Readers() as readers,
+        ReaderProcesses() as readers,
         heartbeat(database),
         serve_metrics(settings, database),
     ):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import signal
+import sys
 import time
 from pathlib import Path
 
 import pytest
 
 from kleinkram.client import _retry
-from kleinkram.client.transfer import _pipeline, _uploader
+from kleinkram.client.transfer import upload_pipeline
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner import artifact_upload
@@ -101,8 +102,8 @@ def test_what_is_not_taken_is_sent_again(
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have a runner give up soon, and begin anew at once."""
     monkeypatch.setattr(artifact_upload, "_RETRY_EVERY_S", 0.01)
-    monkeypatch.setattr(_uploader, "PATIENCE_S", 0.1)
-    monkeypatch.setattr(_pipeline, "PATIENCE_S", 0.1)
+    monkeypatch.setattr(sys.modules["kleinkram.client.transfer.upload"], "PATIENCE_S", 0.1)
+    monkeypatch.setattr(upload_pipeline, "PATIENCE_S", 0.1)
     monkeypatch.setattr(_retry, "LONGEST_WAIT_S", 0.05)
 
 

@@ -6,7 +6,7 @@ import uuid
 import pytest
 
 from kleinkram.contract.rights import Scope, TokenKind
-from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.context import AppContext
 from kleinkram.server.events import hub as hubs
 from kleinkram.server.events.hub import MAX_STREAMS_PER_PERSON
@@ -190,7 +190,7 @@ def _blobs(lab: Api, run_id: str) -> list[uuid.UUID]:
 
 async def _sweep(context: AppContext) -> None:
     await maintain_runs_once(context)
-    await sweep_once(context)
+    await collect_garbage(context)
 
 
 def test_runners_that_wait_take_no_streams_from_their_owner(lab: Api) -> None:

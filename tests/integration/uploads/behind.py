@@ -10,7 +10,7 @@ from procrastinate import JobContext
 from sqlalchemy import text
 
 from kleinkram.server.blobs import jobs
-from kleinkram.server.blobs.reading import Readers
+from kleinkram.server.blobs.reader_processes import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
 from kleinkram.server.jobs.courtesy import Courtesy
@@ -65,7 +65,7 @@ async def verify_all(context: AppContext) -> None:
         rows = (await db.execute(_ALL_BLOBS)).scalars().all()
     courtesy = Courtesy(context.database, context.settings)
     courtesy.end()
-    async with Readers() as readers:
+    async with ReaderProcesses() as readers:
         given = {"site": context, "courtesy": courtesy, "readers": readers}
         job = SimpleNamespace(attempts=99, priority=0)
         job_context = cast(JobContext, SimpleNamespace(additional_context=given, job=job))

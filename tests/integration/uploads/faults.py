@@ -10,8 +10,8 @@ from functools import partial
 from types import FunctionType
 from typing import Any, cast
 
-from kleinkram.server.blobs import jobs, queries, scrubbing, service
-from kleinkram.server.blobs.verification import Found
+from kleinkram.server.blobs import jobs, queries, scrub, service
+from kleinkram.server.blobs.verification import ObjectChecksums
 from kleinkram.server.uploads import completion, parts, rules
 from kleinkram.server.uploads import jobs as upload_jobs
 from kleinkram.server.uploads import queries as upload_queries
@@ -142,7 +142,7 @@ FAULTS = [
     ),
     Fault(
         "the sweep takes what is in the trash",
-        queries.is_referred,
+        queries.is_referenced,
         _FILES_REFER,
         "exists().where(file.c.blob_id == blob.c.id, file.c.deleted_at.is_(None))",
         "sweep",
@@ -150,7 +150,7 @@ FAULTS = [
     ),
     Fault(
         "the sweep takes what a second file refers to",
-        queries.is_referred,
+        queries.is_referenced,
         _FILES_REFER,
         "exists().where(file.c.blob_id == blob.c.id, file.c.origin == 'upload')",
         "sweep",
@@ -158,7 +158,7 @@ FAULTS = [
     ),
     Fault(
         "the sweep leaves the object",
-        jobs.sweep_once,
+        jobs.collect_garbage,
         _THE_OBJECT_GOES,
         "pass\n",
         "every_object_is_known",
@@ -182,7 +182,7 @@ FAULTS = [
     ),
     Fault(
         "the verification does not compare",
-        Found.differs_from,
+        ObjectChecksums.differs_from,
         "if self.size_bytes",
         "if True:\n        return None\n    if self.size_bytes",
         "_see_what_is_told",
@@ -190,7 +190,7 @@ FAULTS = [
     ),
     Fault(
         "the scrub does not compare sizes",
-        scrubbing._look_at,
+        scrub._compare_blob,
         " or listed_bytes != row.size_bytes",
         "",
         "_see_what_is_told",

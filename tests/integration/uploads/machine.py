@@ -9,7 +9,8 @@ from typing import Any
 from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, invariant, rule
 
-from kleinkram.server.blobs import jobs, scrubbing
+from kleinkram.server.blobs import jobs
+from kleinkram.server.blobs.scrub import scrub_store
 from kleinkram.server.context import AppContext
 from kleinkram.server.uploads.jobs import maintain_uploads
 from tests.integration.api_server import Api
@@ -164,7 +165,7 @@ class Machine(RuleBasedStateMachine):
     def sweep(self) -> None:
         """Doom what nothing refers to, then delete it."""
         for _ in range(2):
-            self.context.run(jobs.sweep_once)
+            self.context.run(jobs.collect_garbage)
 
     @rule()
     def verify(self) -> None:
@@ -176,7 +177,7 @@ class Machine(RuleBasedStateMachine):
     def scrub(self) -> None:
         """Compare the store's list; afterwards each blob says whether its object is there, and of its size."""
         scrub_id = uuid.UUID(self.api.post("/admin/scrub", {"believe": True}).ok(202)["id"])
-        self.context.run(lambda context: scrubbing.scrub_store(context, scrub_id))
+        self.context.run(lambda context: scrub_store(context, scrub_id))
         self._see_what_is_told({"gone": "lost", "cut": "corrupt"})
 
     # What a store does that lies.

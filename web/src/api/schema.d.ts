@@ -257,7 +257,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/auth/claim": {
+    "/api/v1/auth/bootstrap": {
         parameters: {
             query?: never;
             header?: never;
@@ -267,10 +267,10 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Claim Server
-         * @description Become the first admin of a fresh server, by the code from its log.
+         * Create First Admin
+         * @description Become the first admin of a new server with the code from its log.
          */
-        post: operations["claim_server"];
+        post: operations["bootstrap_admin"];
         delete?: never;
         options?: never;
         head?: never;
@@ -288,7 +288,7 @@ export interface paths {
         put?: never;
         /**
          * Approve Cli Login
-         * @description Agree that a program on the browser's machine gets a token.
+         * @description Approve a program on the machine of this browser.
          */
         post: operations["approve_cli_login"];
         delete?: never;
@@ -308,7 +308,7 @@ export interface paths {
         put?: never;
         /**
          * Exchange Cli Code
-         * @description Exchange what the browser brought to the loopback for a token.
+         * @description Exchange the code that the browser delivered to the loopback for a token.
          */
         post: operations["exchange_cli_code"];
         delete?: never;
@@ -327,10 +327,10 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Look At Code
-         * @description Say for whom a link is; it stays good.
+         * Get Code
+         * @description Return the purpose and recipient of a one-time link without using it.
          */
-        post: operations["look_at_code"];
+        post: operations["get_code"];
         delete?: never;
         options?: never;
         head?: never;
@@ -348,7 +348,7 @@ export interface paths {
         put?: never;
         /**
          * Begin Device Login
-         * @description Begin a login by a code that is typed on another machine.
+         * @description Start a login with a code that is typed on another machine.
          */
         post: operations["begin_device_login"];
         delete?: never;
@@ -368,7 +368,7 @@ export interface paths {
         put?: never;
         /**
          * Approve Device Login
-         * @description Agree that the program that shows a code gets a token.
+         * @description Approve the program that shows a code.
          */
         post: operations["approve_device_login"];
         delete?: never;
@@ -388,7 +388,7 @@ export interface paths {
         put?: never;
         /**
          * Deny Device Login
-         * @description Disagree.
+         * @description Deny the program that shows a code.
          */
         post: operations["deny_device_login"];
         delete?: never;
@@ -397,7 +397,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/auth/device/look": {
+    "/api/v1/auth/device/status": {
         parameters: {
             query?: never;
             header?: never;
@@ -407,10 +407,10 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Look At Device Login
-         * @description Say who shows a code.
+         * Get Device Login
+         * @description Return the program that shows a code.
          */
-        post: operations["look_at_device_login"];
+        post: operations["get_device_login"];
         delete?: never;
         options?: never;
         head?: never;
@@ -428,7 +428,7 @@ export interface paths {
         put?: never;
         /**
          * Exchange Device Code
-         * @description Exchange a device's secret for a token, once its code was typed.
+         * @description Exchange a device code for a token, once it is approved.
          */
         post: operations["exchange_device_code"];
         delete?: never;
@@ -448,7 +448,7 @@ export interface paths {
         put?: never;
         /**
          * Accept Invitation
-         * @description Get the account that one is invited to, and sign in.
+         * @description Create the account that an invitation is for, and sign in.
          */
         post: operations["accept_invitation"];
         delete?: never;
@@ -468,9 +468,29 @@ export interface paths {
         put?: never;
         /**
          * Sign In By Link
-         * @description Sign a browser in by a link that is good once.
+         * @description Sign a browser in with a one-time link.
          */
         post: operations["sign_in_by_link"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/auth/methods": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Sign In Methods
+         * @description List the methods with which people sign in to this server.
+         */
+        get: operations["list_sign_in_methods"];
+        put?: never;
+        post?: never;
         delete?: never;
         options?: never;
         head?: never;
@@ -488,7 +508,7 @@ export interface paths {
         put?: never;
         /**
          * Create Owner Link
-         * @description Make a link by which the owner of `klein up` signs a browser in.
+         * @description Create a link with which the owner of `klein up` signs in.
          */
         post: operations["create_owner_link"];
         delete?: never;
@@ -517,26 +537,6 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/auth/password/again": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Prove Password Again
-         * @description Prove once more who one is, so that this browser may do what takes a fresh sign-in.
-         */
-        post: operations["prove_password_again"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
     "/api/v1/auth/password/change": {
         parameters: {
             query?: never;
@@ -548,9 +548,29 @@ export interface paths {
         put?: never;
         /**
          * Change Password
-         * @description Choose a new password; one's other browsers are signed out.
+         * @description Change your password; your other browsers are signed out.
          */
         post: operations["change_password"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/auth/password/reauthenticate": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Reauthenticate By Password
+         * @description Enter your password again, for operations that require a recent sign-in.
+         */
+        post: operations["reauthenticate_by_password"];
         delete?: never;
         options?: never;
         head?: never;
@@ -568,29 +588,9 @@ export interface paths {
         put?: never;
         /**
          * Begin Provider Sign In
-         * @description Begin to sign in by a provider: the browser goes where this says.
+         * @description Start to sign in with a provider: the browser goes to the returned URL.
          */
         post: operations["begin_provider_sign_in"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/auth/providers/{name}/again": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Begin Provider Sign In Again
-         * @description Begin to prove once more who one is, by a provider, which is asked to ask for the password anew.
-         */
-        post: operations["begin_provider_sign_in_again"];
         delete?: never;
         options?: never;
         head?: never;
@@ -608,9 +608,29 @@ export interface paths {
         put?: never;
         /**
          * Link Provider
-         * @description Begin to add a provider to one's account, as another way to sign in.
+         * @description Start to link an identity of a provider to your account.
          */
         post: operations["link_provider"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/auth/providers/{name}/reauthenticate": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Begin Provider Reauthentication
+         * @description Start to reauthenticate with a provider, which is asked to require the password.
+         */
+        post: operations["begin_provider_reauthentication"];
         delete?: never;
         options?: never;
         head?: never;
@@ -628,9 +648,9 @@ export interface paths {
         put?: never;
         /**
          * Reset Password
-         * @description Choose a new password by an admin's link; all other browsers are signed out, and all personal tokens end.
+         * @description Choose a new password with an admin's link; your browsers are signed out and your personal tokens revoked.
          *
-         *     Those of robots and runners stay.
+         *     Tokens of robots and runners stay valid.
          */
         post: operations["reset_password"];
         delete?: never;
@@ -653,26 +673,6 @@ export interface paths {
          * @description Sign this browser out.
          */
         post: operations["sign_out"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/auth/ways": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /**
-         * List Sign In Ways
-         * @description Say how one may sign in here.
-         */
-        get: operations["list_sign_in_ways"];
-        put?: never;
-        post?: never;
         delete?: never;
         options?: never;
         head?: never;
@@ -1017,7 +1017,7 @@ export interface paths {
         };
         /**
          * Get Me
-         * @description Say who asks, and what their credential is good for.
+         * @description Return who you are, and your credential.
          */
         get: operations["get_me"];
         put?: never;
@@ -1037,7 +1037,7 @@ export interface paths {
         };
         /**
          * Get Account
-         * @description Return one's own account: name, addresses, affiliations, and whether there is a password.
+         * @description Return your account: name, addresses, affiliations, and whether it has a password.
          */
         get: operations["get_account"];
         put?: never;
@@ -1057,7 +1057,7 @@ export interface paths {
         };
         /**
          * List Identities
-         * @description List under whose word one signs in.
+         * @description List the identities that are linked to your account.
          */
         get: operations["list_identities"];
         put?: never;
@@ -1080,7 +1080,7 @@ export interface paths {
         post?: never;
         /**
          * Unlink Identity
-         * @description Take a provider's word for oneself no more. The last way to sign in stays; nothing else ends.
+         * @description Unlink an identity from your account, unless it is your last sign-in method. Sessions and tokens stay valid.
          */
         delete: operations["unlink_identity"];
         options?: never;
@@ -1097,14 +1097,14 @@ export interface paths {
         };
         /**
          * List Sessions
-         * @description List the browsers that one is signed in with, latest first.
+         * @description List the browsers you are signed in with, latest first.
          */
         get: operations["list_sessions"];
         put?: never;
         post?: never;
         /**
          * End All Sessions
-         * @description Sign all of one's browsers out, this one too. Tokens stay as they are.
+         * @description Sign all your browsers out, including this one. Tokens stay valid.
          */
         delete: operations["end_all_sessions"];
         options?: never;
@@ -1124,7 +1124,7 @@ export interface paths {
         post?: never;
         /**
          * End Session
-         * @description Sign one of one's browsers out.
+         * @description Sign one of your browsers out.
          */
         delete: operations["end_session"];
         options?: never;
@@ -1143,12 +1143,12 @@ export interface paths {
         put?: never;
         /**
          * Begin Totp
-         * @description Make a secret for an authenticator app; it is in use once a code of it was confirmed.
+         * @description Create a secret for an authenticator app; it takes effect once one of its codes is confirmed.
          */
         post: operations["begin_totp"];
         /**
          * Disable Totp
-         * @description Sign in with the password alone from now on.
+         * @description Remove your second factor.
          */
         delete: operations["disable_totp"];
         options?: never;
@@ -1167,7 +1167,7 @@ export interface paths {
         put?: never;
         /**
          * Confirm Totp
-         * @description Take a second factor into use; one's other browsers are signed out. The recovery codes are shown this once.
+         * @description Confirm your second factor; your other browsers are signed out. The recovery codes are shown only once.
          */
         post: operations["confirm_totp"];
         delete?: never;
@@ -1187,7 +1187,7 @@ export interface paths {
         put?: never;
         /**
          * Renew Recovery Codes
-         * @description Make new recovery codes in place of those from before.
+         * @description Replace your recovery codes.
          */
         post: operations["renew_recovery_codes"];
         delete?: never;
@@ -1553,7 +1553,7 @@ export interface paths {
         put?: never;
         /**
          * Create Reset Link
-         * @description Make a link by which somebody chooses a new password; whoever asks gives it to them.
+         * @description Create a password reset link, which you pass on to the person.
          */
         post: operations["create_reset_link"];
         delete?: never;
@@ -1574,7 +1574,7 @@ export interface paths {
         post?: never;
         /**
          * Reset Totp
-         * @description Take somebody's second factor away, who lost their device and their recovery codes.
+         * @description Remove the second factor of a person who lost their device and recovery codes.
          */
         delete: operations["reset_totp"];
         options?: never;
@@ -1593,7 +1593,7 @@ export interface paths {
         put?: never;
         /**
          * Invite Person
-         * @description Make a link by which somebody gets an account; whoever asks gives it to them.
+         * @description Create an invitation link, which you pass on to the person.
          */
         post: operations["invite_person"];
         delete?: never;
@@ -2689,6 +2689,20 @@ export interface components {
             verified_by: string;
         };
         /**
+         * AdminBootstrap
+         * @description Become the first admin of a new server: `POST /auth/bootstrap`. A signed-in person sends only the code.
+         */
+        AdminBootstrap: {
+            /** Code */
+            code: string;
+            /** Email */
+            email?: string | null;
+            /** Name */
+            name?: string | null;
+            /** Password */
+            password?: string | null;
+        };
+        /**
          * AdminHealth
          * @description How the server is.
          *
@@ -2964,20 +2978,6 @@ export interface components {
          */
         ChecksumKind: "crc64nvme" | "sha256" | "md5";
         /**
-         * Claim
-         * @description Become the first admin of a fresh server: `POST /auth/claim`. Who is signed in gives the code alone.
-         */
-        Claim: {
-            /** Code */
-            code: string;
-            /** Email */
-            email?: string | null;
-            /** Name */
-            name?: string | null;
-            /** Password */
-            password?: string | null;
-        };
-        /**
          * ClaimReply
          * @description The answer to a claim; `run` is null where no run fits.
          */
@@ -3198,7 +3198,7 @@ export interface components {
         };
         /**
          * DeviceRead
-         * @description Who asks by a code: `POST /auth/device/look`.
+         * @description Who asks by a code: `POST /auth/device/status`.
          */
         DeviceRead: {
             /** Address */
@@ -4877,16 +4877,6 @@ export interface components {
             upload_id: string;
         };
         /**
-         * PasswordAgain
-         * @description Prove once more who one is, in a browser that is signed in: `POST /auth/password/again`.
-         */
-        PasswordAgain: {
-            /** Password */
-            password: string;
-            /** Second Factor */
-            second_factor?: string | null;
-        };
-        /**
          * PasswordChange
          * @description Choose a new password: `POST /auth/password/change`. Other browsers are signed out.
          */
@@ -4895,6 +4885,16 @@ export interface components {
             new_password: string;
             /** Old Password */
             old_password: string;
+        };
+        /**
+         * PasswordReauthenticate
+         * @description Enter the password again in a signed-in browser: `POST /auth/password/reauthenticate`.
+         */
+        PasswordReauthenticate: {
+            /** Password */
+            password: string;
+            /** Second Factor */
+            second_factor?: string | null;
         };
         /**
          * PasswordReset
@@ -6017,10 +6017,10 @@ export interface components {
              * Format: date-time
              */
             last_used_at: string;
+            /** Method */
+            method: string;
             /** User Agent */
             user_agent: string | null;
-            /** Way */
-            way: string;
         };
         /**
          * SettingRead
@@ -6171,12 +6171,12 @@ export interface components {
             items: components["schemas"]["SignedPart"][];
         };
         /**
-         * SignInWays
-         * @description How one may sign in here: `GET /auth/ways`. `claim`: nobody is admin yet, and a code from the log makes one.
+         * SignInMethods
+         * @description The sign-in methods of a server: `GET /auth/methods`. `bootstrap`: it has no admin yet.
          */
-        SignInWays: {
-            /** Claim */
-            claim: boolean;
+        SignInMethods: {
+            /** Bootstrap */
+            bootstrap: boolean;
             /** Password */
             password: boolean;
             /** Providers */
@@ -7271,7 +7271,7 @@ export interface operations {
             };
         };
     };
-    claim_server: {
+    bootstrap_admin: {
         parameters: {
             query?: never;
             header?: never;
@@ -7280,7 +7280,7 @@ export interface operations {
         };
         requestBody: {
             content: {
-                "application/json": components["schemas"]["Claim"];
+                "application/json": components["schemas"]["AdminBootstrap"];
             };
         };
         responses: {
@@ -7370,7 +7370,7 @@ export interface operations {
             };
         };
     };
-    look_at_code: {
+    get_code: {
         parameters: {
             query?: never;
             header?: never;
@@ -7502,7 +7502,7 @@ export interface operations {
             };
         };
     };
-    look_at_device_login: {
+    get_device_login: {
         parameters: {
             query?: never;
             header?: never;
@@ -7634,6 +7634,35 @@ export interface operations {
             };
         };
     };
+    list_sign_in_methods: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["SignInMethods"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
     create_owner_link: {
         parameters: {
             query?: never;
@@ -7696,7 +7725,7 @@ export interface operations {
             };
         };
     };
-    prove_password_again: {
+    change_password: {
         parameters: {
             query?: never;
             header?: never;
@@ -7705,7 +7734,7 @@ export interface operations {
         };
         requestBody: {
             content: {
-                "application/json": components["schemas"]["PasswordAgain"];
+                "application/json": components["schemas"]["PasswordChange"];
             };
         };
         responses: {
@@ -7727,7 +7756,7 @@ export interface operations {
             };
         };
     };
-    change_password: {
+    reauthenticate_by_password: {
         parameters: {
             query?: never;
             header?: never;
@@ -7736,7 +7765,7 @@ export interface operations {
         };
         requestBody: {
             content: {
-                "application/json": components["schemas"]["PasswordChange"];
+                "application/json": components["schemas"]["PasswordReauthenticate"];
             };
         };
         responses: {
@@ -7793,7 +7822,7 @@ export interface operations {
             };
         };
     };
-    begin_provider_sign_in_again: {
+    link_provider: {
         parameters: {
             query?: never;
             header?: never;
@@ -7828,7 +7857,7 @@ export interface operations {
             };
         };
     };
-    link_provider: {
+    begin_provider_reauthentication: {
         parameters: {
             query?: never;
             header?: never;
@@ -7911,35 +7940,6 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content?: never;
-            };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
-            default: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["ProblemDocument"];
-                };
-            };
-        };
-    };
-    list_sign_in_ways: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["SignInWays"];
-                };
             };
             /** @description A failure as a problem document (RFC 9457); `code` says which. */
             default: {

@@ -64,7 +64,7 @@ const operations: Readonly<Record<string, string>> = {
   "run.download": "downloaded what was left by the run of",
   "run.end": "ended the run of",
   "runner.arrive": "brought the runner",
-  "server.claim": "claimed the server",
+  "server.bootstrap": "became the first admin of the server",
   "session.create": "signed in",
   "session.renew": "confirmed their sign-in",
   "session.revoke": "signed out",

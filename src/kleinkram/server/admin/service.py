@@ -25,7 +25,8 @@ from kleinkram.contract.metadata import Metadata
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.admin import queries
 from kleinkram.server.audit.service import Event, record
-from kleinkram.server.blobs import scrubs
+from kleinkram.server.blobs import scrub
+from kleinkram.server.blobs.scrub import ScrubRow
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from kleinkram.server.health.readiness import readiness
@@ -89,14 +90,14 @@ async def retry_jobs(db: Connection, actor: Actor) -> RetriedJobs:
 
 async def get_scrub(db: Connection, settings: Settings) -> ScrubState:
     """Return the last scrub, and how the blobs are."""
-    last = await scrubs.last_scrub(db, settings.store_id)
-    rows = await scrubs.blobs_by_state(db)
+    last = await scrub.last_scrub(db, settings.store_id)
+    rows = await scrub.blobs_by_state(db)
     return ScrubState(
         last=None if last is None else _scrub(last),
         every_hours=settings.scrub_hours,
         again_after_days=settings.reverify_days,
-        oldest_verification_at=await scrubs.oldest_verification_at(db),
-        blobs=[_amount(row.state, row) for row in rows],
+        oldest_verification_at=await scrub.oldest_verification(db),
+        blobs=[StateAmount(state=row.state, count=row.number, size_bytes=row.size_bytes) for row in rows],
     )
 
 
@@ -104,7 +105,7 @@ async def begin_scrub(db: Connection, actor: Actor, settings: Settings, *, belie
     """Have the store's list compared with the database, and return the scrub: the one under way, or one that begins."""
     if actor.person_id is None:
         raise NotAuthenticated(reason="starting a scrub requires an account")
-    row = await scrubs.ask_for_scrub(db, settings.store_id, by_id=actor.person_id, believes=believe)
+    row = await scrub.request_scrub(db, settings.store_id, by_id=actor.person_id, believes=believe)
     after: Metadata = {"believe": believe}
     await record(db, actor, Event("store.scrub", "store", None, settings.store_id, None, after=after, by_power=True))
     return _scrub(row)
@@ -154,7 +155,7 @@ def get_settings(settings: Settings) -> AdminSettings:
     )
 
 
-def _scrub(row: Row[Any]) -> ScrubRead:
+def _scrub(row: ScrubRow) -> ScrubRead:
     return ScrubRead.model_validate({name: getattr(row, name) for name in ScrubRead.model_fields})
 
 

@@ -79,7 +79,7 @@ def _insert_marked(admin: Actor, rows: Sequence[Mapping[str, object]], places: S
     return insert(audit_event).from_select([*rows[0], "as_admin"], values)
 
 
-_CREATED = frozenset({"create", "give", "upload", "link", "arrive", "restore", "claim", "put_back"})
+_CREATED = frozenset({"create", "give", "upload", "link", "arrive", "restore", "bootstrap", "put_back"})
 _REMOVED = frozenset({"delete", "revoke", "leave", "abort", "purge"})
 # What is only asked for, looked at or refused leaves all as it was.
 _NO_CHANGE = frozenset({"download", "verify", "look", "denied", "refused", "limited", "approve", "reset_link"})

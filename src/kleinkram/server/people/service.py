@@ -20,7 +20,7 @@ from kleinkram.server.access.groups import ADMINS_ID, make_admin
 from kleinkram.server.access.owning import hand_over, see_that_an_admin_stays
 from kleinkram.server.access.rights import hold_rights
 from kleinkram.server.audit.service import Event, record, record_all
-from kleinkram.server.auth.codes import end_codes
+from kleinkram.server.auth.one_time_codes import revoke_codes
 from kleinkram.server.db import Connection
 from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.people import queries
@@ -96,7 +96,7 @@ async def deactivate(db: Connection, actor: Actor, person_id: uuid.UUID) -> Depa
     row = await _active(db, person_id)
     await db.execute(update(person).where(person.c.id == person_id).values(deactivated_at=func.now()))
     await see_that_an_admin_stays(db)
-    await end_codes(db, person_id)
+    await revoke_codes(db, person_id)
     sessions = await _end(db, session, (await db.execute(queries.open_sessions(person_id))).all())
     tokens = (await db.execute(queries.open_tokens(person_id))).all()
     links = (await db.execute(queries.open_links(person_id))).all()

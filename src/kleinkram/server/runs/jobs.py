@@ -3,7 +3,7 @@
 from procrastinate import JobContext
 from sqlalchemy import Row, delete, func, or_, select, text
 
-from kleinkram.server.blobs.holding import is_held_back
+from kleinkram.server.blobs.garbage_collection import is_deletion_paused
 from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.job_context import app_context
 from kleinkram.server.jobs.queue import Job, queue
@@ -45,4 +45,4 @@ async def _obsolete_chunks(context: AppContext) -> list[Row[tuple[str]]]:
     stmt = select(log_chunk.c.key).outerjoin(run, run.c.id == log_chunk.c.run_id)
     due = stmt.where(log_chunk.c.store_id == context.settings.store_id, needless).limit(_BATCH)
     async with context.database.begin() as db:
-        return [] if await is_held_back(db) else list((await db.execute(due)).all())
+        return [] if await is_deletion_paused(db) else list((await db.execute(due)).all())

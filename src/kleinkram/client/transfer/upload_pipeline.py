@@ -15,14 +15,12 @@ from dataclasses import replace
 from kleinkram.client._http import store_unreachable
 from kleinkram.client._retry import Backoff
 from kleinkram.client.errors import FileChanged, FileUnreadable, StoreTroubled, TransferFailed
-from kleinkram.client.transfer._flow import Budget, Channel, Stop, Stopped
-from kleinkram.client.transfer._sending import Part, Sending
-from kleinkram.client.transfer._source import FileSlice
-from kleinkram.client.transfer._store import MOST_TROUBLED, PATIENCE_S, Answer, PutAnswer, StoreDoor
-from kleinkram.client.transfer.link import RECONNECT_S, Lane, LinkWatch, Window
-from kleinkram.client.transfer.outcome import Outcome, TransferResult
-from kleinkram.client.transfer.pace import Pace
-from kleinkram.client.transfer.progress import Watcher
+from kleinkram.client.transfer.file_upload import FilePart, FileUpload
+from kleinkram.client.transfer.link import RECONNECT_S, Lane, LinkMonitor, Window
+from kleinkram.client.transfer.local_file import FileSlice
+from kleinkram.client.transfer.report import Outcome, TransferResult, Watcher
+from kleinkram.client.transfer.store import MOST_TROUBLED, PATIENCE_S, PutResult, StoreAnswer, StoreClient
+from kleinkram.client.transfer.threads import Budget, RateLimit, Stop, Stopped, WorkQueue
 from kleinkram.client.uploads import Uploads
 from kleinkram.contract.errors import KleinkramError, NotFound, UploadGone, UploadIncomplete
 from kleinkram.contract.problems import from_problem
@@ -41,7 +39,7 @@ _JOIN_S = 2.0
 _OF_ONE_FILE = (FileChanged, FileUnreadable, TransferFailed, UploadGone, NotFound)
 
 
-class Pipeline:
+class UploadPipeline:
     """Takes uploads that the server has agreed to, sends their parts and finishes them.
 
     `ended` is called once a file, from any thread. A failure of one file ends that file; any other stops everything.
@@ -52,8 +50,8 @@ class Pipeline:
         uploads: Uploads,
         stop: Stop,
         *,
-        pace: Pace,
-        link: LinkWatch,
+        pace: RateLimit,
+        link: LinkMonitor,
         watcher: Watcher,
         ended: Callable[[TransferResult], None],
     ) -> None:
@@ -65,24 +63,24 @@ class Pipeline:
         self._ended = ended
         self._ahead = Budget(stop, AHEAD_BYTES)
         self._under_way = Budget(stop, _FILES_UNDER_WAY)
-        self._to_sign: Channel[Part] = Channel(stop)
-        self._to_send: Channel[tuple[Part, SignedPart]] = Channel(stop)
-        self._to_finish: Channel[Sending] = Channel(stop)
-        self._open: dict[uuid.UUID, Sending] = {}
+        self._to_sign: WorkQueue[FilePart] = WorkQueue(stop)
+        self._to_send: WorkQueue[tuple[FilePart, SignedPart]] = WorkQueue(stop)
+        self._to_finish: WorkQueue[FileUpload] = WorkQueue(stop)
+        self._open: dict[uuid.UUID, FileUpload] = {}
         self._troubled = 0
-        self._leases: dict[uuid.UUID, Sending] = {}
+        self._leases: dict[uuid.UUID, FileUpload] = {}
         self._threads: list[threading.Thread] = []
 
     def start(self, connections: int) -> None:
         """Start the threads; so many send."""
-        self._store = StoreDoor(connections)
+        self._store = StoreClient(connections)
         self._lane = Lane(self._stop, Window(connections))
         loops = [self._sign_loop, self._finish_loop, *[self._send_loop] * connections]
         self._threads = [threading.Thread(target=self._guard, args=(loop,), daemon=True) for loop in loops]
         for thread in self._threads:
             thread.start()
 
-    def submit(self, sending: Sending) -> None:
+    def submit(self, sending: FileUpload) -> None:
         """Hash an upload's parts and queue those that the store does not hold; waits while enough is under way.
 
         Raises:
@@ -127,16 +125,16 @@ class Pipeline:
         except BaseException as error:  # carried to the caller's thread, which raises it
             self._stop.now(error)
 
-    def _queue_part(self, sending: Sending, number: int, offset: int, size_bytes: int) -> None:
+    def _queue_part(self, sending: FileUpload, number: int, offset: int, size_bytes: int) -> None:
         self._stop.check()
         checksum = sending.hash_part(number, offset, size_bytes)
-        if sending.is_held(number, size_bytes, checksum):
-            self._watcher.held(sending.file.path, size_bytes, sending.file.size_bytes)
+        if sending.is_stored(number, size_bytes, checksum):
+            self._watcher.skipped(sending.file.path, size_bytes, sending.file.size_bytes)
             return
         cost = max(size_bytes, _PART_COST)
         self._ahead.acquire(cost)
         sending.add_part()
-        part = Part(sending, number, offset, size_bytes, checksum, cost)
+        part = FilePart(sending, number, offset, size_bytes, checksum, cost)
         if sending.signed is None:
             self._to_sign.put(part)
         else:  # the server has signed it for what was announced, which is what was hashed
@@ -156,7 +154,7 @@ class Pipeline:
             self._sign([part for part in parts if not part.sending.ended])
             self._renew_leases()
 
-    def _sign(self, parts: Sequence[Part]) -> None:
+    def _sign(self, parts: Sequence[FilePart]) -> None:
         if not parts:
             return
         try:
@@ -168,7 +166,7 @@ class Pipeline:
             part.sending.renewed_at = time.monotonic()
             self._to_send.put((part, one))
 
-    def _sign_apart(self, parts: Sequence[Part], error: KleinkramError) -> None:
+    def _sign_apart(self, parts: Sequence[FilePart], error: KleinkramError) -> None:
         """One of several uploads has ended: find out which, so that the others go on."""
         uploads = {part.sending.upload.id: part.sending for part in parts}
         if len(uploads) == 1:
@@ -201,11 +199,11 @@ class Pipeline:
                     self._fail(part.sending, error)
                 self._part_over(part)
 
-    def _send(self, part: Part, signed: SignedPart) -> None:
+    def _send(self, part: FilePart, signed: SignedPart) -> None:
         with self._lane.place() as place:
             self._send_in_turn(part, signed, place)
 
-    def _send_in_turn(self, part: Part, signed: SignedPart, place: int) -> None:
+    def _send_in_turn(self, part: FilePart, signed: SignedPart, place: int) -> None:
         backoff: Backoff | None = None  # a part may be on its way for long, and be cut off then
         began_at = time.monotonic()
         shown = [0]
@@ -217,13 +215,13 @@ class Pipeline:
                 if signed.expires_at <= self._uploads.now():  # spares sending it in vain
                     signed = self._uploads.sign([part.to_sign()]).items[0]
                 answer = self._put(part, signed, shown)
-            if answer.answer is Answer.taken:
+            if answer.answer is StoreAnswer.taken:
                 part.sending.record(part, answer.etag)
                 self._troubled = 0
                 return
-            if answer.answer is Answer.gone:
+            if answer.answer is StoreAnswer.gone:
                 raise UploadGone(upload_id=str(part.sending.upload.id))
-            if answer.answer is Answer.try_again:
+            if answer.answer is StoreAnswer.try_again:
                 if backoff is None or self._lane.arrived_at > began_at:  # other parts arrive: the way is open
                     backoff, began_at = Backoff(PATIENCE_S, self._stop.wait), time.monotonic()
                 self._link.lost(signed.url, backoff, answer.error, answer.why, answer.sent_bytes)
@@ -242,19 +240,19 @@ class Pipeline:
                     raise TransferFailed(path=part.sending.file.path, reason=answer.reason)
             signed = self._uploads.sign([part.to_sign()]).items[0]
 
-    def _put(self, part: Part, signed: SignedPart, shown: list[int]) -> PutAnswer:
+    def _put(self, part: FilePart, signed: SignedPart, shown: list[int]) -> PutResult:
         began_at = time.monotonic()
         sent = [0]
         answer = self._store.put(signed.url, signed.headers, part.size_bytes, self._body(part, sent, shown))
         took_s = time.monotonic() - began_at
-        if answer.answer is Answer.taken:
+        if answer.answer is StoreAnswer.taken:
             self._lane.arrived(part.size_bytes, took_s)
             self._link.arrived(took_s)
-        elif answer.answer is Answer.try_again:
+        elif answer.answer is StoreAnswer.try_again:
             self._lane.lost()
         return replace(answer, sent_bytes=sent[0])
 
-    def _body(self, part: Part, sent: list[int], shown: list[int]) -> Iterator[FileSlice]:
+    def _body(self, part: FilePart, sent: list[int], shown: list[int]) -> Iterator[FileSlice]:
         """Yield the part's bytes. Those that were `shown` at an earlier try are not shown again: no bar goes back."""
         for piece in part.sending.source.stretches(part.offset, part.size_bytes):
             self._stop.check()
@@ -265,7 +263,7 @@ class Pipeline:
                 self._watcher.moved(part.sending.file.path, sent[0] - shown[0], part.sending.file.size_bytes)
                 shown[0] = sent[0]
 
-    def _gave_up(self, url: str, part: Part, answer: PutAnswer) -> KleinkramError:
+    def _gave_up(self, url: str, part: FilePart, answer: PutResult) -> KleinkramError:
         self._troubled += 1
         if answer.is_of_all or self._troubled > MOST_TROUBLED:
             return store_unreachable(url, answer.why)
@@ -283,7 +281,7 @@ class Pipeline:
                 self._finished(sending, outcome)
                 self._release(sending)
 
-    def _all_sent(self) -> list[Sending]:
+    def _all_sent(self) -> list[FileUpload]:
         """Wait for files that are all sent: for a good number of them, as long as others are on their way."""
         sent = self._to_finish.take(_AT_ONCE)
         gathers_until = time.monotonic() + _GATHER_S
@@ -294,7 +292,7 @@ class Pipeline:
             sent += self._to_finish.take(_AT_ONCE - len(sent), left_s, at_least=lacking)
         return sent
 
-    def _is_unchanged(self, sending: Sending) -> bool:
+    def _is_unchanged(self, sending: FileUpload) -> bool:
         try:
             sending.source.check_unchanged()
         except FileChanged as error:
@@ -303,7 +301,7 @@ class Pipeline:
             return False
         return True
 
-    def _finished(self, sending: Sending, outcome: Completed | NotCompleted) -> None:
+    def _finished(self, sending: FileUpload, outcome: Completed | NotCompleted) -> None:
         if isinstance(outcome, NotCompleted):
             self._fail(sending, from_problem(outcome.problem))
         elif sending.end():
@@ -313,24 +311,24 @@ class Pipeline:
 
     # -- ends ---------------------------------------------------------------------------------------------------------
 
-    def _fail(self, sending: Sending, error: KleinkramError) -> None:
+    def _fail(self, sending: FileUpload, error: KleinkramError) -> None:
         """End one file's upload; the others go on. What can be resumed keeps its journal."""
         self._stop.check()
         if not sending.end():
             return
         if isinstance(error, FileChanged | UploadGone):
-            # Its name is free at once; it expires by itself where this cannot be said.
+            # Its name is free at once; it expires by itself where this cannot be notify.
             with contextlib.suppress(KleinkramError):
                 self._uploads.abort(sending.upload.id)
         if not isinstance(error, TransferFailed | UploadIncomplete | FileUnreadable):
             sending.journal.forget()
         self._ended(sending.result(Outcome.refused, error=error))
 
-    def _part_over(self, part: Part) -> None:
+    def _part_over(self, part: FilePart) -> None:
         self._ahead.release(part.cost)
         self._count_done(part.sending)
 
-    def _count_done(self, sending: Sending) -> None:
+    def _count_done(self, sending: FileUpload) -> None:
         if not sending.part_done():
             return
         if sending.ended:
@@ -339,7 +337,7 @@ class Pipeline:
             self._leases.pop(sending.upload.id, None)
             self._to_finish.put(sending)
 
-    def _release(self, sending: Sending) -> None:
+    def _release(self, sending: FileUpload) -> None:
         """Close what a file's upload held open. Only once no thread reads it any more."""
         self._leases.pop(sending.upload.id, None)
         self._open.pop(sending.upload.id, None)

@@ -9,19 +9,19 @@ import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from kleinkram.client.transfer._source import Source, WholeHash, new_checksum
 from kleinkram.client.transfer.journal import Journal, JournalPart
-from kleinkram.client.transfer.outcome import Outcome, TransferResult
+from kleinkram.client.transfer.local_file import FileHashes, OpenFile, new_checksum
 from kleinkram.client.transfer.plan import LocalFile
+from kleinkram.client.transfer.report import Outcome, TransferResult
 from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.uploads import ChecksumKind, PartToSign, Send, StoredPart, UploadFinish
 
 
 @dataclass(frozen=True)
-class Part:
+class FilePart:
     """A part that is to be sent."""
 
-    sending: "Sending"
+    sending: "FileUpload"
     number: int
     offset: int
     size_bytes: int
@@ -33,21 +33,21 @@ class Part:
         return PartToSign(upload_id=self.sending.upload.id, number=self.number, checksum=self.checksum)
 
 
-class Sending:
+class FileUpload:
     """An upload of one file; `whole` are its checksums where it has been read already."""
 
-    def __init__(self, source: Source, journal: Journal, send: Send, whole: WholeHash | None) -> None:
+    def __init__(self, source: OpenFile, journal: Journal, send: Send, whole: FileHashes | None) -> None:
         self.source = source
         self.journal = journal
         self.upload = send.upload
         self.signed = send.part
         self._is_hashed = whole is not None
-        self.whole = whole or WholeHash()
+        self.whole = whole or FileHashes()
         self._latest: tuple[int, str] | None = None
         self.renewed_at = time.monotonic()
         self.sent_bytes = 0
         self.ended = False
-        self._held = {part.number: part for part in send.upload.parts}
+        self._stored_parts = {part.number: part for part in send.upload.parts}
         self._left = 1  # the hashing itself; parts are added while it runs
         self._lock = threading.Lock()
 
@@ -90,9 +90,9 @@ class Sending:
             part.update(view)
         return part.hexdigest()
 
-    def is_held(self, number: int, size_bytes: int, checksum: str) -> bool:
+    def is_stored(self, number: int, size_bytes: int, checksum: str) -> bool:
         """Say whether the store holds these very bytes: our journal's checksum and the store's etag both agree."""
-        held = self._held.get(number)
+        held = self._stored_parts.get(number)
         remembered = self.journal.remembered
         written = remembered.parts.get(number) if remembered else None
         return held is not None and written is not None and _agree(held, written, size_bytes, checksum)
@@ -108,7 +108,7 @@ class Sending:
             self._left -= 1
             return self._left == 0
 
-    def record(self, part: Part, etag: str) -> None:
+    def record(self, part: FilePart, etag: str) -> None:
         """Write down that the store has taken a part."""
         with self._lock:
             if not self.ended:

@@ -1,4 +1,4 @@
-"""The first admin of a fresh server, and the owner's link: who can read what the server wrote, and nobody else."""
+"""The first admin of a new server, and the owner's link: only for people who can read the server's output."""
 
 import logging
 import re
@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from kleinkram.server.access.groups import ADMINS_ID
-from kleinkram.server.auth.claiming import offer_claim
+from kleinkram.server.auth.bootstrap_admin import log_bootstrap_code
 from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.retention import forget_ended
 from tests.integration import people
@@ -34,71 +34,69 @@ def _fresh(server: Api) -> Api:
 
 async def _start(context: AppContext) -> None:
     async with context.database.begin() as db:
-        await offer_claim(db)
+        await log_bootstrap_code(db)
 
 
 def _code(api: Api, caplog: pytest.LogCaptureFixture) -> str:
     """Start the server as far as this goes, and read its log."""
     with caplog.at_level(logging.WARNING, logger="kleinkram.auth"):
         on_site(api, _start)
-    found = re.findall(r"claim code: (\S+)", caplog.text)
-    assert found
-    return str(found[-1])
+    codes = re.findall(r"bootstrap code: (\S+)", caplog.text)
+    assert codes
+    return str(codes[-1])
 
 
-def _claim(code: str, **more: Any) -> dict[str, Any]:
+def _bootstrap(code: str, **more: Any) -> dict[str, Any]:
     return {"code": code, "name": "Ada", "email": any_email(), "password": PASSWORD, **more}
 
 
-def test_whoever_reads_the_log_becomes_admin_and_nobody_after_them(
-    fresh: Api, caplog: pytest.LogCaptureFixture
-) -> None:
-    assert Browser(fresh).get("/api/v1/auth/ways").ok()["claim"] is True
+def test_the_code_in_the_log_makes_the_first_admin_once(fresh: Api, caplog: pytest.LogCaptureFixture) -> None:
+    assert Browser(fresh).get("/api/v1/auth/methods").ok()["bootstrap"] is True
     earlier, code = _code(fresh, caplog), _code(fresh, caplog)
     assert fresh.sql("SELECT 1 FROM one_time_code WHERE encode(secret_sha256, 'escape') = %s", code) == []
     ada = Browser(fresh)
-    ada.post("/auth/claim", _claim(code)).ok()
+    ada.post("/auth/bootstrap", _bootstrap(code)).ok()
     assert ada.me()["is_admin"] is True
     for used in (earlier, code):
-        Browser(fresh).post("/auth/claim", _claim(used)).refused(410, "code_gone")
-    assert Browser(fresh).get("/api/v1/auth/ways").ok()["claim"] is False
-    event = ada.get("/api/v1/audit?operation=server.claim").ok()["items"][0]
+        Browser(fresh).post("/auth/bootstrap", _bootstrap(used)).refused(410, "code_gone")
+    assert Browser(fresh).get("/api/v1/auth/methods").ok()["bootstrap"] is False
+    event = ada.get("/api/v1/audit?operation=server.bootstrap").ok()["items"][0]
     assert event["noun_id"] == ada.me()["person"]["id"]
 
 
-def test_nobody_claims_from_the_network(fresh: Api, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_wrong_code_makes_no_admin(fresh: Api, caplog: pytest.LogCaptureFixture) -> None:
     _code(fresh, caplog)
-    Browser(fresh).post("/auth/claim", _claim("x" * 43)).refused(410, "code_gone")
+    Browser(fresh).post("/auth/bootstrap", _bootstrap("x" * 43)).refused(410, "code_gone")
     assert fresh.sql("SELECT count(*) FROM membership WHERE group_id = %s", ADMINS_ID) == [(0,)]
 
 
-def test_of_two_who_claim_at_once_one_is_admin(fresh: Api, caplog: pytest.LogCaptureFixture) -> None:
+def test_concurrent_bootstraps_make_one_admin(fresh: Api, caplog: pytest.LogCaptureFixture) -> None:
     codes = [_code(fresh, caplog), _code(fresh, caplog)]
     with ThreadPoolExecutor(2) as pool:
-        calls = [pool.submit(Browser(fresh).post, "/auth/claim", _claim(code)) for code in codes]
+        calls = [pool.submit(Browser(fresh).post, "/auth/bootstrap", _bootstrap(code)) for code in codes]
     assert sorted(call.result().status for call in calls) == [200, 410]
     assert fresh.sql("SELECT count(*) FROM membership WHERE group_id = %s", ADMINS_ID) == [(1,)]
 
 
-def test_who_is_signed_in_claims_with_the_code_alone(fresh: Api, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_signed_in_person_becomes_admin_with_the_code_alone(fresh: Api, caplog: pytest.LogCaptureFixture) -> None:
     ben = signed_in(fresh, "Ben")
-    ben.browser.post("/auth/claim", {"code": _code(fresh, caplog)}).ok()
+    ben.browser.post("/auth/bootstrap", {"code": _code(fresh, caplog)}).ok()
     me = ben.browser.me()
     assert (me["person"]["id"], me["is_admin"]) == (ben.id, True)
 
 
-def test_a_claim_that_fails_leaves_the_code_good(fresh: Api, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_failed_bootstrap_does_not_use_the_code(fresh: Api, caplog: pytest.LogCaptureFixture) -> None:
     code = _code(fresh, caplog)
-    problem = Browser(fresh).post("/auth/claim", {"code": code}).refused(422, "invalid_request")
+    problem = Browser(fresh).post("/auth/bootstrap", {"code": code}).refused(422, "invalid_request")
     assert {each["field"] for each in problem["problems"]} == {"name", "email", "password"}
-    Browser(fresh).post("/auth/claim", _claim(code, password="short")).refused(422, "invalid_request")
-    Browser(fresh).post("/auth/claim", _claim(code)).ok()
+    Browser(fresh).post("/auth/bootstrap", _bootstrap(code, password="short")).refused(422, "invalid_request")
+    Browser(fresh).post("/auth/bootstrap", _bootstrap(code)).ok()
 
 
-def test_a_server_with_an_admin_writes_no_code(api: Api, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_server_with_an_admin_logs_no_code(api: Api, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING, logger="kleinkram.auth"):
         on_site(api, _start)
-    assert "claim code" not in caplog.text
+    assert "bootstrap code" not in caplog.text
 
 
 def test_the_owner_s_link_signs_a_browser_in_once(api: Api) -> None:
@@ -111,14 +109,14 @@ def test_the_owner_s_link_signs_a_browser_in_once(api: Api) -> None:
     Browser(api).post("/auth/link", {"code": code_of(link)}).refused(410, "code_gone")
 
 
-def test_a_newer_link_and_time_end_a_link(api: Api) -> None:
+def test_a_link_ends_with_a_newer_link_or_its_expiry(api: Api) -> None:
     older, newer = (code_of(api.post("/auth/owner-link").ok()["url"]) for _ in range(2))
     Browser(api).post("/auth/link", {"code": older}).refused(410, "code_gone")
     api.sql("UPDATE one_time_code SET expires_at = now() WHERE purpose = 'owner' AND used_at IS NULL")
     Browser(api).post("/auth/link", {"code": newer}).refused(410, "code_gone")
 
 
-def test_only_the_owner_gets_a_link_and_only_from_our_page_does_it_sign_in(api: Api) -> None:
+def test_only_the_owner_gets_a_link_and_only_our_pages_accept_it(api: Api) -> None:
     admin = people.person(api, admin=True)
     api.as_(admin.token).post("/auth/owner-link").refused(403, "forbidden")
     code = code_of(api.post("/auth/owner-link").ok()["url"])
@@ -127,7 +125,7 @@ def test_only_the_owner_gets_a_link_and_only_from_our_page_does_it_sign_in(api: 
     assert foreign.cookies == {}
 
 
-def test_codes_and_logins_that_are_long_over_are_forgotten(api: Api) -> None:
+def test_codes_and_logins_are_deleted_after_retention(api: Api) -> None:
     link = api.post("/people/invitations", {"email": any_email()}).ok(201)["url"]
     api.sql("UPDATE one_time_code SET expires_at = now() - interval '31 days' WHERE purpose = 'invitation'")
     kept = api.sql("SELECT count(*) FROM one_time_code WHERE purpose <> 'invitation'")
@@ -141,7 +139,7 @@ def test_codes_and_logins_that_are_long_over_are_forgotten(api: Api) -> None:
     Browser(api).post("/auth/codes", {"code": code_of(link)}).refused(410, "code_gone")
 
 
-def test_a_link_of_one_kind_is_not_good_for_another(api: Api) -> None:
+def test_a_link_is_not_valid_for_another_purpose(api: Api) -> None:
     made = account(api)
     reset = code_of(api.post(f"/people/{made.id}/reset").ok(201)["url"])
     Browser(api).post("/auth/link", {"code": reset}).refused(410, "code_gone")

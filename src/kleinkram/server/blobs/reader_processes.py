@@ -52,7 +52,7 @@ class _Reader:
             await self.process.stdin.drain()
         return await self.process.stdout.readline()
 
-    async def last_words(self) -> tuple[bytes, int]:
+    async def wait_for_end(self) -> tuple[bytes, int]:
         """Wait for the end; return what it said on stderr, and its exit code."""
         _, stderr = await self.process.communicate()
         return stderr, self.process.returncode or 0
@@ -64,7 +64,7 @@ class _Reader:
         await self.process.communicate()
 
 
-class ReadingAlong:
+class StreamParser:
     """A child that is given the bytes of one recording by somebody who reads them anyway.
 
     A child that dies meanwhile is no concern of the feeder: only `summary` says so.
@@ -104,7 +104,7 @@ class ReadingAlong:
             if stdout is not None and not self._is_gone:
                 line = await asyncio.wait_for(stdout.readline(), self._patience_s)
             if not line:
-                stderr, code = await asyncio.wait_for(self._reader.last_words(), self._patience_s)
+                stderr, code = await asyncio.wait_for(self._reader.wait_for_end(), self._patience_s)
                 return read_answer(b"", stderr, code)
         except asyncio.TimeoutError:
             raise timed_out() from None
@@ -112,7 +112,7 @@ class ReadingAlong:
         return read_answer(line, b"", 0)
 
 
-class Readers:
+class ReaderProcesses:
     """Children that wait for the next file. One a worker; leaving its context ends them all."""
 
     def __init__(self) -> None:
@@ -150,7 +150,7 @@ class Readers:
         try:
             line = await asyncio.wait_for(reader.ask(request), timeout_s)
             if not line:
-                stderr, code = await asyncio.wait_for(reader.last_words(), timeout_s)
+                stderr, code = await asyncio.wait_for(reader.wait_for_end(), timeout_s)
                 return read(b"", stderr, code)
             answer = read(line, b"", 0)
         except asyncio.TimeoutError:
@@ -163,13 +163,11 @@ class Readers:
         return answer
 
     @contextlib.asynccontextmanager
-    async def reading_along(
-        self, request: bytes, *, owner: uuid.UUID, patience_s: float
-    ) -> AsyncIterator[ReadingAlong]:
+    async def parse_stream(self, request: bytes, *, owner: uuid.UUID, patience_s: float) -> AsyncIterator[StreamParser]:
         """Have a child read along with whoever feeds it the bytes that `request` announces."""
         reader = await self._waiting_for(owner) or await _start(owner)
         reader.files += 1
-        along = ReadingAlong(reader, patience_s)
+        along = StreamParser(reader, patience_s)
         try:
             await along.feed(request + b"\n")
             yield along

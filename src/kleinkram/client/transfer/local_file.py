@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from kleinkram.client.errors import FileChanged, FileUnreadable
-from kleinkram.client.transfer.plan import Identity, LocalFile, identity_of
+from kleinkram.client.transfer.plan import FileIdentity, LocalFile, identity_of
 from kleinkram.contract.checksums import crc64nvme
 from kleinkram.contract.uploads import ChecksumKind
 
@@ -32,8 +32,8 @@ class Checksum(Protocol):
 
 
 @dataclass
-class Crc64:
-    """A CRC-64/NVME being made. Source: the S3 API's full-object checksum of that name."""
+class Crc64Hash:
+    """A CRC-64/NVME being made. OpenFile: the S3 API's full-object checksum of that name."""
 
     value: int = 0
 
@@ -47,11 +47,11 @@ class Crc64:
 
 
 @dataclass
-class WholeHash:
+class FileHashes:
     """Both checksums of a whole file, made in one pass."""
 
     sha256: Checksum = field(default_factory=hashlib.sha256)
-    crc64nvme: Checksum = field(default_factory=Crc64)
+    crc64nvme: Checksum = field(default_factory=Crc64Hash)
 
     def update(self, data: memoryview) -> None:
         """Add bytes."""
@@ -62,7 +62,7 @@ class WholeHash:
 def new_checksum(kind: ChecksumKind) -> Checksum:
     """Return an empty checksum of the kind that the store verifies parts by."""
     if kind is ChecksumKind.crc64nvme:
-        return Crc64()
+        return Crc64Hash()
     if kind is ChecksumKind.sha256:
         return hashlib.sha256()
     return hashlib.md5(usedforsecurity=False)
@@ -108,7 +108,7 @@ class FileSlice(NamedTuple):
             offset += len(view)
 
 
-class Source:
+class OpenFile:
     """A planned file, open for reading from several threads."""
 
     def __init__(self, file: LocalFile) -> None:
@@ -164,7 +164,7 @@ class Source:
         if handle >= 0:
             os.close(handle)
 
-    def _compare(self, now: Identity) -> None:
+    def _compare(self, now: FileIdentity) -> None:
         planned = self.file.identity
         if now == planned:
             return

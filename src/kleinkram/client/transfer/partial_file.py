@@ -17,8 +17,8 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from kleinkram.client.errors import DestinationDiffers, DestinationRefused, DiskFull, VerifyFailed
-from kleinkram.client.transfer._place import JOURNAL_SUFFIX, PART_SUFFIX, part_file, regular_size
-from kleinkram.client.transfer._source import SLICE_BYTES, Checksum, Crc64, read_slice
+from kleinkram.client.transfer.destination import JOURNAL_SUFFIX, PART_SUFFIX, partial_path, regular_size
+from kleinkram.client.transfer.local_file import SLICE_BYTES, Checksum, Crc64Hash, read_slice
 from kleinkram.contract.files import DownloadLink
 
 RANGE_BYTES = 8 * 1024 * 1024
@@ -39,7 +39,7 @@ class _Range(BaseModel):
     number: int
 
 
-class Fetching:
+class PartialFile:
     """A file being downloaded to `target`. Safe to share between threads."""
 
     def __init__(self, link: DownloadLink, target: Path, *, overwrite: bool) -> None:
@@ -54,12 +54,12 @@ class Fetching:
         self.fetched_bytes = 0
         self.ended = False
         self._overwrite = overwrite
-        self._part = part_file(target, PART_SUFFIX)
-        self._journal_file = part_file(target, JOURNAL_SUFFIX)
+        self._part = partial_path(target, PART_SUFFIX)
+        self._journal_file = partial_path(target, JOURNAL_SUFFIX)
         self._lock = threading.Lock()
         self._hashing = threading.Lock()
         self._hashed_to = 0
-        self._checksum: Checksum = hashlib.sha256() if link.sha256 else Crc64()
+        self._checksum: Checksum = hashlib.sha256() if link.sha256 else Crc64Hash()
         self._left = 1  # the asking for ranges itself
         self._handle = _open_locked(self._part)
         self._done = self._resume()
@@ -84,7 +84,7 @@ class Fetching:
             if number not in self._done:
                 yield number, first, min(first + RANGE_BYTES, self.size_bytes) - 1
 
-    def held_bytes(self) -> int:
+    def stored_bytes(self) -> int:
         """Return how many bytes an earlier run left."""
         return sum(min(RANGE_BYTES, self.size_bytes - number * RANGE_BYTES) for number in self._done)
 

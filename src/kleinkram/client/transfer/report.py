@@ -1,14 +1,53 @@
-"""How a transfer ended, file by file."""
+"""What a transfer reports: its progress while it runs, and how each file ended."""
 
 import enum
 import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Protocol
 
 from kleinkram.client.errors import ClientError
 from kleinkram.client.transfer.link import LinkReport
 from kleinkram.contract.errors import KleinkramError
+
+
+class Watcher(Protocol):
+    """What a transfer tells. Sizes in bytes."""
+
+    def began(self, files: int, size_bytes: int) -> None:
+        """The whole is known."""
+
+    def moved(self, path: str, size_bytes: int, total_bytes: int) -> None:
+        """So many more bytes of a file of `total_bytes` have moved; those that must move again count once."""
+
+    def skipped(self, path: str, size_bytes: int, total_bytes: int) -> None:
+        """So many bytes of a file need not move: the other side has them."""
+
+    def ended(self, path: str, outcome: str, reason: str | None) -> None:
+        """A file is done, well or not."""
+
+    def notify(self, text: str) -> None:
+        """Something a person should know while waiting."""
+
+
+class SilentObserver:
+    """A watcher that looks away."""
+
+    def began(self, files: int, size_bytes: int) -> None:
+        """Do nothing."""
+
+    def moved(self, path: str, size_bytes: int, total_bytes: int) -> None:
+        """Do nothing."""
+
+    def skipped(self, path: str, size_bytes: int, total_bytes: int) -> None:
+        """Do nothing."""
+
+    def ended(self, path: str, outcome: str, reason: str | None) -> None:
+        """Do nothing."""
+
+    def notify(self, text: str) -> None:
+        """Do nothing."""
 
 
 class Outcome(str, enum.Enum):
