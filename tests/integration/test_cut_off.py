@@ -135,7 +135,7 @@ def test_who_follows_a_log_reads_all_of_it(behind: Behind) -> None:
     upload_one(api, mission["id"], "notes.txt", b"notes")
     run = launch(api, runner, mission)
     claim = runner.claim()
-    runner.beat(claim)
+    runner.heartbeat(claim)
     read: list[str] = []
 
     def follow() -> None:

@@ -75,9 +75,9 @@ def run_local(
             build(action if action.is_dir() else action.parent, definition.image)
         definition = _pinned(executor, definition, definition.image)
     with connect() as client, watching() as watcher:
-        found = client.missions.get(mission, project=project)
+        target = client.missions.get(mission, project=project)
         ran = run_locally(
-            client, definition, found, values, executor=executor, out=out, show=on_stderr, watcher=watcher
+            client, definition, target, values, executor=executor, out=out, show=on_stderr, watcher=watcher
         )
     _show_local(ran, as_json)
 
@@ -158,11 +158,11 @@ def create(
 
 
 def _add_version(client: Client, definition: ActionDefinition, project: str | None, etag: str | None) -> ActionRead:
-    found = client.actions.get(definition.name, project=project)
-    if found.latest.definition == definition:
-        note(f"{found.name}@{found.latest.number} is this very definition; nothing was published.")
-        return found
-    return client.actions.add_version(found.id, definition, if_match=etag or found.etag)
+    target = client.actions.get(definition.name, project=project)
+    if target.latest.definition == definition:
+        note(f"{target.name}@{target.latest.number} is this very definition; nothing was published.")
+        return target
+    return client.actions.add_version(target.id, definition, if_match=etag or target.etag)
 
 
 @app.command("list")
@@ -190,9 +190,9 @@ def info(
     """Show an action in its latest version, or in another: what it runs, reads and can be told."""
     name, number = split_version(action)
     with connect() as client:
-        found = client.actions.get(name, project=project)
-        version = client.actions.version(found, number)
-    show_json({"action": found, "version": version}) if as_json else show_action(found, version)
+        target = client.actions.get(name, project=project)
+        version = client.actions.version(target, number)
+    show_json({"action": target, "version": version}) if as_json else show_action(target, version)
 
 
 @app.command("versions")
@@ -213,6 +213,6 @@ def archive(
 ) -> None:
     """Take an action out of lists, so that nobody runs it anew; its versions and runs stay."""
     with connect() as client:
-        found = client.actions.get(action, project=project)
-        changed = client.actions.archive(found.id, archived=not undo, if_match=etag or found.etag)
+        target = client.actions.get(action, project=project)
+        changed = client.actions.archive(target.id, archived=not undo, if_match=etag or target.etag)
     show_json(changed) if as_json else note(f"{'Put back' if undo else 'Archived'} the action {changed.name}.")

@@ -96,10 +96,10 @@ class Actions:
         """
         if number is None or number == action.latest.number:
             return action.latest
-        found = next((each for each in self.versions(action.id) if each.number == number), None)
-        if found is None:
+        matches = next((entry for entry in self.versions(action.id) if entry.number == number), None)
+        if matches is None:
             raise NotFound(noun="version", ref=f"{action.name}@{number}")
-        return found
+        return matches
 
     def archive(self, action_id: Ref, *, archived: bool = True, if_match: str | None = None) -> ActionRead:
         """Take an action out of lists, so that nobody runs it anew, or put it back; its runs stay.

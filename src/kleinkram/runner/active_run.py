@@ -15,7 +15,7 @@ from kleinkram.contract.runs import EndReason, RunState, UsageSample
 from kleinkram.runner.artifact_upload import ResultUpload
 from kleinkram.runner.cancellation import Lease, StopRequest, StopRequested, StopSignal
 from kleinkram.runner.context import RunnerContext, job_of
-from kleinkram.runner.executors.base import CannotStart, Ending, Job, wait_for_end
+from kleinkram.runner.executors.base import CannotStart, Ending, RunJob, wait_for_end
 from kleinkram.runner.executors.limits import CANCELLED, boot_time_s
 from kleinkram.runner.files import DISK_FULL_ERRORS, remove_tree
 from kleinkram.runner.inputs import Preparation
@@ -145,7 +145,7 @@ class ActiveRun:
         """Kill the job, once the thread has ended; the next runner starts the run again."""
         self._executor.remove(self._job())
 
-    def _job(self) -> Job:
+    def _job(self) -> RunJob:
         return job_of(self._context, self._attempt)
 
     def _run(self) -> None:

@@ -28,7 +28,7 @@ from kleinkram.contract.runners import LOG_PATH, RunAssignment, RunFinish
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.cancellation import StopSignal
 from kleinkram.runner.context import RunnerContext
-from kleinkram.runner.executors.base import Ending, Job
+from kleinkram.runner.executors.base import Ending, RunJob
 from kleinkram.runner.executors.limits import DISK_FULL
 from kleinkram.runner.logs import Redactor, write_redacted_log
 from kleinkram.runner.results import Artifact, Results, collect_results
@@ -65,7 +65,7 @@ class ResultUpload:
     def __init__(
         self,
         context: RunnerContext,
-        job: Job,
+        job: RunJob,
         assignment: RunAssignment,
         *,
         stop: StopSignal,
@@ -106,7 +106,7 @@ class ResultUpload:
         rejected = self._upload_all(out, results)
         problems += [f"{_display_name(file.path)} was not stored: {file.reason}" for file in rejected]
         if ending.reason is EndReason.done and any(file.path != LOG_PATH for file in rejected):
-            ending = Ending(EndReason.results_not_kept, problems[-1], ending.exit_code)
+            ending = Ending(EndReason.results_not_stored, problems[-1], ending.exit_code)
         return self._finish_of(ending, results.report, problems)
 
     def without_results(self, ending: Ending) -> RunFinish:

@@ -8,7 +8,7 @@ from kleinkram.client.runners import Runners
 from kleinkram.client.server import Service
 from kleinkram.client.transfer.store import StoreClient
 from kleinkram.contract.actions import Network
-from kleinkram.runner.executors.base import Executor, Job, PortForward
+from kleinkram.runner.executors.base import Executor, PortForward, RunJob
 from kleinkram.runner.inputs import AUTHORITIES, script_command
 from kleinkram.runner.state_directory import Attempt
 
@@ -29,7 +29,7 @@ class RunnerContext:
     on_change: Callable[[], None]
 
 
-def job_of(context: RunnerContext, attempt: Attempt) -> Job:
+def job_of(context: RunnerContext, attempt: Attempt) -> RunJob:
     """Return the job of an attempt, which is the same after a restart of the runner."""
     assignment, image = attempt.state.assignment, attempt.state.image
     command = assignment.command
@@ -45,7 +45,7 @@ def job_of(context: RunnerContext, attempt: Attempt) -> Job:
     if (attempt.directory / "in" / AUTHORITIES).is_file():
         environment["SSL_CERT_FILE"] = f"/in/{AUTHORITIES}"
     urls = (context.url, attempt.state.store_url) if assignment.network is Network.api else ()
-    return Job(
+    return RunJob(
         key=attempt.key,
         directory=attempt.directory,
         command=command,

@@ -16,7 +16,7 @@ from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.files import FileFilter, FileRead
 from kleinkram.contract.missions import MissionRead
 from kleinkram.contract.runs import ActionRef, Cause, EndReason, RunContext
-from kleinkram.runner.executors.base import CannotStart, Ending, Executor, Job, wait_for_end
+from kleinkram.runner.executors.base import CannotStart, Ending, Executor, RunJob, wait_for_end
 from kleinkram.runner.inputs import check_input_path, script_command, write_context
 from kleinkram.runner.results import Results, collect_results
 
@@ -107,13 +107,13 @@ def make_context(
     )
 
 
-def make_job(action: ActionDefinition, directory: Path) -> Job:
+def make_job(action: ActionDefinition, directory: Path) -> RunJob:
     """Return the job of an action."""
     command = list(action.command)
     if action.script is not None:
         command = script_command(action.dependencies, in_image=action.image is not None)
     key = f"local-{uuid.uuid4().hex[:12]}"
-    return Job(key, directory, command, action.image, action.resources, action.network)
+    return RunJob(key, directory, command, action.image, action.resources, action.network)
 
 
 def _check_path(file: FileRead) -> None:
@@ -132,7 +132,7 @@ def _download(client: Client, files: list[FileRead], directory: Path, watcher: W
         path.chmod(0o755 if path.is_dir() else 0o444)
 
 
-def _run(executor: Executor, job: Job, show: Callable[[bytes], None]) -> Ending:
+def _run(executor: Executor, job: RunJob, show: Callable[[bytes], None]) -> Ending:
     try:
         executor.submit(job)
     except CannotStart as error:
@@ -154,7 +154,7 @@ def _run(executor: Executor, job: Job, show: Callable[[bytes], None]) -> Ending:
         executor.remove(job)
 
 
-def _show_log(executor: Executor, job: Job, has_ended: threading.Event, show: Callable[[bytes], None]) -> None:
+def _show_log(executor: Executor, job: RunJob, has_ended: threading.Event, show: Callable[[bytes], None]) -> None:
     offset = 0
     while True:
         is_complete = has_ended.is_set()

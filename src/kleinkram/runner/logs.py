@@ -18,7 +18,7 @@ from kleinkram.client.transfer.store import StoreAnswer, StoreClient
 from kleinkram.contract.checksums import crc64nvme
 from kleinkram.contract.errors import KleinkramError, RunGone
 from kleinkram.contract.runners import LogChunkConfirm, LogChunkCreate, RunAssignment
-from kleinkram.runner.executors.base import Executor, Job
+from kleinkram.runner.executors.base import Executor, RunJob
 from kleinkram.runner.files import write_atomically
 from kleinkram.runner.state_directory import LOG_UPLOAD
 
@@ -105,7 +105,7 @@ class LogUpload:
         self._thread: threading.Thread | None = None
         self._state = _read_state(self._path)
 
-    def start(self, job: Job) -> None:
+    def start(self, job: RunJob) -> None:
         """Start the upload, or continue that of an earlier runner."""
         self._thread = threading.Thread(target=self._upload, args=(job,), name="log", daemon=True)
         self._thread.start()
@@ -122,7 +122,7 @@ class LogUpload:
             # It may wait for a server that does not answer.
             self._thread.join(_CLOSE_S)
 
-    def _upload(self, job: Job) -> None:
+    def _upload(self, job: RunJob) -> None:
         try:
             while True:
                 self._wait(0)
@@ -141,7 +141,7 @@ class LogUpload:
             # The log then appears once the run has ended.
             _log.error("the log of the run %s is not uploaded any more: %s", self._assignment.run_id, error)
 
-    def _upload_chunk(self, job: Job, *, is_complete: bool) -> int:
+    def _upload_chunk(self, job: RunJob, *, is_complete: bool) -> int:
         """Upload the next chunk, and return its size; 0 where there is none yet."""
         state = self._state
         raw = self._executor.read_log(job, state.raw_bytes, state.chunk_bytes or _CHUNK_BYTES)
@@ -197,7 +197,7 @@ class _Closed(Exception):
     """The thread is to end."""
 
 
-def write_redacted_log(executor: Executor, job: Job, redactor: Redactor, target: Path) -> int:
+def write_redacted_log(executor: Executor, job: RunJob, redactor: Redactor, target: Path) -> int:
     """Write the complete log of an ended job, without secrets, to a file; return its size."""
     size_bytes = 0
     with target.open("wb") as stream:
@@ -206,7 +206,7 @@ def write_redacted_log(executor: Executor, job: Job, redactor: Redactor, target:
     return size_bytes
 
 
-def _chunks(executor: Executor, job: Job, redactor: Redactor) -> Iterator[bytes]:
+def _chunks(executor: Executor, job: RunJob, redactor: Redactor) -> Iterator[bytes]:
     offset = 0
     while raw := executor.read_log(job, offset, _CHUNK_BYTES):
         size_bytes = len(raw) if len(raw) < _CHUNK_BYTES else redactor.cut(raw, _CHUNK_BYTES)

@@ -11,7 +11,7 @@ import kleinkram
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS
 from kleinkram.server.actions.routes import router as actions
 from kleinkram.server.admin.routes import router as admin
-from kleinkram.server.audit.looking import Looks
+from kleinkram.server.audit.admin_access import Looks
 from kleinkram.server.audit.routes import router as audit
 from kleinkram.server.auth.authorization_request import open_providers
 from kleinkram.server.auth.bootstrap_admin import log_bootstrap_code

@@ -15,7 +15,7 @@ from typing import TypeVar
 import pytest
 
 from kleinkram.contract.actions import Network, Resources
-from kleinkram.runner.executors.base import Ending, Executor, Job, PortForward, wait_for_end
+from kleinkram.runner.executors.base import Ending, Executor, PortForward, RunJob, wait_for_end
 from kleinkram.runner.executors.docker import DockerExecutor
 from kleinkram.runner.executors.process import ProcessExecutor
 from tests.integration.runner import engines, podmen
@@ -40,7 +40,7 @@ class Bench:
     python: str = sys.executable
     machine: str = "127.0.0.1"
     engine: Dockerd | None = None
-    made: list[Job] = field(default_factory=list)
+    made: list[RunJob] = field(default_factory=list)
 
     def job(
         self,
@@ -49,12 +49,12 @@ class Bench:
         network: Network | None = None,
         port_forwards: Sequence[PortForward] = (),
         **resources: int,
-    ) -> Job:
+    ) -> RunJob:
         """Return a run that is not started yet; without network, where the executor can keep it from one."""
         usual = Network.none if Network.none in self.executor.abilities.networks else Network.open
         folder = self.folder / f"run-{len(self.made)}"
         (folder / "in").mkdir(parents=True)
-        job = Job(
+        job = RunJob(
             key=f"{folder.name}-{uuid.uuid4().hex}",
             directory=folder,
             command=[self.python, "-c", text] if isinstance(text, str) else list(text),
@@ -66,13 +66,13 @@ class Bench:
         self.made.append(job)
         return job
 
-    def run(self, text: str | Sequence[str], **resources: int) -> tuple[Job, Ending]:
+    def run(self, text: str | Sequence[str], **resources: int) -> tuple[RunJob, Ending]:
         """Start a run and wait for its end."""
         job = self.job(text, network=None, port_forwards=(), **resources)
         self.executor.submit(job)
         return job, self.end_of(job)
 
-    def end_of(self, job: Job) -> Ending:
+    def end_of(self, job: RunJob) -> Ending:
         """Wait for the end of a run."""
         ending = wait_for_end(self.executor, job, timeout_s=40)
         assert ending is not None, "it goes on"
@@ -83,7 +83,7 @@ class Bench:
         return dataclasses.replace(self, image=image)
 
 
-def log_of(job: Job) -> str:
+def log_of(job: RunJob) -> str:
     """Return what a run wrote."""
     path = job.directory / "log"
     return path.read_text() if path.exists() else ""

@@ -13,29 +13,29 @@ import pytest
 
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.runner.executors import docker_container
-from kleinkram.runner.executors.base import Job, PortForward
+from kleinkram.runner.executors.base import PortForward, RunJob
 from kleinkram.runner.executors.docker_client import ImageInfo
 from kleinkram.runner.executors.docker_container import describe, execution_error, with_barrier
 from kleinkram.runner.executors.docker_images import credentials_for, is_allowed, parse_image_name
 
 
-def job_of(folder: Path, network: Network = Network.none, **resources: int) -> Job:
-    return Job("run-1", folder, ["ls"], "sha256:1", Resources.model_validate(resources), network, {"A": "b"})
+def job_of(folder: Path, network: Network = Network.none, **resources: int) -> RunJob:
+    return RunJob("run-1", folder, ["ls"], "sha256:1", Resources.model_validate(resources), network, {"A": "b"})
 
 
-def host_of(job: Job, *volumes: str) -> dict[str, object]:
+def host_of(job: RunJob, *volumes: str) -> dict[str, object]:
     described = json.loads(json.dumps(describe(job, user="1000:1000", volumes=volumes, labels={})))
     return dict(described["HostConfig"])
 
 
-def test_gpus_are_asked_for_by_device_request(tmp_path: Path) -> None:
-    asked = host_of(job_of(tmp_path, gpus=2))["DeviceRequests"]
-    assert asked == [{"Driver": "nvidia", "Count": 2, "Capabilities": [["gpu"]]}]
+def test_gpus_are_requested_by_device_request(tmp_path: Path) -> None:
+    requested = host_of(job_of(tmp_path, gpus=2))["DeviceRequests"]
+    assert requested == [{"Driver": "nvidia", "Count": 2, "Capabilities": [["gpu"]]}]
     assert host_of(job_of(tmp_path))["DeviceRequests"] == []
 
 
 @pytest.mark.parametrize("network", list(Network))
-def test_no_run_is_given_more_than_it_needs(tmp_path: Path, network: Network) -> None:
+def test_a_container_gets_no_more_than_its_job_needs(tmp_path: Path, network: Network) -> None:
     host = host_of(job_of(tmp_path, network, memory_bytes=10**9))
     assert host["NetworkMode"] == ("bridge" if network is Network.open else "none")
     assert (host["ReadonlyRootfs"], host["Privileged"], host["CapDrop"]) == (True, False, ["ALL"])
@@ -48,7 +48,7 @@ def test_no_run_is_given_more_than_it_needs(tmp_path: Path, network: Network) ->
 def test_what_the_kernel_counts_is_no_more_than_the_runner_has_itself(tmp_path: Path) -> None:
     limits = host_of(job_of(tmp_path, disk_bytes=10**9))["Ulimits"]
     assert isinstance(limits, list)
-    hard = {each["Name"]: each["Hard"] for each in limits}
+    hard = {entry["Name"]: entry["Hard"] for entry in limits}
     assert hard["core"] == 0
     assert 10**9 < hard["fsize"] < 1.1 * 10**9
     for name, kind, most in (("nofile", resource.RLIMIT_NOFILE, 2**16), ("nproc", resource.RLIMIT_NPROC, 2**15)):
@@ -57,7 +57,7 @@ def test_what_the_kernel_counts_is_no_more_than_the_runner_has_itself(tmp_path: 
 
 
 @pytest.mark.parametrize(
-    ("said", "told"),
+    ("output", "error"),
     [
         ("[FATAL tini (7)] exec /usr/bin/odd failed: No such file or directory\n", "/usr/bin/odd: No such file"),
         ("ERROR (catatonit:2): failed to exec pid1: Permission denied\n", "/usr/bin/odd: Permission denied"),
@@ -69,9 +69,9 @@ def test_what_the_kernel_counts_is_no_more_than_the_runner_has_itself(tmp_path: 
         ("", None),
     ],
 )
-def test_what_first_processes_say_of_a_command_that_is_not_there(said: str, told: str | None) -> None:
-    found = execution_error(said, ["/usr/bin/odd", "-v"], 127)
-    assert found is None if told is None else str(found).startswith(told)
+def test_what_first_processes_say_of_a_command_that_is_not_there(output: str, error: str | None) -> None:
+    result = execution_error(output, ["/usr/bin/odd", "-v"], 127)
+    assert result is None if error is None else str(result).startswith(error)
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_what_first_processes_say_of_a_command_that_is_not_there(said: str, told
 def test_behind_a_gate_the_same_is_run(
     tmp_path: Path, image: list[list[str]], command: list[str], runs: list[str] | None
 ) -> None:
-    job = Job(**{**vars(job_of(tmp_path, Network.api)), "command": command})
+    job = RunJob(**{**vars(job_of(tmp_path, Network.api)), "command": command})
     plain = describe(job, user=f"{os.getuid()}:{os.getgid()}", volumes=[], labels={})
     made = json.loads(json.dumps(with_barrier(plain, job, ImageInfo("1", (), "amd64", (), *map(tuple, image)))))
     if runs is None:
@@ -105,7 +105,7 @@ def test_words_like_a_shells_are_a_programs_own_where_it_ends_by_another_code() 
 def test_volumes_of_an_image_are_counted_with_tmp(tmp_path: Path) -> None:
     mounts = host_of(job_of(tmp_path), "/data", "/out")["Mounts"]
     assert isinstance(mounts, list)
-    places = {each["Target"]: (each["Source"], each["ReadOnly"]) for each in mounts}
+    places = {entry["Target"]: (entry["Source"], entry["ReadOnly"]) for entry in mounts}
     assert places == {
         "/in": (str(tmp_path / "in"), True),
         "/out": (str(tmp_path / "out"), False),
@@ -114,11 +114,11 @@ def test_volumes_of_an_image_are_counted_with_tmp(tmp_path: Path) -> None:
     }
 
 
-def test_hosts_of_doors_have_addresses_of_their_own(tmp_path: Path) -> None:
+def test_each_forwarded_host_has_its_own_address(tmp_path: Path) -> None:
     hosts = ["api.lab.example", "store.lab.example", "localhost", "192.168.1.5", "api.lab.example"]
     job = job_of(tmp_path, Network.api)
     forwards = tuple(PortForward(host, 443, "127.0.0.1", 1) for host in hosts)
-    host = host_of(Job(**{**vars(job), "port_forwards": forwards}))
+    host = host_of(RunJob(**{**vars(job), "port_forwards": forwards}))
     assert host["ExtraHosts"] == ["api.lab.example:127.1.0.1", "store.lab.example:127.1.0.2"]
 
 
@@ -154,7 +154,7 @@ def test_credentials_are_those_of_docker_login(tmp_path: Path, monkeypatch: pyte
     assert credentials_for("docker.io") is None
 
 
-def test_credentials_may_be_kept_by_a_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_credentials_may_come_from_a_helper_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     program = tmp_path / "docker-credential-safe"
     program.write_text('#!/bin/sh\nread name\necho "{\\"Username\\": \\"ada\\", \\"Secret\\": \\"for $name\\"}"\n')
     program.chmod(0o755)
@@ -165,9 +165,9 @@ def test_credentials_may_be_kept_by_a_program(tmp_path: Path, monkeypatch: pytes
 
 
 def read_credentials(registry: str) -> dict[str, str]:
-    said = credentials_for(registry)
-    assert said is not None
-    return dict(json.loads(base64.urlsafe_b64decode(said)))
+    values = credentials_for(registry)
+    assert values is not None
+    return dict(json.loads(base64.urlsafe_b64decode(values)))
 
 
 def test_usage_is_read_of_both_versions_of_control_groups(tmp_path: Path) -> None:
@@ -193,14 +193,14 @@ def test_usage_is_read_of_both_versions_of_control_groups(tmp_path: Path) -> Non
     assert docker_container.cgroup_usage({"": "/gone"}, tmp_path) is None
 
 
-@pytest.mark.parametrize(("ended", "is_told"), [(0, False), (2, True)])
+@pytest.mark.parametrize(("ended", "is_reported"), [(0, False), (2, True)])
 def test_ended_for_memory_is_read_of_both_versions_of_control_groups(
-    tmp_path: Path, ended: int, *, is_told: bool
+    tmp_path: Path, ended: int, *, is_reported: bool
 ) -> None:
     (tmp_path / "memory" / "one").mkdir(parents=True)
     (tmp_path / "memory" / "one" / "memory.oom_control").write_text(f"oom_kill_disable 0\noom_kill {ended}\n")
     (tmp_path / "two").mkdir()
     (tmp_path / "two" / "memory.events").write_text(f"max 3\noom {ended}\noom_kill {ended}\n")
     for groups in ({"memory": "/one", "": "/"}, {"": "/two"}):
-        assert docker_container.was_oom_killed(groups, tmp_path) is is_told
+        assert docker_container.was_oom_killed(groups, tmp_path) is is_reported
     assert not docker_container.was_oom_killed({"": "/gone"}, tmp_path)

@@ -15,13 +15,13 @@ import pytest
 
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner.executors.base import CannotStart, Job, PortForward, wait_for_end
+from kleinkram.runner.executors.base import CannotStart, PortForward, RunJob, wait_for_end
 from kleinkram.runner.executors.docker import DockerExecutor
 from kleinkram.runner.executors.docker_images import Pull
 from tests.integration.runner import engines
 from tests.integration.runner.conftest import Bench, lent, log_of
 from tests.integration.runner.engines import Dockerd, Registry
-from tests.integration.runner.test_executors import KNOCKS, answers, ending_of_start, until_said
+from tests.integration.runner.test_executors import KNOCKS, answers, ending_of_start, until_logged_by
 
 pytestmark = pytest.mark.slow
 BOTH = pytest.mark.parametrize("bench", ["docker", "podman"], indirect=True)
@@ -128,8 +128,8 @@ def test_one_built_here_is_known_by_its_id(bench: Bench, engine: Dockerd) -> Non
 
 def test_the_images_own_command_and_volumes(bench: Bench, engine: Dockerd) -> None:
     text = "import os; open('/data/x', 'w').write('1'); print(os.getcwd(), os.environ['WORD'])"
-    told = [f'CMD ["python3", "-c", "{text}"]', "VOLUME /data", "WORKDIR /var/lab", "ENV WORD=said", "USER 0:0"]
-    image = engine.load("lab/own:1", *told, root=engines.python_root())
+    reported = [f'CMD ["python3", "-c", "{text}"]', "VOLUME /data", "WORKDIR /var/lab", "ENV WORD=said", "USER 0:0"]
+    image = engine.load("lab/own:1", *reported, root=engines.python_root())
     own = bench.with_image(image)
     job, ending = own.run([])
     assert (ending.reason, log_of(job)) == (EndReason.done, "/var/lab said\n")
@@ -175,7 +175,7 @@ def test_what_is_written_beside_is_not(bench: Bench) -> None:
     assert (outside, through) == ("30", "30")
     assert beside in {"2", "30"}
     assert (job.directory / "out" / "link").is_symlink()
-    assert sorted(each.name for each in (job.directory / "out").iterdir()) == ["link"]
+    assert sorted(entry.name for entry in (job.directory / "out").iterdir()) == ["link"]
 
 
 RUNNER = """
@@ -184,9 +184,9 @@ from pathlib import Path
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.runner.executors.docker_client import DockerClient
 from kleinkram.runner.executors.docker import DockerExecutor
-from kleinkram.runner.executors.base import Job
+from kleinkram.runner.executors.base import RunJob
 socket, folder, key, image, text = sys.argv[1:]
-job = Job(key, Path(folder), ["python3", "-c", text], image, Resources(), Network.none)
+job = RunJob(key, Path(folder), ["python3", "-c", text], image, Resources(), Network.none)
 executor = DockerExecutor(DockerClient(Path(socket)))
 if executor.poll(job) is not None:
     executor.submit(job)
@@ -197,7 +197,7 @@ while executor.poll(job) is None:
 
 
 @contextmanager
-def another_runner(bench: Bench, engine: Dockerd, job: Job, text: str) -> Iterator[None]:
+def another_runner(bench: Bench, engine: Dockerd, job: RunJob, text: str) -> Iterator[None]:
     """Have another process submit or find the job and watch it; it is killed at the end."""
     words = [str(engine.socket), str(job.directory), job.key, str(job.image), text]
     process = subprocess.Popen([sys.executable, "-c", RUNNER, *words])
@@ -208,7 +208,7 @@ def another_runner(bench: Bench, engine: Dockerd, job: Job, text: str) -> Iterat
         process.wait()
 
 
-def until_logged(job: Job, words: str) -> None:
+def until_logged(job: RunJob, words: str) -> None:
     until = time.monotonic() + 20
     while words not in log_of(job):
         assert time.monotonic() < until, f"the log never had {words!r}"
@@ -221,7 +221,7 @@ def test_a_runner_is_killed_and_another_one_finds_its_run(bench: Bench, engine: 
     with another_runner(bench, engine, job, COUNTS):
         until_logged(job, "line 20\n")
     assert wait_for_end(bench.executor, job, timeout_s=0.1) is None
-    until_said(bench, COUNTS, "line 60\n")
+    until_logged_by(bench, COUNTS, "line 60\n")
     bench.executor.cancel(job)
     assert bench.end_of(job).reason is EndReason.cancelled
     assert is_numbered(log_of(job))
@@ -240,7 +240,7 @@ def test_runners_are_killed_and_no_line_of_the_log_is_missing_or_there_twice(ben
     assert (ending.reason, ending.exit_code) == (EndReason.done, 0)
     lines = log_of(job).splitlines()
     for word in ("line", "error"):
-        assert [each for each in lines if each.startswith(word)] == [f"{word} {n}" for n in range(300)]
+        assert [entry for entry in lines if entry.startswith(word)] == [f"{word} {n}" for n in range(300)]
 
 
 def test_the_time_limit_counts_while_no_runner_watches(bench: Bench, engine: Dockerd) -> None:
@@ -259,7 +259,7 @@ def test_the_next_runner_opens_the_port_forwards_again(bench: Bench) -> None:
         text = KNOCKS + "import time\nwhile True: print(knock('lab.example', 443), flush=True); time.sleep(0.05)"
         job = bench.job(text, network=Network.api, port_forwards=[PortForward("lab.example", 443, *api.getsockname())])
         bench.executor.submit(job)
-        until_said(bench, text, "api:\n")
+        until_logged_by(bench, text, "api:\n")
         assert isinstance(bench.executor, DockerExecutor)
         bench.executor._monitors.pop(job.key).close()  # as if the runner were killed
         assert wait_for_end(bench.executor, job, timeout_s=1) is None
@@ -279,12 +279,12 @@ def test_a_container_that_somebody_removes_is_lost(bench: Bench, engine: Dockerd
 
 def test_leftovers_are_swept_but_not_anothers(bench: Bench, engine: Dockerd) -> None:
     jobs = [bench.job(COUNTS) for _ in range(3)]
-    mine, other = (DockerExecutor(engine.engine, runner=each) for each in ("mine", "other"))
+    mine, other = (DockerExecutor(engine.engine, runner=entry) for entry in ("mine", "other"))
     for executor, job in zip((mine, mine, other), jobs, strict=True):
         executor.submit(job)
     again = DockerExecutor(engine.engine, runner="mine")
     again.remove_others({jobs[0].key})
     names = engine.docker("ps", "--all", "--format", "{{.Names}}").split()
-    assert [f"kleinkram-{each.key}" in names for each in jobs] == [True, False, True]
+    assert [f"kleinkram-{entry.key}" in names for entry in jobs] == [True, False, True]
     for executor, job in zip((mine, mine, other), jobs, strict=True):
         executor.remove(job)

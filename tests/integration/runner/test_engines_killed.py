@@ -13,7 +13,7 @@ from tests.integration.runner import engines, podmen
 from tests.integration.runner.conftest import Bench, log_of
 from tests.integration.runner.engines import Dockerd
 from tests.integration.runner.test_docker import COUNTS, another_runner, is_numbered, until_logged
-from tests.integration.runner.test_executors import until_said
+from tests.integration.runner.test_executors import until_logged_by
 from tests.requirements import need
 
 
@@ -31,11 +31,11 @@ def test_dockerd_is_killed(tmp_path: Path) -> None:
 
         lasting = mortal.job(COUNTS)
         executor.submit(lasting)
-        until_said(mortal, COUNTS, "line 20\n")
+        until_logged_by(mortal, COUNTS, "line 20\n")
         docker.kill()
         assert wait_for_end(executor, lasting, timeout_s=0.5) is None
         docker.start()
-        until_said(mortal, COUNTS, "line 200\n")
+        until_logged_by(mortal, COUNTS, "line 200\n")
         executor.cancel(lasting)
         assert mortal.end_of(lasting).reason is EndReason.cancelled
         lines = log_of(lasting).splitlines()
@@ -43,7 +43,7 @@ def test_dockerd_is_killed(tmp_path: Path) -> None:
 
         cut = mortal.job(COUNTS)
         executor.submit(cut)
-        until_said(mortal, COUNTS, "line 20\n")
+        until_logged_by(mortal, COUNTS, "line 20\n")
         docker.kill()
         executor.cancel(cut)
         docker.options = ()
@@ -52,7 +52,7 @@ def test_dockerd_is_killed(tmp_path: Path) -> None:
 
         lost = mortal.job(COUNTS)
         executor.submit(lost)
-        until_said(mortal, COUNTS, "line 20\n")
+        until_logged_by(mortal, COUNTS, "line 20\n")
         docker.kill()
         docker.start()
         assert mortal.end_of(lost).reason is EndReason.lost
@@ -72,7 +72,7 @@ def test_podmans_service_is_killed_and_runs_go_on(tmp_path: Path) -> None:
         over, cut = bench.job(text), bench.job(COUNTS)
         for job in (cut, over):
             bench.executor.submit(job)
-        until_said(bench, text, "line 20\n")
+        until_logged_by(bench, text, "line 20\n")
         podman.kill()
         assert wait_for_end(bench.executor, over, timeout_s=0.5) is None
         bench.executor.cancel(cut)

@@ -17,7 +17,7 @@ from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import Isolation
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors import docker, local
-from kleinkram.runner.executors.base import CannotStart, Ending, Job, PortForward, wait_for_end
+from kleinkram.runner.executors.base import CannotStart, Ending, PortForward, RunJob, wait_for_end
 from kleinkram.runner.executors.limits import GRACE_S, boot_time_s
 from tests.integration.runner.conftest import EVERYWHERE, Bench, log_of
 from tests.requirements import missing
@@ -32,7 +32,7 @@ def isolated(bench: Bench) -> Bench:
     return bench
 
 
-def ending_of_start(bench: Bench, job: Job) -> Ending:
+def ending_of_start(bench: Bench, job: RunJob) -> Ending:
     """Return how a job ended that cannot be started, whether its executor notices that at once or later."""
     try:
         bench.executor.submit(job)
@@ -41,7 +41,7 @@ def ending_of_start(bench: Bench, job: Job) -> Ending:
     return bench.end_of(job)
 
 
-def until_said(bench: Bench, text: str, words: str) -> None:
+def until_logged_by(bench: Bench, text: str, words: str) -> None:
     until = time.monotonic() + 20
     while words not in log_of(bench.made[-1]):
         bench.executor.poll(bench.made[-1])
@@ -132,14 +132,14 @@ def test_an_open_network_is_the_machines(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("code", [1, 3, 255])
-def test_exit_codes_are_kept(bench: Bench, code: int) -> None:
+def test_exit_codes_are_reported(bench: Bench, code: int) -> None:
     _, ending = bench.run(f"raise SystemExit({code})")
     assert (ending.reason, ending.exit_code) == (EndReason.exit_code, code)
     assert str(code) in ending.message
 
 
 @EVERYWHERE
-def test_a_crash_is_told(bench: Bench) -> None:
+def test_a_crash_is_reported(bench: Bench) -> None:
     _, ending = bench.run("import os; os.kill(os.getpid(), 11)")
     assert (ending.reason, ending.exit_code) == (EndReason.signal, 139)
     assert "SIGSEGV" in ending.message
@@ -163,7 +163,7 @@ def test_too_much_memory_ends_the_run_alone(bench: Bench) -> None:
 
 
 _PROCESS_ONLY = pytest.mark.parametrize("bench", ["process"], indirect=True)
-_KEPT_OUTSIDE_PROCESSES = {
+_MEMORY_OUTSIDE_PROCESSES = {
     "memory file": "file = os.memfd_create('held')\nwhile True: os.write(file, bytes(1_000_000))",
     "memory file, mapped once": (
         "import mmap\nfor n in range(1000):\n    file = os.memfd_create('held'); os.ftruncate(file, 1_000_000)\n"
@@ -182,9 +182,9 @@ _KEPT_OUTSIDE_PROCESSES = {
 
 
 @_PROCESS_ONLY
-@pytest.mark.parametrize("kind", _KEPT_OUTSIDE_PROCESSES)
+@pytest.mark.parametrize("kind", _MEMORY_OUTSIDE_PROCESSES)
 def test_memory_that_is_no_process_own_is_counted_or_not_to_be_had(isolated: Bench, kind: str) -> None:
-    _, ending = isolated.run(f"import os\n{_KEPT_OUTSIDE_PROCESSES[kind]}", memory_bytes=60_000_000, time_s=20)
+    _, ending = isolated.run(f"import os\n{_MEMORY_OUTSIDE_PROCESSES[kind]}", memory_bytes=60_000_000, time_s=20)
     assert ending.reason in {EndReason.memory, EndReason.exit_code}
 
 
@@ -249,7 +249,7 @@ def test_cancelled_though_it_will_not_hear(bench: Bench) -> None:
     text = "import signal, time; signal.signal(15, signal.SIG_IGN); print('ready', flush=True); time.sleep(60)"
     job = bench.job(text)
     bench.executor.submit(job)
-    until_said(bench, text, "ready")
+    until_logged_by(bench, text, "ready")
     began = time.monotonic()
     bench.executor.cancel(job)
     assert bench.end_of(job).reason is EndReason.cancelled
@@ -265,7 +265,7 @@ def test_a_run_may_tidy_up_when_it_is_cancelled(bench: Bench) -> None:
     )
     job = bench.job(text)
     bench.executor.submit(job)
-    until_said(bench, text, "ready")
+    until_logged_by(bench, text, "ready")
     bench.executor.cancel(job)
     assert bench.end_of(job).reason is EndReason.cancelled
     assert "tidied" in log_of(job)
@@ -304,7 +304,7 @@ def test_what_a_run_leaves_running_ends_with_it(isolated: Bench) -> None:
 def test_found_again_by_another_runner(bench: Bench) -> None:
     job = bench.job(LASTING)
     bench.executor.submit(job)
-    until_said(bench, LASTING, "ready")
+    until_logged_by(bench, LASTING, "ready")
     other = bench.again()
     assert wait_for_end(other, job, timeout_s=0.1) is None
     other.cancel(job)
@@ -314,7 +314,7 @@ def test_found_again_by_another_runner(bench: Bench) -> None:
 
 
 @pytest.mark.slow
-def test_usage_is_told(bench: Bench) -> None:
+def test_usage_is_reported(bench: Bench) -> None:
     text = "held = bytearray(b'x' * 60_000_000)\nn = sum(i * i for i in range(1_000_000))\nprint('ready', flush=True)\n"
     job = bench.job(text + "import time; time.sleep(0.5)")
     bench.executor.submit(job)
@@ -329,7 +329,7 @@ def test_usage_is_told(bench: Bench) -> None:
 def test_a_job_dies_with_its_supervisor_and_is_lost(isolated: Bench) -> None:
     job = isolated.job(LASTING)
     isolated.executor.submit(job)
-    until_said(isolated, LASTING, "ready")
+    until_logged_by(isolated, LASTING, "ready")
     supervisor = int((job.directory / "supervisor").read_text())
     left = [int(pid) for pid in Path(f"/proc/{supervisor}/task/{supervisor}/children").read_text().split()]
     os.kill(supervisor, signal.SIGKILL)
@@ -359,10 +359,10 @@ def answers(server: socket.socket, words: bytes) -> None:
             while True:
                 connection, _ = server.accept()
                 with connection:
-                    said = b""
+                    values = b""
                     while data := connection.recv(65536):
-                        said += data
-                    connection.sendall(words + said)
+                        values += data
+                    connection.sendall(words + values)
 
     threading.Thread(target=answer, daemon=True).start()
 
@@ -380,7 +380,7 @@ def knock(host, port, said=b''):
 
 
 @EVERYWHERE
-def test_with_doors_the_api_and_the_store_answer_and_nothing_else(isolated: Bench) -> None:
+def test_with_port_forwards_only_the_api_and_the_store_answer(isolated: Bench) -> None:
     with contextlib.ExitStack() as stack:
         api, store, decoy = (stack.enter_context(socket.create_server(("0.0.0.0", 0))) for _ in range(3))
         answers(api, b"api:")
@@ -391,12 +391,12 @@ def test_with_doors_the_api_and_the_store_answer_and_nothing_else(isolated: Benc
             PortForward("192.168.77.7", 9000, "127.0.0.1", store.getsockname()[1]),
             PortForward("127.0.0.1", 8000, "127.0.0.1", api.getsockname()[1]),
         ]
-        ports = [each.getsockname()[1] for each in (api, store, decoy)]
+        ports = [entry.getsockname()[1] for entry in (api, store, decoy)]
         refused = [(host, port) for host in ("127.0.0.1", isolated.machine, "127.1.0.1") for port in ports]
         refused += [("store.lab.example", 80), ("192.168.77.7", 443), ("127.0.0.1", 443), ("192.0.2.1", 443)]
         job = isolated.job(
             KNOCKS
-            + f"for host, port in {[(each.host, each.port) for each in forwards]}: print(knock(host, port, b'hi'))\n"
+            + f"for host, port in {[(entry.host, entry.port) for entry in forwards]}: print(knock(host, port, b'hi'))\n"
             f"print({{knock(host, port) for host, port in {refused}}})\n"
             "print(len(knock('store.lab.example', 443, bytes(3_000_000))))",
             network=Network.api,
@@ -410,7 +410,7 @@ def test_with_doors_the_api_and_the_store_answer_and_nothing_else(isolated: Benc
             decoy.accept()
 
 
-def test_what_a_door_leads_to_may_be_away(isolated: Bench) -> None:
+def test_the_target_of_a_port_forward_may_be_unavailable(isolated: Bench) -> None:
     with socket.create_server(("127.0.0.1", 0)) as gone:
         port = gone.getsockname()[1]
     forward = PortForward("kleinkram.lab.example", 443, "127.0.0.1", port)
@@ -421,14 +421,14 @@ def test_what_a_door_leads_to_may_be_away(isolated: Bench) -> None:
     assert log_of(job) == "True\n"
 
 
-def test_a_door_that_cannot_be_made(isolated: Bench) -> None:
+def test_ipv6_addresses_cannot_be_forwarded(isolated: Bench) -> None:
     job = isolated.job("pass", network=Network.api, port_forwards=[PortForward("2001:db8::1", 443, "127.0.0.1", 1)])
     with pytest.raises(CannotStart, match="IPv6") as caught:
         isolated.executor.submit(job)
     assert caught.value.ending.reason is EndReason.not_possible
 
 
-def test_a_run_that_nobody_holds_any_more_is_ended(bench: Bench) -> None:
+def test_a_job_whose_lease_expires_is_ended(bench: Bench) -> None:
     job = bench.job(LASTING)
     bench.executor.set_lease(job, boot_time_s() + 1.5, create=True)
     bench.executor.submit(job)

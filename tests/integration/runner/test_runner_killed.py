@@ -15,7 +15,7 @@ from kleinkram.runner.executors import process_supervisor
 from kleinkram.runner.executors.base import wait_for_end
 from kleinkram.runner.executors.docker import DockerExecutor
 from tests.integration.runner.conftest import EVERYWHERE, Bench, log_of
-from tests.integration.runner.test_executors import LASTING, until_said
+from tests.integration.runner.test_executors import LASTING, until_logged_by
 
 
 class Killed(BaseException):
@@ -77,7 +77,7 @@ def test_what_was_removed_is_lost_and_may_be_started_again(bench: Bench) -> None
     """As by Ctrl-C: the next runner begins anew, with the log of before, which is in the store already."""
     job = bench.job(LASTING)
     bench.executor.submit(job)
-    until_said(bench, LASTING, "ready")
+    until_logged_by(bench, LASTING, "ready")
     bench.executor.remove(job)
     next_one = bench.again()
     ending = wait_for_end(next_one, job, timeout_s=0)
@@ -89,7 +89,7 @@ def test_what_was_removed_is_lost_and_may_be_started_again(bench: Bench) -> None
     (job.directory / "in").mkdir()
     next_one.submit(job)
     bench.executor = next_one
-    until_said(bench, LASTING, "ready\nready")
+    until_logged_by(bench, LASTING, "ready\nready")
     next_one.cancel(job)
     ending = wait_for_end(next_one, job, timeout_s=40)
     assert ending is not None

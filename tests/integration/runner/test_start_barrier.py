@@ -13,7 +13,7 @@ import pytest
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors import docker_container
-from kleinkram.runner.executors.base import Job, PortForward
+from kleinkram.runner.executors.base import PortForward, RunJob
 from kleinkram.runner.executors.docker_client import DockerClient
 from tests.integration.runner import engines
 from tests.integration.runner.conftest import Bench, lent, log_of
@@ -30,16 +30,18 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
 
 
 @contextmanager
-def behind_barrier(bench: Bench, job: Job) -> Iterator[tuple[DockerClient, str]]:
+def behind_barrier(bench: Bench, job: RunJob) -> Iterator[tuple[DockerClient, str]]:
     """Start the container of a job without its executor, and yield its engine and its name."""
     assert bench.engine is not None
     assert job.image is not None
     client, name = bench.engine.engine, docker_container.container_name(job)
     image = client.find_image(job.image)
     assert image is not None
-    for each in ("out", "tmp"):
-        (job.directory / each).mkdir()
-    described = docker_container.describe(job, user="1000:1000", volumes=[], labels={docker_container.JOB_LABEL: "x"})
+    for entry in ("out", "tmp"):
+        (job.directory / entry).mkdir()
+    described = docker_container.describe(
+        job, user="1000:1000", volumes=[], labels={}, is_podman=client.info().is_podman
+    )
     client.create(name, docker_container.with_barrier(described, job, image))
     try:
         client.start(name)
@@ -54,14 +56,14 @@ def log_after_end(client: DockerClient, name: str) -> bytes:
     while (container := client.find_container(name)) is None or container.status != "exited":
         assert time.monotonic() < until
         time.sleep(0.05)
-    return b"".join(client.log(name, follow=False))
+    return b"".join(piece.data for pieces in client.log(name, follow=False) for piece in pieces)
 
 
 def test_the_command_starts_unchanged_once_the_barrier_is_open(bench: Bench) -> None:
     job = bench.job("import sys; print(sys.argv, sys.stdin.read())", network=Network.api, port_forwards=PORT_FORWARDS)
     with behind_barrier(bench, job) as (client, name):
         time.sleep(1)
-        assert b"".join(client.log(name, follow=False)) == b""
+        assert b"".join(piece.data for pieces in client.log(name, follow=False) for piece in pieces) == b""
         descriptor = docker_container.open_barrier(job.directory)
         assert log_after_end(client, name) == b"['-c'] \n"
         assert descriptor is not None

@@ -52,7 +52,7 @@ def test_a_container_has_its_inputs_and_the_api_and_leaves_files(
     image = engine.engine.find_image(engines.IMAGE)
     assert image is not None
     # By its id, as it is in no registry; Podman knows digests of such images, too.
-    assert run.digest in {image.id, *(each.partition("@")[2] for each in image.digests)}
+    assert run.digest in {image.id, *(entry.partition("@")[2] for entry in image.digests)}
 
 
 def test_a_container_outlives_its_runner(

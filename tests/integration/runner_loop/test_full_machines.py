@@ -9,7 +9,7 @@ import pytest
 
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner import active_run, files
-from kleinkram.runner.executors.base import Job
+from kleinkram.runner.executors.base import RunJob
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.loop import Runner
 from kleinkram.runner.state_directory import Attempt, Stage
@@ -29,7 +29,7 @@ def _cancel_a_run(server: FakeServer, runner: Runner) -> None:
     assert ended(run).finishes[0].reason is EndReason.cancelled
 
 
-def test_beats_go_on_though_the_disk_is_full(
+def test_heartbeats_continue_on_a_full_disk(
     server: FakeServer, runners: Runners, caplog: pytest.LogCaptureFixture
 ) -> None:
     runner = runners.start()
@@ -42,17 +42,17 @@ def test_beats_go_on_though_the_disk_is_full(
 class WithoutProcesses(ProcessExecutor):
     """Cannot ask for an end at first, as where the machine gives no process for that."""
 
-    asked = 0
+    requested = 0
 
-    def cancel(self, job: Job) -> None:
+    def cancel(self, job: RunJob) -> None:
         """Ask a run to end."""
-        self.asked += 1
-        if self.asked < 3:
+        self.requested += 1
+        if self.requested < 3:
             raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
         super().cancel(job)
 
 
-def test_an_end_that_cannot_be_asked_for_is_asked_for_again(
+def test_a_failed_cancellation_is_repeated(
     server: FakeServer, runners: Runners, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(active_run, "_CANCEL_EVERY_S", 0.05)
@@ -100,7 +100,7 @@ def test_a_run_that_ends_without_room_to_note_it_is_not_started_again(
     wait_until(lambda: not [*runners.folder.glob("runs/*")])
 
 
-def test_what_was_reserved_is_written_on_a_full_disk(tmp_path: Path) -> None:
+def test_reserved_files_can_be_written_on_a_full_disk(tmp_path: Path) -> None:
     need_small_disks()
     with small_disk(tmp_path, MIB) as disk:
         ending, lease = disk.path("ending.json"), disk.path("lease")

@@ -36,8 +36,8 @@ def test_a_run_without_walls_has_copies_of_its_inputs(
     monkeypatch.setattr(process_sandbox, "is_available", lambda: False)
     runners.start()
     run = server.launch(
-        "from kleinkram.action import places\n"
-        "path = places.given / 'drive.bag'\n"
+        "from kleinkram.action import run_files\n"
+        "path = run_files.in_dir / 'drive.bag'\n"
         "path.chmod(0o600)\npath.write_text('spoilt')\n",
         {"drive.bag": b"bytes of a drive"},
         network=Network.open,

@@ -41,7 +41,7 @@ def bring(cache: InputCache, data: bytes, used: float) -> None:
     os.utime(cache._directory / f"{input_file(data).sha256}.seal", (used, used))
 
 
-def kept(cache: InputCache, *files: bytes) -> list[bool]:
+def stored(cache: InputCache, *files: bytes) -> list[bool]:
     return [(cache._directory / f"{input_file(data).sha256}.file").exists() for data in files]
 
 
@@ -64,20 +64,20 @@ def test_the_longest_unused_goes_first_and_what_is_used_stays(tmp_path: Path) ->
     bring(cache, old, 2)
     bring(cache, newer, 3)
     bring(cache, new, 4)
-    assert kept(cache, old, used, newer, new) == [False, True, True, True]
+    assert stored(cache, old, used, newer, new) == [False, True, True, True]
     with cache.pinned([input_file(newer)]):
         bring(cache, b"5" * 20, 5)
-    assert kept(cache, used, newer, new) == [True, True, False]
+    assert stored(cache, used, newer, new) == [True, True, False]
     (tmp_path / "in-a-run").unlink()
     bring(cache, b"6" * 30, 6)
-    assert kept(cache, used, newer, b"6" * 30) == [False, False, True]
+    assert stored(cache, used, newer, b"6" * 30) == [False, False, True]
 
 
 def test_other_bytes_are_fetched_once_more(tmp_path: Path) -> None:
     cache = InputCache(tmp_path / "cache", 1000)
     data, wrong = b"bytes of a drive", b"Bytes of a drive"
-    said = iter([wrong, data])
-    cache.get(input_file(data), lambda part: part.add(next(said)), wait)
+    values = iter([wrong, data])
+    cache.get(input_file(data), lambda part: part.add(next(values)), wait)
     cache.get(input_file(data), never, wait)
     other = input_file(b"x")
     with pytest.raises(InputDamaged):
@@ -123,7 +123,7 @@ def test_many_that_want_one_file_fetch_it_once(tmp_path: Path) -> None:
     assert calls == [data]
 
 
-def test_a_disk_without_room_is_told(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported(tmp_path: Path) -> None:
     cache = InputCache(tmp_path / "cache", 1000)
     with pytest.raises(NoSpace, match="are free"):
         cache.make_space([InputFile("0" * 64, 2**60)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,9 +11,9 @@ import pytest
 
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.runner.executors import docker
-from kleinkram.runner.executors.base import Job
+from kleinkram.runner.executors.base import RunJob
 from kleinkram.runner.executors.docker import ContainerLog
-from kleinkram.runner.executors.docker_client import ContainerInfo, DockerClient
+from kleinkram.runner.executors.docker_client import ContainerInfo, DockerClient, OutputPiece
 from kleinkram.runner.executors.docker_container import LOG_LABEL
 
 
@@ -23,14 +24,15 @@ class StoredOutput(DockerClient):
         super().__init__(Path("/nowhere"))
         self.pieces = pieces
 
-    def log(self, name: str, *, follow: bool, since_ns: int = 0) -> Iterator[bytes]:
+    def log(self, name: str, *, follow: bool, since_ns: int = 0) -> Iterator[list[OutputPiece]]:
         """Yield it; what is newer than a copy is the last piece."""
-        yield from self.pieces[-1:] if since_ns else self.pieces
+        for data in self.pieces[-1:] if since_ns else self.pieces:
+            yield [OutputPiece(1, data)]
 
 
 def copy(directory: Path, pieces: list[bytes], offset: int = 0) -> ContainerLog:
     """Copy the log of a container that has exited."""
-    log = ContainerLog(StoredOutput(pieces), Job("a-job", directory, [], None, Resources(), Network.none))
+    log = ContainerLog(StoredOutput(pieces), RunJob("a-job", directory, [], None, Resources(), Network.none))
     log.follow(ContainerInfo("one", "exited", 0, 0, was_out_of_memory=False, labels={LOG_LABEL: str(offset)}))
     log.finish()
     until = time.monotonic() + 20
@@ -42,13 +44,18 @@ def copy(directory: Path, pieces: list[bytes], offset: int = 0) -> ContainerLog:
 
 @pytest.mark.parametrize("copied", [b"", b"one\nt", b"one\ntwo\n", b"one\ntwo\nthree"])
 def test_a_copy_goes_on_where_it_was_interrupted(tmp_path: Path, copied: bytes) -> None:
-    (tmp_path / "log").write_bytes(b"of an earlier start\n" + copied)
+    earlier = b"of an earlier start\n"
+    (tmp_path / "log").write_bytes(earlier + copied)
+    # As written before an append that was cut short.
+    cursor = {"size": len(earlier), "copied": [0, 0], "next": 1}
+    (tmp_path / "log.cursor").write_text(json.dumps(cursor))
     copy(tmp_path, [b"one\n", b"two\nthree", b"\n"], offset=20)
     assert (tmp_path / "log").read_bytes() == b"of an earlier start\none\ntwo\nthree\n"
 
 
 def test_output_that_the_engine_dropped_is_marked(tmp_path: Path) -> None:
     (tmp_path / "log").write_bytes(b"one\ntwo\n")
+    (tmp_path / "log.cursor").write_text(json.dumps({"size": 0, "copied": [0, 0], "next": 1}))
     copy(tmp_path, [b"eight\n", b"nine\n"])
     assert (tmp_path / "log").read_bytes().startswith(b"one\ntwo\n\n[kleinkram] lines may be missing here")
     assert (tmp_path / "log").read_bytes().endswith(b"\nnine\n")

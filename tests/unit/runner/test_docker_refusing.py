@@ -11,7 +11,7 @@ from typing import ClassVar
 import pytest
 
 from kleinkram.contract.actions import Network, Resources
-from kleinkram.runner.executors.base import CannotStart, Job
+from kleinkram.runner.executors.base import CannotStart, RunJob
 from kleinkram.runner.executors.docker import DockerExecutor
 from kleinkram.runner.executors.docker_container import JOB_LABEL
 from tests.unit.runner.engines import with_engine
@@ -22,7 +22,7 @@ STATE = {"Status": "running", "Pid": 1, "ExitCode": 0, "StartedAt": "2026", "Fin
 class Refusing(BaseHTTPRequestHandler):
     """Has two containers of runs, and removes none."""
 
-    asked_to_remove: ClassVar[list[str]] = []
+    removal_requests: ClassVar[list[str]] = []
     answers: ClassVar[dict[str, object]] = {
         "/version": {"Arch": "amd64"},
         "/info": {},
@@ -38,35 +38,35 @@ class Refusing(BaseHTTPRequestHandler):
 
     def do_DELETE(self) -> None:
         """Refuse."""
-        self.asked_to_remove.append(self.path.partition("?")[0])
+        self.removal_requests.append(self.path.partition("?")[0])
         self._say(500, {"message": "device or resource busy"})
 
     def log_message(self, *_: object) -> None:
         """Say nothing."""
 
-    def _say(self, status: int, said: object) -> None:
+    def _say(self, status: int, values: object) -> None:
         self.send_response(status)
         self.end_headers()
-        self.wfile.write(json.dumps(said).encode())
+        self.wfile.write(json.dumps(values).encode())
 
 
 @pytest.fixture
 def executor(tmp_path: Path) -> Iterator[DockerExecutor]:
     """One with such an engine."""
-    Refusing.asked_to_remove.clear()
+    Refusing.removal_requests.clear()
     with with_engine(Refusing, tmp_path) as played:
         yield played
 
 
-def a_run(folder: Path) -> Job:
-    return Job("a-run", folder, [], "an-image", Resources(), Network.none)
+def a_run(folder: Path) -> RunJob:
+    return RunJob("a-run", folder, [], "an-image", Resources(), Network.none)
 
 
 def test_sweeping_goes_on_after_a_container_that_stays(
     executor: DockerExecutor, caplog: pytest.LogCaptureFixture
 ) -> None:
     executor.remove_others([])
-    assert Refusing.asked_to_remove == ["/containers/one", "/containers/other"]
+    assert Refusing.removal_requests == ["/containers/one", "/containers/other"]
     assert caplog.text.count("was not removed: device or resource busy") == 2
 
 

@@ -5,14 +5,14 @@ from pathlib import Path
 import pytest
 
 from kleinkram.contract.actions import Network, Resources
-from kleinkram.runner.executors.base import Job
+from kleinkram.runner.executors.base import RunJob
 from kleinkram.runner.executors.limits import LEASE
 from kleinkram.runner.executors.process import ProcessExecutor
 
 
 def test_a_directory_that_is_being_removed_does_not_get_its_lease_back(tmp_path: Path) -> None:
     executor = ProcessExecutor()
-    job = Job("a-job", tmp_path, [], None, Resources(), Network.none)
+    job = RunJob("a-job", tmp_path, [], None, Resources(), Network.none)
     with pytest.raises(FileNotFoundError):
         executor.set_lease(job, 1.0)
     assert [*tmp_path.iterdir()] == []

@@ -18,7 +18,7 @@ import pytest
 
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner.executors.base import Job, wait_for_end
+from kleinkram.runner.executors.base import RunJob, wait_for_end
 from kleinkram.runner.executors.docker import DockerExecutor
 from tests.requirements import missing, need
 from tests.unit.runner.engines import with_engine
@@ -69,12 +69,12 @@ class Podman(BaseHTTPRequestHandler):
     def log_message(self, *_: object) -> None:
         """Say nothing."""
 
-    def _say(self, status: int, said: bytes) -> None:
+    def _say(self, status: int, values: bytes) -> None:
         # Who only wants to know whether there is an answer reads none.
         with contextlib.suppress(BrokenPipeError):
             self.send_response(status)
             self.end_headers()
-            self.wfile.write(said)
+            self.wfile.write(values)
 
 
 @contextmanager
@@ -137,13 +137,13 @@ def executor(tmp_path: Path) -> Iterator[DockerExecutor]:
         yield played
 
 
-def a_run(folder: Path) -> Job:
+def a_run(folder: Path) -> RunJob:
     (folder / "run").mkdir()
-    return Job("a-run", folder / "run", ["/usr/bin/odd"], "an-image", Resources(), Network.none)
+    return RunJob("a-run", folder / "run", ["/usr/bin/odd"], "an-image", Resources(), Network.none)
 
 
 @pytest.mark.parametrize(("how", "stumbles"), [("ending", 0), ("unreaped", 0), ("gone", 0), ("gone", 1)])
-def test_a_command_that_is_not_there_is_told(executor: DockerExecutor, tmp_path: Path, how: str, stumbles: int) -> None:
+def test_a_missing_command_is_reported(executor: DockerExecutor, tmp_path: Path, how: str, stumbles: int) -> None:
     """The control groups of such a process are the machine's own, and Podman may stumble over it."""
     job = a_run(tmp_path)
     Podman.stumbles = stumbles

@@ -6,8 +6,8 @@ import pytest
 
 from kleinkram.contract.errors import FileExists, NameLeased, PathConflict
 from kleinkram.contract.uploads import UploadFile
-from kleinkram.server.uploads.queries import Content, ExistingFile, UploadRow
-from kleinkram.server.uploads.rules import Action, Facts, conflicts_among, decide, place
+from kleinkram.server.uploads.queries import ExistingFile, FileContent, UploadRow
+from kleinkram.server.uploads.rules import Action, RequestFacts, conflicts_among, decide, place
 
 _SHA = "ab" * 32
 _OTHER = "cd" * 32
@@ -15,7 +15,7 @@ _PERSON = uuid.UUID("00000000-0000-4000-8000-000000000001")
 _ID = uuid.UUID("0f0e0d0c-0b0a-4090-8070-605040302010")
 
 
-def _facts(**changes: Any) -> Facts:
+def _facts(**changes: Any) -> RequestFacts:
     values: dict[str, Any] = {
         "person_id": _PERSON,
         "may_read": True,
@@ -25,7 +25,7 @@ def _facts(**changes: Any) -> Facts:
         "duplicates": {},
         "conflicts": {},
     }
-    return Facts(**(values | changes))
+    return RequestFacts(**(values | changes))
 
 
 def _existing(*, state: str = "verified", path: str = "run.mcap") -> ExistingFile:
@@ -127,7 +127,7 @@ def test_another_size_does_not_resume() -> None:
 
 def test_a_possible_duplicate_is_hashed_first_and_then_linked() -> None:
     blob_id = uuid.uuid4()
-    facts = _facts(duplicate_sizes=frozenset({10}), duplicates={Content(10, bytes.fromhex(_SHA)): blob_id})
+    facts = _facts(duplicate_sizes=frozenset({10}), duplicates={FileContent(10, bytes.fromhex(_SHA)): blob_id})
     assert decide(_requested(), facts).action is Action.hash_first
     linked = decide(_requested(sha256=_SHA), facts)
     assert (linked.action, linked.blob_id) == (Action.link, blob_id)

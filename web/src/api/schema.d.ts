@@ -10,13 +10,13 @@ export interface paths {
         };
         /**
          * List Actions
-         * @description List the actions that match, by name: of projects that you may read, and of the whole lab.
+         * @description List actions by name: those of projects that you may read, and those of the whole lab.
          */
         get: operations["list_actions"];
         put?: never;
         /**
          * Create Action
-         * @description Publish an action, as its first version.
+         * @description Publish an action.
          */
         post: operations["create_action"];
         delete?: never;
@@ -44,7 +44,7 @@ export interface paths {
         head?: never;
         /**
          * Update Action
-         * @description Archive an action, or take it back. With If-Match, only where it is still of that ETag.
+         * @description Archive or restore an action. With If-Match, only if its ETag still matches.
          */
         patch: operations["update_action"];
         trace?: never;
@@ -64,7 +64,7 @@ export interface paths {
         put?: never;
         /**
          * Publish Action Version
-         * @description Publish a further version of an action. With If-Match, only where it is still of that ETag.
+         * @description Publish a further version of an action. With If-Match, only if its ETag still matches.
          */
         post: operations["publish_action_version"];
         delete?: never;
@@ -759,7 +759,7 @@ export interface paths {
         };
         /**
          * Get Lineage
-         * @description Say which run made a file, and which runs read it, with what came of that.
+         * @description Get the run that produced a file and the runs that read it.
          */
         get: operations["get_lineage"];
         put?: never;
@@ -859,7 +859,7 @@ export interface paths {
         };
         /**
          * List Findings
-         * @description List what runs noticed, latest first.
+         * @description List findings, latest first.
          */
         get: operations["list_findings"];
         put?: never;
@@ -1811,7 +1811,7 @@ export interface paths {
         };
         /**
          * List Run Metrics
-         * @description List the numbers that runs found, latest first.
+         * @description List metrics, latest first.
          */
         get: operations["list_run_metrics"];
         put?: never;
@@ -1831,7 +1831,7 @@ export interface paths {
         };
         /**
          * Get Run Context
-         * @description Get what a run is told of itself, its mission and its files.
+         * @description Get the content of `/in/mission.json`.
          */
         get: operations["get_run_context"];
         put?: never;
@@ -1853,7 +1853,7 @@ export interface paths {
         put?: never;
         /**
          * Finish Run
-         * @description Say how a run ended, once all that it left is uploaded.
+         * @description Report the end of a run, once its artifacts are uploaded.
          */
         post: operations["finish_run"];
         delete?: never;
@@ -1873,7 +1873,7 @@ export interface paths {
         put?: never;
         /**
          * Sign Inputs
-         * @description Get where to read inputs.
+         * @description Get URLs of inputs.
          */
         post: operations["sign_inputs"];
         delete?: never;
@@ -1893,7 +1893,7 @@ export interface paths {
         put?: never;
         /**
          * Create Log Chunk
-         * @description Get where to store a piece of a log.
+         * @description Get a URL to upload a chunk of the log to.
          */
         post: operations["create_log_chunk"];
         delete?: never;
@@ -1913,7 +1913,7 @@ export interface paths {
         put?: never;
         /**
          * Confirm Log Chunk
-         * @description Say that a piece of a log was stored: people see it from then on.
+         * @description Confirm that a chunk of the log was uploaded; it becomes visible.
          */
         post: operations["confirm_log_chunk"];
         delete?: never;
@@ -1932,8 +1932,8 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Begin Uploads Of Run
-         * @description Say what a run left, and hear what to send: by the same protocol as files of a mission.
+         * Create Artifact Uploads
+         * @description Start uploads of artifacts, by the same protocol as files of a mission.
          */
         post: operations["create_artifact_uploads"];
         delete?: never;
@@ -1951,13 +1951,13 @@ export interface paths {
         };
         /**
          * List Runners
-         * @description List the runners, by name.
+         * @description List runners by name.
          */
         get: operations["list_runners"];
         put?: never;
         /**
          * Register Runner
-         * @description Say what a runner is, whenever it starts.
+         * @description Register a runner, or update its description.
          */
         post: operations["register_runner"];
         delete?: never;
@@ -1977,7 +1977,7 @@ export interface paths {
         put?: never;
         /**
          * Claim Run
-         * @description Ask for a run that fits what is free, and wait for one.
+         * @description Claim a run that fits the free resources; wait for one.
          */
         post: operations["claim_run"];
         delete?: never;
@@ -1996,8 +1996,8 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Beat
-         * @description Say what all runs are at, and hear which are to end.
+         * Send Heartbeats
+         * @description Report the states of all runs, and renew their leases.
          */
         post: operations["send_heartbeats"];
         delete?: never;
@@ -2015,13 +2015,13 @@ export interface paths {
         };
         /**
          * List Runs
-         * @description List the runs that match, latest first.
+         * @description List runs, latest first.
          */
         get: operations["list_runs"];
         put?: never;
         /**
          * Create Runs
-         * @description Run an action on each of some missions; says for each mission whether there is a run.
+         * @description Run an action on each of some missions, with an outcome for each.
          */
         post: operations["create_runs"];
         delete?: never;
@@ -2039,7 +2039,7 @@ export interface paths {
         };
         /**
          * Get Run
-         * @description Get a run with all that fits one answer.
+         * @description Get a run with its details.
          */
         get: operations["get_run"];
         put?: never;
@@ -2059,7 +2059,7 @@ export interface paths {
         };
         /**
          * List Artifacts
-         * @description List what a run left, by path.
+         * @description List the artifacts of a run by path.
          */
         get: operations["list_artifacts"];
         put?: never;
@@ -2081,7 +2081,7 @@ export interface paths {
         put?: never;
         /**
          * Download Artifacts
-         * @description Return where to read artifacts; who asked is noted.
+         * @description Return URLs of artifacts, and record the download in the audit log.
          */
         post: operations["download_artifacts"];
         delete?: never;
@@ -2101,7 +2101,7 @@ export interface paths {
         put?: never;
         /**
          * Cancel Run
-         * @description Cancel a run; one that a runner has ends within seconds.
+         * @description Cancel a run; a running one ends within seconds.
          */
         post: operations["cancel_run"];
         delete?: never;
@@ -2119,7 +2119,7 @@ export interface paths {
         };
         /**
          * List Run Inputs
-         * @description List what a run was given, by path.
+         * @description List the inputs of a run by path.
          */
         get: operations["list_run_inputs"];
         put?: never;
@@ -2139,7 +2139,7 @@ export interface paths {
         };
         /**
          * Get Run Log
-         * @description Get a piece of what a run wrote. Ask from `next_offset` on for the next one, until `is_over`.
+         * @description Get a chunk of the log of a run. The next one starts at `next_offset`, until `is_over`.
          */
         get: operations["get_run_log"];
         put?: never;
@@ -2161,7 +2161,7 @@ export interface paths {
         put?: never;
         /**
          * Retry Run
-         * @description Run the same once more, on the files as they are now; with `force` though a good run of it is there.
+         * @description Launch the same action again, on the current files; with `force`, without reusing results.
          */
         post: operations["retry_run"];
         delete?: never;
@@ -3266,7 +3266,7 @@ export interface components {
          * @description Why a run ended. `done` and `exit_code` come from the command itself.
          * @enum {string}
          */
-        EndReason: "done" | "exit_code" | "signal" | "memory" | "time" | "disk" | "cancelled" | "command_not_found" | "image_unavailable" | "not_possible" | "inputs_unavailable" | "broken_report" | "results_not_kept" | "lost";
+        EndReason: "done" | "exit_code" | "signal" | "memory" | "time" | "disk" | "cancelled" | "command_not_found" | "image_unavailable" | "not_possible" | "inputs_unavailable" | "broken_report" | "results_not_stored" | "lost";
         /**
          * ErrorCode
          * @description The closed set of failures.

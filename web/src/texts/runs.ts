@@ -34,7 +34,7 @@ export const reasonTexts: Readonly<Record<EndReason, string>> = {
   not_possible: "The runner cannot give what it asks for.",
   inputs_unavailable: "Its files could not be had.",
   broken_report: "What it reported cannot be read.",
-  results_not_kept: "What it left could not be kept.",
+  results_not_stored: "Its results could not be stored.",
   lost: "Its runners were lost.",
 };
 

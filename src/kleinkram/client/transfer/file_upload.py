@@ -92,10 +92,10 @@ class FileUpload:
 
     def is_stored(self, number: int, size_bytes: int, checksum: str) -> bool:
         """Say whether the store holds these very bytes: our journal's checksum and the store's etag both agree."""
-        held = self._stored_parts.get(number)
+        stored = self._stored_parts.get(number)
         remembered = self.journal.remembered
         written = remembered.parts.get(number) if remembered else None
-        return held is not None and written is not None and _agree(held, written, size_bytes, checksum)
+        return stored is not None and written is not None and _agree(stored, written, size_bytes, checksum)
 
     def add_part(self) -> None:
         """Count one more part to be sent."""
@@ -142,6 +142,6 @@ class FileUpload:
         return self.whole.sha256.hexdigest()
 
 
-def _agree(held: StoredPart, written: JournalPart, size_bytes: int, checksum: str) -> bool:
-    same_etag = held.etag.strip('"') == written.etag.strip('"')
-    return same_etag and held.size_bytes == size_bytes and written.checksum == checksum
+def _agree(stored: StoredPart, written: JournalPart, size_bytes: int, checksum: str) -> bool:
+    same_etag = stored.etag.strip('"') == written.etag.strip('"')
+    return same_etag and stored.size_bytes == size_bytes and written.checksum == checksum

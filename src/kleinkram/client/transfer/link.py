@@ -324,13 +324,13 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
 def diagnose(api_url: str, store_url: str | None) -> str:
     """Return which part of the way to the server does not work, by trying it now: some seconds."""
     places = [("the server", api_url)] + ([("the store", store_url)] if store_url else [])
-    found = [(what, urlsplit(url).netloc, _try_to_connect(url)) for what, url in places]
-    failed = [f"{what} ({place}) cannot be reached: {reason}" for what, place, reason in found if reason]
+    reachability = [(what, urlsplit(url).netloc, _try_to_connect(url)) for what, url in places]
+    failed = [f"{what} ({place}) cannot be reached: {reason}" for what, place, reason in reachability if reason]
     if not failed:
         again = "It can be reached" if len(places) == 1 else "Both can be reached"
         return f"{again} again now. Run the same command again; what has arrived stays."
-    if len(failed) < len(found):
-        works = ", ".join(f"{what} ({place}) answers" for what, place, reason in found if not reason)
+    if len(failed) < len(reachability):
+        works = ", ".join(f"{what} ({place}) answers" for what, place, reason in reachability if not reason)
         return f"{failed[0]}, while {works}. Ask whoever runs the server: one part of it is away, or behind a firewall."
     return f"{'; '.join(failed)}. Look at this machine's network first: cable, Wi-Fi, VPN, name server."
 

@@ -117,7 +117,7 @@ class _PutConnection(WatchedConnection):
             incoming.read(len(head))
             etag = _ETAG.search(head)
             return Reply(200, etag.group(1).decode("latin-1") if etag else "", b"")
-        answer = http.client.HTTPResponse(cast("Any", _Begun(incoming)), method="PUT")
+        answer = http.client.HTTPResponse(cast("Any", _BufferedSocket(incoming)), method="PUT")
         answer.begin()
         reply = Reply(answer.status, answer.headers.get("ETag", ""), answer.read())
         self._incoming = None  # reading to the answer's end has closed it
@@ -126,7 +126,7 @@ class _PutConnection(WatchedConnection):
         return reply
 
 
-class _Begun:
+class _BufferedSocket:
     """Stands for a socket of which something has been read already: that and what follows is in `stream`."""
 
     def __init__(self, stream: io.BufferedReader) -> None:
@@ -160,11 +160,11 @@ class _Pool(HTTPConnectionPool):
             self._put_conn(connection)
 
 
-class _PlainPool(_Pool):
+class _PlainPutPool(_Pool):
     ConnectionCls = _PlainConnection
 
 
-class _TlsPool(_Pool, HTTPSConnectionPool):
+class _TlsPutPool(_Pool, HTTPSConnectionPool):
     ConnectionCls = _TlsConnection
 
 
@@ -174,7 +174,7 @@ class Connections(WatchedPools):
     def __init__(self, most: int) -> None:
         timeout = urllib3.Timeout(connect=CONNECT_TIMEOUT_S, read=READ_TIMEOUT_S)
         super().__init__(_STORES, maxsize=most, timeout=timeout)
-        self.pool_classes_by_scheme = {"http": _PlainPool, "https": _TlsPool}
+        self.pool_classes_by_scheme = {"http": _PlainPutPool, "https": _TlsPutPool}
         self._stores: dict[str, _Pool] = {}
 
     def put(self, url: str, headers: Mapping[str, str], body: Iterable[FileSlice | bytes]) -> Reply:
@@ -372,8 +372,8 @@ def meaning(status: int, code: str) -> StoreAnswer:
 
 
 def _code(body: bytes) -> str:
-    found = _CODE.search(body)
-    return found.group(1).decode() if found else ""
+    match = _CODE.search(body)
+    return match.group(1).decode() if match else ""
 
 
 def _reason(status: int, code: str) -> str:

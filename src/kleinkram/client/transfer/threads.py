@@ -63,7 +63,7 @@ class WorkQueue(Generic[T]):
     def __init__(self, stop: Stop) -> None:
         self._stop = stop
         self._items: deque[T] = deque()
-        self._wanted = 1
+        self._needed_items = 1
         self._changed = stop.condition()
 
     def put(self, item: T) -> None:
@@ -71,7 +71,9 @@ class WorkQueue(Generic[T]):
         self._stop.check()
         with self._changed:
             self._items.append(item)
-            if len(self._items) >= self._wanted:  # to wake a thread that waits for more costs more than all else here
+            if (
+                len(self._items) >= self._needed_items
+            ):  # to wake a thread that waits for more costs more than all else here
                 self._changed.notify()
 
     def take(self, at_most: int, timeout_s: float | None = None, *, at_least: int = 1) -> list[T]:
@@ -84,7 +86,7 @@ class WorkQueue(Generic[T]):
         """
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         with self._changed:
-            self._wanted = at_least
+            self._needed_items = at_least
             while len(self._items) < at_least:
                 self._stop.check()
                 left = None if deadline is None else deadline - time.monotonic()

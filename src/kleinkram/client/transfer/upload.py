@@ -206,8 +206,8 @@ class Uploader:
             candidate.close()
             self._watcher.skipped(file.path, file.size_bytes, file.size_bytes)
             outcome = Outcome(decision.decision)
-            kept = decision.file
-            file_id, sha256 = (kept.id, kept.sha256) if kept else (None, _known_hash(candidate))
+            existing = decision.file
+            file_id, sha256 = (existing.id, existing.sha256) if existing else (None, _known_hash(candidate))
             result = TransferResult(file.path, file.source, file.size_bytes, outcome, 0, file_id, sha256)
             self._ended(result)
         else:

@@ -31,14 +31,14 @@ class PortForward:
 
 @dataclass(frozen=True)
 class PinnedImage:
-    """An available image. `reference` is for `Job.image` of this executor; `digest` (`sha256:…`) holds everywhere."""
+    """An available image. `reference` is for `RunJob.image`; `digest` (`sha256:…`) holds everywhere."""
 
     reference: str
     digest: str
 
 
 @dataclass(frozen=True)
-class Job:
+class RunJob:
     """One attempt at a run. `key` is unique among all attempts and consists of letters, digits and `-`.
 
     `directory` belongs to the job and has the inputs in `in/`. `command` empty: the command of the image.
@@ -109,7 +109,7 @@ class Executor(ABC):
         """
 
     @abstractmethod
-    def submit(self, job: Job) -> None:
+    def submit(self, job: RunJob) -> None:
         """Start a job and return.
 
         Raises:
@@ -117,11 +117,11 @@ class Executor(ABC):
         """
 
     @abstractmethod
-    def poll(self, job: Job) -> Ending | None:
+    def poll(self, job: RunJob) -> Ending | None:
         """Return how a job ended, or None while it runs; enforce its limits. To be called at least every second."""
 
     @abstractmethod
-    def set_lease(self, job: Job, until_s: float, *, create: bool = False) -> None:
+    def set_lease(self, job: RunJob, until_s: float, *, create: bool = False) -> None:
         """Have a job ended at `until_s` (of `boot_time_s`) unless that is extended. `create`: it has no lease yet.
 
         Raises:
@@ -129,11 +129,11 @@ class Executor(ABC):
         """
 
     @abstractmethod
-    def read_log(self, job: Job, offset: int, size_bytes: int) -> bytes:
+    def read_log(self, job: RunJob, offset: int, size_bytes: int) -> bytes:
         """Return bytes of the output of a job, which are final once they are there; empty where there are none yet."""
 
     @abstractmethod
-    def cancel(self, job: Job) -> None:
+    def cancel(self, job: RunJob) -> None:
         """Ask a job to end, and kill it `GRACE_S` later; return at once. No effect on one that has ended.
 
         Raises:
@@ -141,15 +141,15 @@ class Executor(ABC):
         """
 
     @abstractmethod
-    def usage(self, job: Job) -> Usage | None:
+    def usage(self, job: RunJob) -> Usage | None:
         """Return the last known usage of a job."""
 
     @abstractmethod
-    def collect(self, job: Job) -> Path:
+    def collect(self, job: RunJob) -> Path:
         """Return the directory on this machine with the files that an ended job left in `/out`."""
 
     @abstractmethod
-    def remove(self, job: Job) -> None:
+    def remove(self, job: RunJob) -> None:
         """Kill a job if it runs, and forget it; its directory stays."""
 
     @abstractmethod
@@ -157,7 +157,7 @@ class Executor(ABC):
         """Remove the jobs of this runner whose keys are not known."""
 
 
-def wait_for_end(executor: Executor, job: Job, timeout_s: float) -> Ending | None:
+def wait_for_end(executor: Executor, job: RunJob, timeout_s: float) -> Ending | None:
     """Poll a job until it has ended, and return how; None after the timeout."""
     deadline = time.monotonic() + timeout_s
     pause_s = 0.02

@@ -70,6 +70,13 @@ class ContainerInfo(NamedTuple):
     labels: dict[str, str]
 
 
+class OutputPiece(NamedTuple):
+    """Output of a container; `stream` is 1 for stdout, 2 for stderr."""
+
+    stream: int
+    data: bytes
+
+
 def find_socket() -> Path | None:
     """Return the socket of the engine of this machine: `DOCKER_HOST`, or one of the usual places."""
     host = os.environ.get("DOCKER_HOST")
@@ -195,8 +202,8 @@ class DockerClient:
         containers = self._request("GET", f"/containers/json?{urlencode({'all': 1, 'filters': filters})}")
         return [(container["Id"], container["Labels"]) for container in containers]
 
-    def log(self, name: str, *, follow: bool, since_ns: int = 0) -> Iterator[bytes]:
-        """Yield the stored output of a container, line by line at least; then new output, where `follow`."""
+    def log(self, name: str, *, follow: bool, since_ns: int = 0) -> Iterator[list[OutputPiece]]:
+        """Yield the stored output of a container, in batches; then new output, where `follow`."""
         since = f"{since_ns // 10**9}.{since_ns % 10**9:09d}"
         query = {"follow": int(follow), "stdout": 1, "stderr": 1, "since": since}
         with self._open("GET", f"/containers/{name}/logs?{urlencode(query)}", timeout_s=None) as answer:
@@ -261,18 +268,18 @@ def _message(text: bytes) -> str:
         return text.decode(errors="replace").strip()
 
 
-def _frames(answer: BufferedReader) -> Iterator[bytes]:
-    """Yield the content of complete frames. A frame: one byte for the stream, three unused, four for the size."""
+def _frames(answer: BufferedReader) -> Iterator[list[OutputPiece]]:
+    """Yield complete frames, in batches. A frame: one byte for the stream, three unused, four for the size."""
     pending = b""
     while data := answer.read1(2**18):
         pending += data
-        position, contents = 0, []
+        position, pieces = 0, []
         while position + 8 <= len(pending):
             end = position + 8 + int.from_bytes(pending[position + 4 : position + 8], "big")
             if end > len(pending):
                 break
-            contents.append(pending[position + 8 : end])
+            pieces.append(OutputPiece(pending[position], pending[position + 8 : end]))
             position = end
         pending = pending[position:]
-        if contents:
-            yield b"".join(contents)
+        if pieces:
+            yield pieces

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from kleinkram.contract.actions import Network
-from kleinkram.runner.executors.base import Job
+from kleinkram.runner.executors.base import RunJob
 from kleinkram.runner.executors.docker_client import ImageInfo
 from kleinkram.runner.executors.port_forward import host_entries
 
@@ -47,13 +47,13 @@ _SHELL_ERROR = re.compile(rf"^{_SHELL_NAME}: (?:exec: )?(?:line )?\d+: (?:exec: 
 _CGROUPS = Path("/sys/fs/cgroup")
 
 
-def container_name(job: Job) -> str:
+def container_name(job: RunJob) -> str:
     """Return the name of the container of a job."""
     return f"kleinkram-{job.key}"
 
 
 def describe(
-    job: Job, *, user: str, volumes: Sequence[str], labels: Mapping[str, str], is_podman: bool = False
+    job: RunJob, *, user: str, volumes: Sequence[str], labels: Mapping[str, str], is_podman: bool = False
 ) -> dict[str, Any]:
     """Return the description of the container of a job. `volumes`: further directories that its image writes to."""
     environment = {"HOME": "/tmp", "TMPDIR": "/tmp", "PYTHONUNBUFFERED": "1", **job.environment}  # noqa: S108
@@ -77,7 +77,7 @@ def describe(
     }
 
 
-def with_barrier(description: Mapping[str, Any], job: Job, image: ImageInfo) -> dict[str, Any]:
+def with_barrier(description: Mapping[str, Any], job: RunJob, image: ImageInfo) -> dict[str, Any]:
     """Return a description whose command waits for `open_barrier`; unchanged where there is no command at all."""
     command = [*image.entrypoint, *(job.command or image.command)]
     if not command:
@@ -104,7 +104,7 @@ def open_barrier(directory: Path) -> int | None:
     return descriptor
 
 
-def _limits(job: Job) -> dict[str, Any]:
+def _limits(job: RunJob) -> dict[str, Any]:
     resources = job.resources
     largest = resources.disk_bytes + _FILE_MARGIN_BYTES
     return {
@@ -134,7 +134,7 @@ def _ulimit(name: str, kind: int, value: int) -> dict[str, Any]:
     return {"Name": name, "Soft": allowed, "Hard": allowed}
 
 
-def _isolation(job: Job) -> dict[str, Any]:
+def _isolation(job: RunJob) -> dict[str, Any]:
     names = host_entries([forward.host for forward in job.port_forwards])
     return {
         "NetworkMode": "bridge" if job.network is Network.open else "none",
@@ -151,14 +151,14 @@ def _isolation(job: Job) -> dict[str, Any]:
     }
 
 
-def _mounts(job: Job, volumes: Sequence[str]) -> list[dict[str, Any]]:
+def _mounts(job: RunJob, volumes: Sequence[str]) -> list[dict[str, Any]]:
     own = [_bind(job.directory / path[1:], path, read_only=path == "/in") for path in _OWN_DIRECTORIES]
     # Volumes that the engine would create have no limit.
     others = [path for path in volumes if path.rstrip("/") not in _OWN_DIRECTORIES]
     return own + [_bind(volume_directory(job, number), path) for number, path in enumerate(others)]
 
 
-def volume_directory(job: Job, number: int) -> Path:
+def volume_directory(job: RunJob, number: int) -> Path:
     """Return the directory of a volume of the image: its content counts as `/tmp`."""
     return job.directory / "tmp" / f".volume-{number}"
 

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from kleinkram.contract.runners import Capacity, Isolation
 from kleinkram.contract.runs import LOG_BYTES, EndReason
-from kleinkram.runner.executors.base import CannotStart, Ending, Executor, InputSource, Job
+from kleinkram.runner.executors.base import CannotStart, Ending, Executor, InputSource, RunJob
 from kleinkram.runner.executors.limits import LEASE, LOG, JobLimits
 from kleinkram.runner.executors.port_forward import loopback_addresses
 from kleinkram.runner.files import write_in_place
@@ -102,11 +102,11 @@ class LocalExecutor(Executor):
                 target.parent.mkdir(parents=True, exist_ok=True)
                 place(file, target)
 
-    def set_lease(self, job: Job, until_s: float, *, create: bool = False) -> None:
+    def set_lease(self, job: RunJob, until_s: float, *, create: bool = False) -> None:
         """Write the lease beside the job. A directory that is being removed does not get it back."""
         write_in_place(job.directory / LEASE, str(until_s), create=create)
 
-    def read_log(self, job: Job, offset: int, size_bytes: int) -> bytes:
+    def read_log(self, job: RunJob, offset: int, size_bytes: int) -> bytes:
         """Read the log file of the job."""
         try:
             with (job.directory / LOG).open("rb") as stream:
@@ -115,7 +115,7 @@ class LocalExecutor(Executor):
         except FileNotFoundError:
             return b""
 
-    def collect(self, job: Job) -> Path:
+    def collect(self, job: RunJob) -> Path:
         """Return the directory that the job saw as `/out`."""
         return job.directory / "out"
 
@@ -123,7 +123,7 @@ class LocalExecutor(Executor):
     def _network_refusal(self, network: str) -> str:
         """Return why jobs cannot have a network."""
 
-    def _check_network(self, job: Job) -> None:
+    def _check_network(self, job: RunJob) -> None:
         if job.network not in self.abilities.networks:
             raise cannot_start(self._network_refusal(job.network.value))
         try:
@@ -142,12 +142,12 @@ def cannot_start(message: str, reason: EndReason = EndReason.not_possible) -> Ca
     return CannotStart(Ending(reason, message))
 
 
-def limits_of(job: Job) -> JobLimits:
+def limits_of(job: RunJob) -> JobLimits:
     """Return the limits of a job."""
     return JobLimits(job.resources.memory_bytes, job.resources.disk_bytes, job.resources.time_s, LOG_BYTES)
 
 
-def make_directories(job: Job, *, own_uid: bool) -> int | None:
+def make_directories(job: RunJob, *, own_uid: bool) -> int | None:
     """Create the directories of a job and return its uid; None where it runs as the user of the runner."""
     uid = _FIRST_UID + zlib.crc32(job.key.encode()) % _UIDS if own_uid else None
     for name in ("in", "out", "tmp"):

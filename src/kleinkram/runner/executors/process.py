@@ -14,12 +14,12 @@ import sys
 import time
 from collections.abc import Collection
 
-from kleinkram.action.places import IN_VARIABLE, OUT_VARIABLE
+from kleinkram.action.run_files import IN_VARIABLE, OUT_VARIABLE
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import ExecutorAbilities, Isolation
 from kleinkram.contract.runs import EndReason, Usage
 from kleinkram.runner.executors import process_sandbox, process_supervisor
-from kleinkram.runner.executors.base import Ending, Job, PinnedImage
+from kleinkram.runner.executors.base import Ending, PinnedImage, RunJob
 from kleinkram.runner.executors.limits import ENDING, USAGE
 from kleinkram.runner.executors.local import LocalExecutor, Machine, cannot_start, limits_of, make_directories
 from kleinkram.runner.files import reserve, write_atomically
@@ -55,7 +55,7 @@ class ProcessExecutor(LocalExecutor):
         """Refuse all images."""
         raise cannot_start(_NO_IMAGES)
 
-    def submit(self, job: Job) -> None:
+    def submit(self, job: RunJob) -> None:
         """Start the supervisor of a job."""
         if job.image is not None:
             raise cannot_start(_NO_IMAGES)
@@ -75,7 +75,7 @@ class ProcessExecutor(LocalExecutor):
         reserve(job.directory / ENDING)
         self._start_supervisor(job)
 
-    def poll(self, job: Job) -> Ending | None:
+    def poll(self, job: RunJob) -> Ending | None:
         """Return the ending that the supervisor wrote, once the supervisor is gone."""
         if self._supervisor_pid(job) is not None:
             return None
@@ -87,18 +87,18 @@ class ProcessExecutor(LocalExecutor):
             return _LOST
         return Ending(EndReason(ending["reason"]), ending["message"], ending["exit_code"])
 
-    def cancel(self, job: Job) -> None:
+    def cancel(self, job: RunJob) -> None:
         """Send SIGTERM to the supervisor."""
         self._signal(job, signal.SIGTERM)
 
-    def usage(self, job: Job) -> Usage | None:
+    def usage(self, job: RunJob) -> Usage | None:
         """Return the usage that the supervisor wrote last."""
         try:
             return Usage(**json.loads((job.directory / USAGE).read_text()))
         except FileNotFoundError:
             return None
 
-    def remove(self, job: Job) -> None:
+    def remove(self, job: RunJob) -> None:
         """Kill the supervisor, which kills the job."""
         # A supervisor that has just been started does nothing without it.
         (job.directory / process_supervisor.JOB).unlink(missing_ok=True)
@@ -111,7 +111,7 @@ class ProcessExecutor(LocalExecutor):
     def remove_others(self, known_keys: Collection[str]) -> None:
         """Do nothing: supervisors end jobs whose lease is not extended."""
 
-    def _start_supervisor(self, job: Job) -> None:
+    def _start_supervisor(self, job: RunJob) -> None:
         lock = os.open(job.directory / process_supervisor.LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
             _acquire(lock)
@@ -137,7 +137,7 @@ class ProcessExecutor(LocalExecutor):
             # The supervisor has the lock until it ends.
             os.close(lock)
 
-    def _supervisor_pid(self, job: Job) -> int | None:
+    def _supervisor_pid(self, job: RunJob) -> int | None:
         """Return the pid of the supervisor, 0 where it is about to start; None where there is none."""
         try:
             lock = os.open(job.directory / process_supervisor.LOCK, os.O_RDWR | os.O_CLOEXEC)
@@ -152,14 +152,14 @@ class ProcessExecutor(LocalExecutor):
         finally:
             os.close(lock)
 
-    def _signal(self, job: Job, number: signal.Signals) -> None:
+    def _signal(self, job: RunJob, number: signal.Signals) -> None:
         if pid := self._supervisor_pid(job):
             try:
                 os.kill(pid, number)
             except ProcessLookupError:
                 return
 
-    def _environment(self, job: Job) -> dict[str, str]:
+    def _environment(self, job: RunJob) -> dict[str, str]:
         environment = {"PATH": os.environ.get("PATH", os.defpath), "LANG": "C.UTF-8", "PYTHONUNBUFFERED": "1"}
         if self._is_isolated:
             return {**environment, "HOME": "/tmp", "TMPDIR": "/tmp", **job.environment}  # noqa: S108  the job's own

@@ -63,7 +63,7 @@ class _ProcessUsage:
     written_bytes: int = 0
 
 
-class Supervisor:
+class JobSupervisor:
     """Runs one job to its end."""
 
     def __init__(self, directory: Path, lock: int, job: dict[str, Any]) -> None:
@@ -295,7 +295,7 @@ def main() -> None:
     os.set_inheritable(lock, False)
     write_pid(lock, os.getpid())
     with contextlib.suppress(FileNotFoundError):
-        Supervisor(directory, lock, json.loads((directory / JOB).read_text())).run()
+        JobSupervisor(directory, lock, json.loads((directory / JOB).read_text())).run()
 
 
 if __name__ == "__main__":

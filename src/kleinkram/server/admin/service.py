@@ -33,7 +33,7 @@ from kleinkram.server.health.readiness import readiness
 from kleinkram.server.health.worker_heartbeat import find_workers
 from kleinkram.server.home.service import is_low, store_use
 from kleinkram.server.migrations import HEAD
-from kleinkram.server.runners.scheduling import (
+from kleinkram.server.runners.eligibility import (
     has_single_person,
     invitation_warning,
     known_runners,

@@ -12,7 +12,7 @@ from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.paging import Page
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.operations import OPERATIONS, On
+from kleinkram.server.access.operations import OPERATIONS, ResourceKind
 from kleinkram.server.audit import queries
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection, Database, insert_rows, unnest_rows
@@ -117,7 +117,7 @@ def _needed(actor: Actor, event: Event) -> int:
     """Return the level that an event took on its place."""
     operation = event.takes or actor.operation
     need = None if operation is None else OPERATIONS[operation]
-    if event.by_power or (need is not None and need.on is On.server):
+    if event.by_power or (need is not None and need.on is ResourceKind.server):
         return _POWER
     if need is None:
         return Right.delete.level  # nobody said what it took: no less is enough

@@ -17,7 +17,7 @@ from kleinkram.contract.rights import GroupKind, Scope
 from kleinkram.contract.signing_in import CredentialKind, CredentialRead, MeRead
 from kleinkram.server.access.actor import Actor, ActorKind, unexpired
 from kleinkram.server.access.groups import OWNER_ID
-from kleinkram.server.access.rights import hold_person
+from kleinkram.server.access.rights import lock_person
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.auth.totp import read_totp
 from kleinkram.server.db import Connection
@@ -131,7 +131,7 @@ async def unlink_identity(db: Connection, actor: Actor, *, identity_id: uuid.UUI
     """
     if actor.person_id is not None:
         # Serializes concurrent requests, which could otherwise unlink all identities.
-        await hold_person(db, actor.person_id)
+        await lock_person(db, actor.person_id)
     identities = await list_identities(db, actor, settings=settings)
     unlinked = next((candidate for candidate in identities if candidate.id == identity_id), None)
     if unlinked is None:

@@ -40,12 +40,12 @@ from kleinkram.contract.errors import (
 from kleinkram.contract.metadata import Metadata
 from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.access.groups import add_person, prove_address
-from kleinkram.server.access.rights import hold_person
+from kleinkram.server.access.rights import lock_person
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.auth.one_time_codes import CodeRequest, create_code, get_code, require_person, use_code
 from kleinkram.server.auth.sessions import end_sessions
 from kleinkram.server.db import Connection, Database
-from kleinkram.server.runners.scheduling import has_single_person, invitation_warning, known_runners
+from kleinkram.server.runners.eligibility import has_single_person, invitation_warning, known_runners
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import password, person, person_email
 from kleinkram.server.tables.signing_in import CodePurpose
@@ -340,7 +340,7 @@ async def reset_password(db: Connection, guest: Actor, *, reset: PasswordReset, 
     if owner is None:
         raise SignInRefused(reason="this account is deactivated. Ask an admin of this server.")
     actor = owner.asking(guest.operation or "", request_id=guest.request_id, address=guest.address)
-    await hold_person(db, person_id)
+    await lock_person(db, person_id)
     await _set_checked_password(
         db, person_id, name=owner.name, new=reset.password, password_hash=password_hash, field="password"
     )

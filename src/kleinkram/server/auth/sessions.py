@@ -11,7 +11,7 @@ from kleinkram.contract.errors import NotFound, SignInRefused
 from kleinkram.contract.paging import Page
 from kleinkram.contract.signing_in import SessionRead
 from kleinkram.server.access.actor import Actor, find_person, secret_hash
-from kleinkram.server.access.rights import see_that_they_stay
+from kleinkram.server.access.rights import ensure_active_person
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection
 from kleinkram.server.paging import Order, PageRequest, fetch_page
@@ -51,7 +51,7 @@ async def start_session(
     person = await find_person(db, person_id)
     if person is None:
         raise SignInRefused(reason="this account is deactivated. Ask an admin of this server.")
-    await see_that_they_stay(db, person_id)
+    await ensure_active_person(db, person_id)
     session_id, secret = uuid.uuid4(), secrets.token_urlsafe(_SECRET_BYTES)
     actor = replace(
         person,

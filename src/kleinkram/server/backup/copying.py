@@ -40,7 +40,7 @@ class _Gone(Exception):
 
 
 @dataclass
-class ScrubCounts:
+class CopyCounts:
     """What has been done so far. `copied`: contents that were not there before."""
 
     objects: int = 0
@@ -55,7 +55,7 @@ class ScrubCounts:
 class Lister:
     """Keeps the list of objects, piece by piece."""
 
-    def __init__(self, repository: Repository, tally: ScrubCounts) -> None:
+    def __init__(self, repository: Repository, tally: CopyCounts) -> None:
         self._repository = repository
         self._tally = tally
         self._pieces: list[Piece] = []
@@ -98,7 +98,7 @@ class Copier:
     repository: Repository
     held: Names
     pace: Pace
-    tally: ScrubCounts
+    tally: CopyCounts
     lister: Lister
     is_still_named: Callable[[str], Awaitable[bool]]
     check: Callable[[], None]

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import psycopg
 
 import kleinkram
-from kleinkram.server.backup.copying import Copier, Lister, ScrubCounts, side_by_side
+from kleinkram.server.backup.copying import Copier, CopyCounts, Lister, side_by_side
 from kleinkram.server.backup.dumping import WantedList, copy_table, facts, one_moment, sequences
 from kleinkram.server.backup.failing import CannotWrite, InTheWay, Unreachable
 from kleinkram.server.backup.hold import holding_back
@@ -44,7 +44,7 @@ class Made:
     """A backup that was made, and what it took."""
 
     snapshot: Snapshot
-    tally: ScrubCounts
+    tally: CopyCounts
 
 
 async def create(settings: Settings, making: Making) -> Made:
@@ -81,7 +81,7 @@ async def _create(
     settings: Settings, making: Making, repository: Repository, wanted: WantedList, presence: Presence
 ) -> Made:
     dsn = plain_dsn(settings.migration_database_url or settings.database_url)
-    tally = ScrubCounts()
+    tally = CopyCounts()
 
     def so_far() -> str:
         done = f"{tally.objects} of {wanted.count} objects, {amount(tally.object_bytes)} of {amount(wanted.size_bytes)}"

@@ -23,7 +23,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from kleinkram.server.home import queries
-from kleinkram.server.runners.scheduling import has_single_person, known_runners, reason_never_starts
+from kleinkram.server.runners.eligibility import has_single_person, known_runners, reason_never_starts
 from kleinkram.server.settings import Settings
 
 _MISSIONS, _UPLOADS, _AILING, _PROJECTS = 10, 20, 20, 20

@@ -20,7 +20,7 @@ from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
 from kleinkram.server.missions import service as missions
 from kleinkram.server.overviews import queries
-from kleinkram.server.overviews.merging import Key, Merged, merge
+from kleinkram.server.overviews.merge import Key, Merged, merge
 from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.tables import MOST_KEPT_TOPICS, mission_topic
 

@@ -1,4 +1,4 @@
-"""What runs leave to time: leases that ran out, runs of missions that are gone, pieces of logs that nobody needs."""
+"""Maintenance of runs: expired leases, runs of deleted missions, obsolete log chunks."""
 
 from procrastinate import JobContext
 from sqlalchemy import Row, delete, func, or_, select, text
@@ -17,12 +17,12 @@ _BATCH = 500
 @queue.periodic(cron="* * * * *")
 @queue.task(name=Job.tend_runs.value, pass_context=True, queueing_lock="tend_runs", lock="tend_runs")
 async def tend_runs(job_context: JobContext, timestamp: int = 0) -> None:
-    """See to runs that nobody sees to."""
+    """Maintain runs, once a minute."""
     await maintain_runs_once(app_context(job_context))
 
 
 async def maintain_runs_once(context: AppContext) -> None:
-    """Do one round; what it leaves, the next one takes."""
+    """Do one batch; the next round continues."""
     async with context.database.begin() as db:
         await requeue_lost_runs(db)
         await cancel_orphans(db)
@@ -33,16 +33,16 @@ async def maintain_runs_once(context: AppContext) -> None:
 
 
 async def _obsolete_chunks(context: AppContext) -> list[Row[tuple[str]]]:
-    """Return pieces of logs that are kept whole elsewhere, of earlier attempts or runs that are gone, or never came."""
+    """Return chunks of logs that are stored as a whole, of earlier attempts or deleted runs, or never uploaded."""
     over = run.c.state.not_in(ACTIVE)
-    never_came = log_chunk.c.kept_at.is_(None) & (log_chunk.c.created_at < func.now() - text("interval '1 day'"))
-    needless = or_(
+    never_uploaded = log_chunk.c.kept_at.is_(None) & (log_chunk.c.created_at < func.now() - text("interval '1 day'"))
+    obsolete = or_(
         log_chunk.c.run_id.is_(None),
         run.c.log_blob_id.is_not(None) & over,
         over & (log_chunk.c.attempt < run.c.attempt),
-        never_came,
+        never_uploaded,
     )
     stmt = select(log_chunk.c.key).outerjoin(run, run.c.id == log_chunk.c.run_id)
-    due = stmt.where(log_chunk.c.store_id == context.settings.store_id, needless).limit(_BATCH)
+    due = stmt.where(log_chunk.c.store_id == context.settings.store_id, obsolete).limit(_BATCH)
     async with context.database.begin() as db:
         return [] if await is_deletion_paused(db) else list((await db.execute(due)).all())

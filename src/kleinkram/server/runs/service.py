@@ -1,4 +1,4 @@
-"""Reading runs, and what they said and left."""
+"""Reads runs, their inputs, reports, artifacts and lineage."""
 
 import datetime
 import uuid
@@ -33,7 +33,7 @@ from kleinkram.server.audit.service import Event, record
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.paging import PageRequest, fetch_page
-from kleinkram.server.runners.scheduling import has_single_person, known_runners, reason_waiting
+from kleinkram.server.runners.eligibility import has_single_person, known_runners, reason_waiting
 from kleinkram.server.runs import queries
 from kleinkram.server.tables import blob, file, run, run_artifact, run_input
 
@@ -48,8 +48,8 @@ async def list_runs(db: Connection, actor: Actor, *, matching: RunFilter, page: 
     Raises:
         InvalidCursor: the cursor is not of this list.
     """
-    found = queries.run_rows(actor, queries.narrow(actor, queries.visible_runs(actor), matching))
-    rows = await fetch_page(db, found, queries.RUN_ORDER, page)
+    rows_by_id = queries.run_rows(actor, queries.narrow(actor, queries.visible_runs(actor), matching))
+    rows = await fetch_page(db, rows_by_id, queries.RUN_ORDER, page)
     waiting, metrics = await _waiting(db, rows.items), await _metrics(db, actor, rows.items)
     items = [
         queries.to_run(actor, row, waits_for=waiting.get(row.id), metrics=metrics.get(row.id, ())) for row in rows.items
@@ -69,7 +69,7 @@ async def get_run(db: Connection, actor: Actor, run_id: uuid.UUID) -> RunRead:
 
 
 async def get_detail(db: Connection, actor: Actor, run_id: uuid.UUID) -> RunDetail:
-    """Return one run with all that fits one answer.
+    """Return one run with its details.
 
     Raises:
         NotFound: it is not there, or not for this actor.
@@ -104,25 +104,25 @@ async def _metrics(db: Connection, actor: Actor, rows: Sequence[Row[Any]]) -> di
     if not results:
         return {}
     reported: dict[uuid.UUID, list[Metric]] = {}
-    for each in await db.execute(queries.first_metrics(actor, [*results.values()])):
-        metric = Metric.model_construct(name=each.name, value=each.value, unit=each.unit, file=each.file)
-        reported.setdefault(each.run_id, []).append(metric)
+    for entry in await db.execute(queries.first_metrics(actor, [*results.values()])):
+        metric = Metric.model_construct(name=entry.name, value=entry.value, unit=entry.unit, file=entry.file)
+        reported.setdefault(entry.run_id, []).append(metric)
     return {run_id: reported.get(result, []) for run_id, result in results.items()}
 
 
 async def results_of(db: Connection, actor: Actor, run_id: uuid.UUID) -> uuid.UUID:
-    """Return the run whose results stand for a run: itself, or the earlier one that it reuses.
+    """Return the run with the results of a run: itself, or the earlier one that it reuses.
 
     Raises:
         NotFound: it is not there, or not for this actor.
     """
     row = await find_run_row(db, actor, run_id)
-    found: uuid.UUID = row.reuses_id or row.id
-    return found
+    rows_by_id: uuid.UUID = row.reuses_id or row.id
+    return rows_by_id
 
 
 async def list_inputs(db: Connection, actor: Actor, *, run_id: uuid.UUID, page: PageRequest) -> Page[RunInput]:
-    """Return a page of what a run was given, by path; without files that moved out of `actor`'s sight.
+    """Return a page of the inputs of a run, by path, without files that were moved out of `actor`'s sight.
 
     Raises:
         NotFound: the run is not there, or not for this actor.
@@ -134,7 +134,7 @@ async def list_inputs(db: Connection, actor: Actor, *, run_id: uuid.UUID, page: 
 
 
 async def list_artifacts(db: Connection, actor: Actor, *, run_id: uuid.UUID, page: PageRequest) -> Page[ArtifactRead]:
-    """Return a page of what a run left, by path.
+    """Return a page of the artifacts of a run, by path.
 
     Raises:
         NotFound: the run is not there, or not for this actor.
@@ -148,41 +148,41 @@ async def list_artifacts(db: Connection, actor: Actor, *, run_id: uuid.UUID, pag
 async def link_artifacts(
     context: AppContext, actor: Actor, *, run_id: uuid.UUID, artifact_ids: Sequence[uuid.UUID]
 ) -> list[ArtifactUrl]:
-    """Return where to read artifacts, in the order asked, and note who fetched them.
+    """Return URLs of artifacts, in the requested order, and record the download.
 
     Raises:
         NotFound: one of them is not there, or not for this actor.
         FileUnavailable: the store's copy of one is lost or corrupt.
     """
     async with context.database.begin() as db:
-        held = await find_run_row(db, actor, run_id)
-        stmt = queries.artifacts_of(actor, held.reuses_id or run_id).where(among(run_artifact.c.id, artifact_ids))
-        found = {row.id: row for row in await db.execute(stmt)}
-        for each in artifact_ids:
-            if each not in found:
-                raise NotFound(noun="artifact", ref=str(each))
-            if found[each].state in _UNREADABLE:
-                raise FileUnavailable(path=found[each].path, state=found[each].state)
-        after: Metadata = {"files": len(found)}
-        name, project_id = held.action_name, held.project_id
-        fetched = Event("run.download", "run", run_id, name, project_id, after=after, mission_id=held.mission_id)
+        run_row = await find_run_row(db, actor, run_id)
+        stmt = queries.artifacts_of(actor, run_row.reuses_id or run_id).where(among(run_artifact.c.id, artifact_ids))
+        rows_by_id = {row.id: row for row in await db.execute(stmt)}
+        for entry in artifact_ids:
+            if entry not in rows_by_id:
+                raise NotFound(noun="artifact", ref=str(entry))
+            if rows_by_id[entry].state in _UNREADABLE:
+                raise FileUnavailable(path=rows_by_id[entry].path, state=rows_by_id[entry].state)
+        after: Metadata = {"files": len(rows_by_id)}
+        name, project_id = run_row.action_name, run_row.project_id
+        fetched = Event("run.download", "run", run_id, name, project_id, after=after, mission_id=run_row.mission_id)
         await record(db, actor, fetched)
     expires_s = context.settings.download_url_s
     expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s)
     return [
         ArtifactUrl(
-            artifact=queries.to_artifact(found[each]),
-            url=context.storage.sign_get(found[each].key, path=found[each].path, expires_s=expires_s),
+            artifact=queries.to_artifact(rows_by_id[entry]),
+            url=context.storage.sign_get(rows_by_id[entry].key, path=rows_by_id[entry].path, expires_s=expires_s),
             expires_at=expires_at,
         )
-        for each in artifact_ids
+        for entry in artifact_ids
     ]
 
 
 async def list_findings(
     db: Connection, actor: Actor, *, matching: ReportFilter, page: PageRequest
 ) -> Page[FindingRead]:
-    """Return a page of what runs noticed, latest first.
+    """Return a page of findings, latest first.
 
     Raises:
         NotFound: a run is named that is not there, or not for this actor.
@@ -194,7 +194,7 @@ async def list_findings(
 
 
 async def list_metrics(db: Connection, actor: Actor, *, matching: ReportFilter, page: PageRequest) -> Page[MetricRead]:
-    """Return a page of the numbers that runs found, latest first.
+    """Return a page of metrics, latest first.
 
     Raises:
         NotFound: a run is named that is not there, or not for this actor.
@@ -212,12 +212,12 @@ async def _of_results(db: Connection, actor: Actor, matching: ReportFilter) -> R
 
 
 async def lock_run(db: Connection, run_id: uuid.UUID) -> None:
-    """Hold others off changing a run until this transaction ends."""
+    """Lock a run until this transaction ends."""
     await db.execute(run.select().where(run.c.id == run_id).with_for_update(key_share=True))
 
 
 async def get_lineage(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> LineageRead:
-    """Return the run that made a file, and those that read it, with what they made, as far as `actor` may see them.
+    """Return the run that produced a file and those that read it, with their results, as far as `actor` may see them.
 
     Raises:
         NotFound: the file is not there, or not for this actor.
@@ -229,19 +229,19 @@ async def get_lineage(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> Li
         raise NotFound(noun="file", ref=str(file_id))
     maker = select(run_artifact.c.run_id, run_artifact.c.made_from).where(run_artifact.c.file_id == file_id)
     made = (await db.execute(maker)).one_or_none()
-    # By its bytes too: what was read under another name, or before it was moved, was the same.
+    # By content, too: it may have been read under another name, or before it was moved.
     readers = select(run_input.c.run_id).where(
         or_(run_input.c.file_id == file_id, run_input.c.blob_id == row.blob_id), run_input.c.sha256 == row.sha256
     )
-    found = await _runs(db, actor, run.c.id.in_(readers))
+    rows_by_id = await _runs(db, actor, run.c.id.in_(readers))
     makers = [] if made is None else await _runs(db, actor, run.c.id == made.run_id)
-    named = await _with_files(db, actor, [*found[:_MAX_LINEAGE_RUNS], *makers])
+    named = await _with_files(db, actor, [*rows_by_id[:_MAX_LINEAGE_RUNS], *makers])
     made_by = None if not makers else _only_sources(named[makers[0].id], made.made_from if made else [])
     return LineageRead(
         file=LineageFile(id=row.id, path=row.path, sha256=row.sha256.hex()),
         made_by=made_by,
-        read_by=[named[each.id] for each in found[:_MAX_LINEAGE_RUNS]],
-        truncated=len(found) > _MAX_LINEAGE_RUNS,
+        read_by=[named[entry.id] for entry in rows_by_id[:_MAX_LINEAGE_RUNS]],
+        truncated=len(rows_by_id) > _MAX_LINEAGE_RUNS,
     )
 
 
@@ -253,13 +253,13 @@ async def _runs(db: Connection, actor: Actor, condition: ColumnElement[bool]) ->
 async def _with_files(db: Connection, actor: Actor, rows: Sequence[Row[Any]]) -> dict[uuid.UUID, LineageRun]:
     run_ids = {row.id for row in rows}
     stmt = queries.inputs_of(actor, [*run_ids])
-    given = (await db.execute(stmt.order_by(run_input.c.path).limit(_MAX_LINEAGE_FILES))).all()
+    input_rows = (await db.execute(stmt.order_by(run_input.c.path).limit(_MAX_LINEAGE_FILES))).all()
     columns = (run_artifact.c.run_id, run_artifact.c.file_id, file.c.path, blob.c.sha256)
     stmt = select(*columns).join_from(run_artifact, file, file.c.id == run_artifact.c.file_id)
     joined = stmt.join(blob, blob.c.id == file.c.blob_id).join(run, run.c.id == run_artifact.c.run_id)
     shown_files = among(run_artifact.c.run_id, run_ids) & ~queries.is_hidden(actor, run_artifact.c.file_id)
     made = (await db.execute(joined.where(shown_files).order_by(file.c.path).limit(_MAX_LINEAGE_FILES))).all()
-    ids = {row.file_id for row in [*given, *made] if row.file_id}
+    ids = {row.file_id for row in [*input_rows, *made] if row.file_id}
     seen = visible_files(actor).with_only_columns(file.c.id, maintain_column_froms=True)
     visible = set((await db.execute(seen.where(among(file.c.id, ids)))).scalars())
 
@@ -269,8 +269,8 @@ async def _with_files(db: Connection, actor: Actor, rows: Sequence[Row[Any]]) ->
     return {
         row.id: LineageRun(
             run=queries.to_run(actor, row),
-            inputs=[shown(each) for each in given if each.run_id == row.id],
-            files=[shown(each) for each in made if each.run_id == row.id],
+            inputs=[shown(entry) for entry in input_rows if entry.run_id == row.id],
+            files=[shown(entry) for entry in made if entry.run_id == row.id],
             artifact_count=row.artifact_count,
         )
         for row in rows
@@ -278,7 +278,7 @@ async def _with_files(db: Connection, actor: Actor, rows: Sequence[Row[Any]]) ->
 
 
 def _only_sources(made_by: LineageRun, made_from: Sequence[str] | None) -> LineageRun:
-    """Return the run that made a file with those of its inputs alone that it said the file is made from."""
+    """Return the run that produced a file with only those inputs that it reported as sources."""
     if not made_from:
         return made_by
-    return made_by.model_copy(update={"inputs": [each for each in made_by.inputs if each.path in made_from]})
+    return made_by.model_copy(update={"inputs": [entry for entry in made_by.inputs if entry.path in made_from]})

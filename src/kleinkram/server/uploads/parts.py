@@ -187,8 +187,8 @@ async def stored_small_files(storage: Storage, uploads: Sequence[UploadRow]) -> 
     signed = [row for row in uploads if not row.is_multipart and row.signed_checksum is not None]
     objects: dict[str, StoredPart] = {}
     for prefix, group in _by_prefix(signed).items():
-        for asked_prefix in [prefix] if len(group) >= _MIN_FOR_LISTING else [row.key for row in group]:
-            objects |= await storage.list_objects(asked_prefix)
+        for listed_prefix in [prefix] if len(group) >= _MIN_FOR_LISTING else [row.key for row in group]:
+            objects |= await storage.list_objects(listed_prefix)
     return {row.id: [part] for row in signed if (part := objects.get(row.key)) and part.size_bytes == row.size_bytes}
 
 

@@ -18,7 +18,7 @@ from kleinkram.server.tables.run import HELD
 from kleinkram.server.tables.upload import UNDER_WAY
 
 
-class Content(NamedTuple):
+class FileContent(NamedTuple):
     """What makes two files the same."""
 
     size_bytes: int
@@ -51,9 +51,9 @@ class UploadRow(NamedTuple):
     now: datetime.datetime
 
     @property
-    def content(self) -> Content:
+    def content(self) -> FileContent:
         """What the finished file will be, by the word of the client; once it has named the hashes."""
-        return Content(self.size_bytes, self.sha256)
+        return FileContent(self.size_bytes, self.sha256)
 
     @property
     def has_lease(self) -> bool:
@@ -91,9 +91,9 @@ class ExistingFile(NamedTuple):
     state: str
 
     @property
-    def content(self) -> Content:
+    def content(self) -> FileContent:
         """What the file is."""
-        return Content(self.size_bytes, self.sha256)
+        return FileContent(self.size_bytes, self.sha256)
 
     @property
     def is_damaged(self) -> bool:
@@ -180,8 +180,10 @@ async def duplicate_sizes(db: Connection, actor: Actor, sizes: Collection[int]) 
     return frozenset((await db.execute(statement.distinct())).scalars())
 
 
-async def lock_duplicates(db: Connection, actor: Actor, contents: Collection[Content]) -> dict[Content, uuid.UUID]:
-    """Return trusted, readable blobs of these contents, locked so that garbage collection cannot mark them."""
+async def lock_duplicates(
+    db: Connection, actor: Actor, contents: Collection[FileContent]
+) -> dict[FileContent, uuid.UUID]:
+    """Lock and return trusted, readable blobs of these contents; garbage collection cannot mark them."""
     if not contents:
         return {}
     statement = (
@@ -195,7 +197,7 @@ async def lock_duplicates(db: Connection, actor: Actor, contents: Collection[Con
         .order_by(blob.c.id)
         .with_for_update(read=True, of=blob)
     )
-    return {Content(row.size_bytes, row.sha256): row.id for row in await db.execute(statement)}
+    return {FileContent(row.size_bytes, row.sha256): row.id for row in await db.execute(statement)}
 
 
 def _is_trusted(actor: Actor) -> ColumnElement[bool]:

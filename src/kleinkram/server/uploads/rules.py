@@ -9,7 +9,7 @@ from kleinkram.contract.errors import FileExists, KleinkramError, NameLeased, Pa
 from kleinkram.contract.names import name_key
 from kleinkram.contract.uploads import ChecksumKind, UploadFile, UploadState
 from kleinkram.server.files.paths import folder_keys
-from kleinkram.server.uploads.queries import Content, ExistingFile, UploadRow
+from kleinkram.server.uploads.queries import ExistingFile, FileContent, UploadRow
 
 HIDDEN_FILE = "a file that you may not see"
 """What a conflict names to an actor who may not read the mission."""
@@ -46,7 +46,7 @@ class Decision:
 
 
 @dataclass(frozen=True)
-class Facts:
+class RequestFacts:
     """What the database says about the names and contents of one request. Maps go by path key, conflicts by path.
 
     `may_read`: whether the actor may read the mission; otherwise they learn only that a name is taken.
@@ -57,11 +57,11 @@ class Facts:
     files: Mapping[str, ExistingFile]
     uploads: Mapping[str, UploadRow]
     duplicate_sizes: frozenset[int]
-    duplicates: Mapping[Content, uuid.UUID]
+    duplicates: Mapping[FileContent, uuid.UUID]
     conflicts: Mapping[str, str]
 
 
-def decide(requested: UploadFile, facts: Facts) -> Decision:
+def decide(requested: UploadFile, facts: RequestFacts) -> Decision:
     """Decide about one announced file."""
     key = name_key(requested.path)
     if other := facts.conflicts.get(requested.path):
@@ -77,7 +77,7 @@ def _refuse(requested: UploadFile, error: KleinkramError) -> Decision:
     return Decision(requested, Action.refuse, error=error)
 
 
-def _decide_with_existing(requested: UploadFile, existing: ExistingFile, facts: Facts) -> Decision | None:
+def _decide_with_existing(requested: UploadFile, existing: ExistingFile, facts: RequestFacts) -> Decision | None:
     """Decide about a file whose name is taken; None to repair the damaged file there."""
     if existing.path != requested.path:
         other = existing.path if facts.may_read else HIDDEN_FILE
@@ -104,7 +104,7 @@ def _decide_with_upload(requested: UploadFile, other: UploadRow, person_id: uuid
     return Decision(requested, Action.begin, stolen_upload_id=other.id)
 
 
-def _decide_new(requested: UploadFile, facts: Facts) -> Decision:
+def _decide_new(requested: UploadFile, facts: RequestFacts) -> Decision:
     content = content_of(requested)
     if content is None:
         is_worth_hashing = requested.size_bytes in facts.duplicate_sizes
@@ -114,9 +114,9 @@ def _decide_new(requested: UploadFile, facts: Facts) -> Decision:
     return Decision(requested, Action.begin)
 
 
-def content_of(requested: UploadFile) -> Content | None:
+def content_of(requested: UploadFile) -> FileContent | None:
     """Return what an announced file is, if its hash is known."""
-    return Content(requested.size_bytes, bytes.fromhex(requested.sha256)) if requested.sha256 else None
+    return FileContent(requested.size_bytes, bytes.fromhex(requested.sha256)) if requested.sha256 else None
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def blob_columns(row: UploadRow, blob_id: uuid.UUID) -> dict[str, object]:
     }
 
 
-def _file_exists(path: str, existing: ExistingFile, content: Content, *, may_read: bool) -> FileExists:
+def _file_exists(path: str, existing: ExistingFile, content: FileContent, *, may_read: bool) -> FileExists:
     return FileExists(
         path=path,
         existing_sha256=existing.sha256.hex() if may_read else None,

@@ -63,7 +63,7 @@ from kleinkram.server.uploads.queries import UploadRow
 from kleinkram.server.uploads.rules import (
     Action,
     Decision,
-    Facts,
+    RequestFacts,
     conflicts_among,
     content_of,
     decide,
@@ -102,20 +102,22 @@ async def begin_uploads(
     if file_ids:
         async with context.database.begin() as db:
             visible_files = {read.id: read for read in await files.read_visible_files(db, actor, file_ids)}
-    begun = _Begun(uploads, parts, visible_files)
+    begun = _BegunUploads(uploads, parts, visible_files)
     return [_to_wire(context, actor, decision, begun) for decision in decisions]
 
 
 # -- deciding ---------------------------------------------------------------------------------------------------------
 
 
-async def _collect_facts(db: Connection, actor: Actor, mission_id: uuid.UUID, requested: Sequence[UploadFile]) -> Facts:
+async def _collect_facts(
+    db: Connection, actor: Actor, mission_id: uuid.UUID, requested: Sequence[UploadFile]
+) -> RequestFacts:
     keys = [name_key(file.path) for file in requested]
     sizes_without_hash = [file.size_bytes for file in requested if not file.sha256]
     contents = [content for file in requested if (content := content_of(file))]
     may_read = Scope.read in actor.scopes
     conflicts = await path_conflicts(db, mission_id, [file.path for file in requested])
-    return Facts(
+    return RequestFacts(
         person_id=actor.person_id,
         may_read=may_read,
         files=await queries.existing_files(db, mission_id, keys),
@@ -126,7 +128,7 @@ async def _collect_facts(db: Connection, actor: Actor, mission_id: uuid.UUID, re
     )
 
 
-def _decide_all(requested: Sequence[UploadFile], facts: Facts) -> list[Decision]:
+def _decide_all(requested: Sequence[UploadFile], facts: RequestFacts) -> list[Decision]:
     conflicts = conflicts_among([file.path for file in requested])
     return [
         Decision(file, Action.refuse, error=PathConflict(path=file.path, other=conflicts[position]))
@@ -136,7 +138,7 @@ def _decide_all(requested: Sequence[UploadFile], facts: Facts) -> list[Decision]
     ]
 
 
-def _new_amount(decisions: Sequence[Decision], facts: Facts) -> Amount:
+def _new_amount(decisions: Sequence[Decision], facts: RequestFacts) -> Amount:
     """Return how much room the request needs. A repaired file takes the room that it has already."""
     new = [d.requested for d in decisions if d.action in {Action.begin, Action.link}]
     new = [file for file in new if name_key(file.path) not in facts.files]
@@ -294,7 +296,7 @@ def _with_file(
 
 
 @dataclass(frozen=True)
-class _Begun:
+class _BegunUploads:
     """What the answers to one request are made of, by id."""
 
     uploads: Mapping[uuid.UUID, UploadRow]
@@ -324,7 +326,7 @@ async def free_names(context: AppContext, upload_ids: Sequence[uuid.UUID]) -> No
         await db.execute(update(upload).where(is_open).values(state=UploadState.aborted.value))
 
 
-def _to_wire(context: AppContext, actor: Actor, decision: Decision, begun: _Begun) -> UploadDecision:
+def _to_wire(context: AppContext, actor: Actor, decision: Decision, begun: _BegunUploads) -> UploadDecision:
     requested = decision.requested
     if decision.error is not None:
         return Refused(path=requested.path, problem=to_problem(decision.error, actor.request_id))

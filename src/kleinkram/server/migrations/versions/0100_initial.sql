@@ -567,7 +567,7 @@ CREATE TABLE run (
     CONSTRAINT ck_run_ended CHECK ((ended_at IS NULL) = (state IN ('queued', 'preparing', 'running', 'collecting'))),
     CONSTRAINT ck_run_held CHECK ((lease_ends_at IS NOT NULL) = (state IN ('preparing', 'running', 'collecting')) AND (state NOT IN ('preparing', 'running', 'collecting') OR runner_id IS NOT NULL)),
     CONSTRAINT ck_run_network CHECK (network IN ('none', 'api', 'open')),
-    CONSTRAINT ck_run_reason CHECK (reason IN ('done', 'exit_code', 'signal', 'memory', 'time', 'disk', 'cancelled', 'command_not_found', 'image_unavailable', 'not_possible', 'inputs_unavailable', 'broken_report', 'results_not_kept', 'lost')),
+    CONSTRAINT ck_run_reason CHECK (reason IN ('done', 'exit_code', 'signal', 'memory', 'time', 'disk', 'cancelled', 'command_not_found', 'image_unavailable', 'not_possible', 'inputs_unavailable', 'broken_report', 'results_not_stored', 'lost')),
     CONSTRAINT ck_run_state CHECK (state IN ('queued', 'preparing', 'running', 'collecting', 'done', 'failed', 'cancelled'))
 );
 CREATE INDEX ix_run_created_at ON run (created_at, id);

@@ -14,7 +14,7 @@ from kleinkram.server.db import Connection
 from kleinkram.server.tables import access_group, affiliation_domain, membership, person_email
 
 
-async def join_by_address(db: Connection, person_id: uuid.UUID, email: str) -> None:
+async def join_email_groups(db: Connection, person_id: uuid.UUID, email: str) -> None:
     """Put somebody into the groups that follow from an address which was just verified to be theirs."""
     await _join(db, await email_group(db, email), person_id)
     domains = select(affiliation_domain.c.group_id).where(affiliation_domain.c.domain == email_domain(email))

@@ -15,7 +15,7 @@ from sqlalchemy.dialects.postgresql import JSONB
 
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.operations import OPERATIONS, On
+from kleinkram.server.access.operations import OPERATIONS, ResourceKind
 from kleinkram.server.access.visible import level_on_mission, level_on_project
 from kleinkram.server.audit.places import Named, whereabouts
 from kleinkram.server.db import Database, among
@@ -65,7 +65,7 @@ class Looks:
 def is_a_look(operation: str) -> bool:
     """Say whether an operation that is read shows more to an admin than to others."""
     need = OPERATIONS[operation]
-    return (need.on is not On.nothing or operation in _PEOPLE) and operation not in _BY_LINK
+    return (need.on is not ResourceKind.nothing or operation in _PEOPLE) and operation not in _BY_LINK
 
 
 def _foreign(admin: Actor, operation: str, of: Named | None, level: int) -> Select[Any]:
@@ -73,7 +73,7 @@ def _foreign(admin: Actor, operation: str, of: Named | None, level: int) -> Sele
     own = admin.without_power()
     # A token that is limited to some places sees nothing of the server as a whole.
     is_whole = literal(admin.limits is None)
-    if OPERATIONS[operation].on is On.server or (of is None and operation in _PEOPLE):
+    if OPERATIONS[operation].on is ResourceKind.server or (of is None and operation in _PEOPLE):
         return _everything(operation).where(is_whole)
     if of is None:
         return _everything(operation).where(

@@ -1,16 +1,14 @@
-"""Of very many files a search looks at some, drawn by lot, and says so; no list asks more often for more rows."""
+"""Searches among very many files: totals estimated from a sample, exact lists, and as many statements for any page."""
 
 import uuid
-from collections.abc import Iterator
+from types import ModuleType
 from urllib.parse import urlencode
 
 import pytest
 
-from kleinkram.server.files import queries as file_queries
-from kleinkram.server.filters import kept, looking
-from kleinkram.server.filters import text as words
-from kleinkram.server.missions import queries as mission_queries
-from kleinkram.server.search import few
+from kleinkram.server.filters import text as text_filters
+from kleinkram.server.missions import service as missions_service
+from kleinkram.server.search import planner
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.sample import Sample
@@ -43,22 +41,20 @@ def _full(start_api: StartApi) -> Api:
     return api
 
 
-@pytest.fixture(name="drawn")
-def _drawn(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    """So few files are drawn that these are very many."""
-    monkeypatch.setattr(looking, "DRAWN", 60)
-    looking.drawn_files.cache_clear()
-    yield looking.DRAWN
-    looking.drawn_files.cache_clear()
+@pytest.fixture(name="sampled")
+def _sampled(monkeypatch: pytest.MonkeyPatch) -> int:
+    """A sample so small that the files count as very many."""
+    monkeypatch.setattr(planner, "SAMPLED_FILES", 60)
+    return planner.SAMPLED_FILES
 
 
-def test_of_few_files_all_are_counted(full: Api) -> None:
+def test_few_files_are_all_counted(full: Api) -> None:
     found = full.get("/search", {"query": "drive"}).ok()
     assert (found["is_whole"], found["files"]["total"], found["missions"]["total"]) == (True, _FILES - _RARE, 1)
     assert found["topics"]["items"][0]["file_count"] == _FILES - _RARE
 
 
-def test_of_very_many_files_an_estimate_says_that_it_is_one(full: Api, drawn: int) -> None:
+def test_an_estimated_total_of_very_many_files_is_declared_as_one(full: Api, sampled: int) -> None:
     found = full.get("/search", {"query": "drive", "limit": "5"}).ok()
     assert not found["is_whole"]
     # Ids are random: of 120 files, the 60th id lies near the middle, and seldom beyond these.
@@ -68,12 +64,12 @@ def test_of_very_many_files_an_estimate_says_that_it_is_one(full: Api, drawn: in
     for query in ("drive", "", "drive topic:/imu", "project:many*"):
         facets = full.get("/search/facets", {"query": query}).ok()
         assert not facets["is_whole"]
-        assert 0 < facets["file_count"] <= drawn
+        assert 0 < facets["file_count"] <= sampled
         (topics,) = (each["values"] for each in facets["facets"] if each["name"] == "topic")
         assert [(each["value"], each["file_count"]) for each in topics] == [("/imu", facets["file_count"])]
 
 
-def test_of_very_many_files_the_few_that_hold_a_word_are_all_found(full: Api, drawn: int) -> None:
+def test_a_rare_word_among_very_many_files_finds_all_its_files(full: Api, sampled: int) -> None:
     found = full.get("/search", {"query": "rarely"}).ok()
     assert (found["is_whole"], found["files"]["total"]) == (True, _RARE)
     assert full.get("/search", {"query": "zzyzx"}).ok()["files"] == {"items": [], "next": None, "total": 0}
@@ -81,13 +77,12 @@ def test_of_very_many_files_the_few_that_hold_a_word_are_all_found(full: Api, dr
     assert (facets["is_whole"], facets["file_count"]) == (True, _RARE)
 
 
-@pytest.mark.parametrize("said_by", ["nothing", "path", "label", "topic", "mission", "project"])
-@pytest.mark.usefixtures("drawn")
-def test_of_very_many_files_without_a_time_those_with_one_come_first(start_api: StartApi, said_by: str) -> None:
-    """And where none has a time, the others are not walked through, nor are all that match gone through."""
+@pytest.mark.parametrize("timed_by", ["nothing", "path", "label", "topic", "mission", "project"])
+@pytest.mark.usefixtures("sampled")
+def test_files_without_a_time_come_last_among_very_many(start_api: StartApi, timed_by: str) -> None:
     api, said = (
         start_api(),
-        dict.fromkeys(["path", "label", "topic", "mission", "project"], "plain") | {said_by: "sheet"},
+        dict.fromkeys(["path", "label", "topic", "mission", "project"], "plain") | {timed_by: "sheet"},
     )
     sample, mission = Sample(api), api.mission(api.project(name="of many")["id"], name="of many")["id"]
     ids = [sample.file(mission, f"a/sheet_{number}.yaml") for number in range(_FILES)]
@@ -100,7 +95,7 @@ def test_of_very_many_files_without_a_time_those_with_one_come_first(start_api: 
         labels=(f"of {said['label']}",),
         topics=[{"name": f"/{said['topic']}"}],
     )
-    in_order = ([] if said_by == "nothing" else [timed]) + sorted(ids, reverse=True)
+    in_order = ([] if timed_by == "nothing" else [timed]) + sorted(ids, reverse=True)
     for query, shown in (
         ("sheet", set(in_order)),
         ("sheet sheet_1", _holding(api, "sheet_1")),
@@ -110,15 +105,13 @@ def test_of_very_many_files_without_a_time_those_with_one_come_first(start_api: 
         assert [each["id"] for each in found["files"]["items"]] == [each for each in in_order if each in shown][:5], (
             query
         )
-        assert query == "sheet sheet_1" or found["is_whole"] == (said_by != "nothing")
+        assert query == "sheet sheet_1" or found["is_whole"] == (timed_by != "nothing")
     assert api.get("/search", {"query": "sheet", "sort": "size", "limit": "1"}).ok()["files"]["items"]
 
 
-@pytest.mark.usefixtures("drawn")
-def test_of_very_many_files_that_are_all_in_few_missions_these_are_found(
-    start_api: StartApi, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Whether or not one of them is among the missions drawn by lot."""
+@pytest.mark.usefixtures("sampled")
+def test_very_many_files_in_one_mission_find_that_mission(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whether or not it is among the sampled missions."""
     api = start_api()
     sample, project = Sample(api), api.project(name="of many")["id"]
     missions = [api.mission(project, name=f"plain {number}")["id"] for number in range(6)]
@@ -127,18 +120,16 @@ def test_of_very_many_files_that_are_all_in_few_missions_these_are_found(
     full = api.mission(project, name="plain full")["id"]
     for number in range(_FILES):
         sample.file(full, f"sheet_{number}.mcap", start_ns=number + 1, end_ns=number + 2)
-    drawn_first = str(api.sql("SELECT id FROM mission ORDER BY id LIMIT 1")[0][0])
-    monkeypatch.setattr(looking, "_MISSIONS_DRAWN", 1)
-    _forget_statements()
+    sampled_first = str(api.sql("SELECT id FROM mission ORDER BY id LIMIT 1")[0][0])
+    monkeypatch.setattr(missions_service, "SAMPLED_MISSIONS", 1)
     found = api.get("/search", {"query": "sheet"}).ok()
-    _forget_statements()
     assert not found["is_whole"]
     assert [each["id"] for each in found["missions"]["items"]] == [full]
-    assert found["missions"]["total"] == 1 or drawn_first == full
+    assert found["missions"]["total"] == 1 or sampled_first == full
 
 
 @pytest.mark.parametrize("globs", [["*sheet*"], ["*sheet*", "*notes*"]])
-def test_paths_are_looked_up_in_both_indexes_of_their_words(start_api: StartApi, globs: list[str]) -> None:
+def test_globs_of_paths_use_both_trigram_indexes(start_api: StartApi, globs: list[str]) -> None:
     api = start_api()
     Sample(api).file(api.mission(api.project(name="of paths")["id"])["id"], "sheet.mcap")
     asked = [("sort", "size"), *(("path", glob) for glob in globs)]
@@ -154,11 +145,11 @@ def _holding(api: Api, word: str) -> set[str]:
 
 
 @pytest.mark.parametrize("query", ["imu", "topic:/imu", "type:Imu", "imu drive"])
-@pytest.mark.usefixtures("drawn")
-def test_kept_topics_rule_a_mission_out_only_where_they_are_all_it_has(
+@pytest.mark.usefixtures("sampled")
+def test_topics_kept_of_a_mission_exclude_it_only_where_they_are_current_and_whole(
     full: Api, monkeypatch: pytest.MonkeyPatch, query: str
 ) -> None:
-    """Among very many files: what is kept of another state of the mission, or only in part, rules nothing out."""
+    """Among very many files, which are read mission by mission."""
     ((mission_id,),) = full.sql("SELECT DISTINCT mission_id FROM file WHERE path = 'rarely_0.mcap'")
     full.sql("UPDATE topic SET message_type = 'Imu' WHERE name = '/imu'")
 
@@ -179,10 +170,8 @@ def test_kept_topics_rule_a_mission_out_only_where_they_are_all_it_has(
         full.sql("UPDATE mission_topic SET name = '/gps', message_type = 'Fix' WHERE mission_id = %s", mission_id)
         assert not is_found()
         with monkeypatch.context() as patch:
-            patch.setattr(kept, "MOST_KEPT_TOPICS", 1)
-            _forget_statements()  # which say how many that are
+            patch.setattr(text_filters, "MOST_KEPT_TOPICS", 1)
             assert is_found()
-        _forget_statements()
         full.sql("UPDATE mission SET files_revision = 1 WHERE id = %s", mission_id)
         assert is_found()
     finally:
@@ -190,39 +179,11 @@ def test_kept_topics_rule_a_mission_out_only_where_they_are_all_it_has(
         full.sql("UPDATE mission SET files_revision = 0 WHERE id = %s", mission_id)
 
 
-def _forget_statements() -> None:
-    mission_queries.count_drawn.cache_clear()
-    mission_queries.page_of_found.cache_clear()
-    file_queries.page_of_found.cache_clear()
-
-
-@pytest.mark.parametrize("sort", ["start", "-start", "created", "-created"])
-@pytest.mark.parametrize(
-    ("asked", "count"),
-    [
-        ({"topic": "/imu"}, _FILES),
-        ({"topic": "/imu", "text": "drive_1"}, 30),
-        ({"topic": "/gps"}, 0),
-        ({"topic": "/imu", "message_type": "of/None"}, 0),
-    ],
-)
-def test_a_list_by_topic_is_the_same_whether_or_not_it_is_walked(
-    full: Api, monkeypatch: pytest.MonkeyPatch, sort: str, asked: dict[str, str], count: int
-) -> None:
-    query = {**asked, "sort": sort, "limit": "25"}
-    looked_up = [each["id"] for each in full.all("/files", query)]
-    monkeypatch.setattr(looking, "_MANY_TOPICS", 50)
-    with full.statements() as statements:
-        walked = [each["id"] for each in full.all("/files", query)]
-    assert walked == looked_up
-    assert len(walked) == count
-    # No index has the first of all times first: they would all be met.
-    assert any("LATERAL" in each for each in statements) == (count > 0 and sort != "start")
-
-
 @pytest.mark.parametrize(("path", "query"), _LISTS)
-def test_a_list_asks_as_often_for_many_rows_as_for_one(full: Api, path: str, query: dict[str, str]) -> None:
-    full.get(path, query).ok()  # so that an admin's look is noted already
+def test_a_page_of_many_rows_takes_as_many_statements_as_a_page_of_one(
+    full: Api, path: str, query: dict[str, str]
+) -> None:
+    full.get(path, query).ok()  # so that an admin's access is recorded already
     counts = []
     for limit in ("1", "100"):
         asked = query if path == "/search/facets" else {**query, "limit": limit}
@@ -255,18 +216,37 @@ def _spread(start_api: StartApi) -> tuple[Api, str]:
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("_MOST", 500), ("_MOST", 1), ("_MOST", 0), ("_COMMON", 10_000), ("_FEW", 2)]
+    ("module", "name", "value"),
+    [
+        (text_filters, "_MAX_NAMES", 500),
+        (text_filters, "_MAX_NAMES", 1),
+        (text_filters, "_MAX_NAMES", 0),
+        (planner, "_MAX_MATCHED", 2),
+        (planner, "COMMON", 0),
+    ],
 )
-def test_however_much_was_looked_up_the_same_is_found(
-    spread: tuple[Api, str], monkeypatch: pytest.MonkeyPatch, name: str, value: int
+def test_a_search_finds_the_same_whichever_plan_it_follows(
+    spread: tuple[Api, str], monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str, value: int
 ) -> None:
     api, word = spread
-    monkeypatch.setattr(few if name == "_FEW" else words, name, value)
-    monkeypatch.setattr(words, "_FILES_DRAWN", 5)
-    monkeypatch.setattr(words, "_MISSIONS_DRAWN", 5)
-    asked = ((word, 21, 13), (f"{word} imu", 9, 9), (f"{word} {word}_1", 1, 1), (f"-{word}", 3, 3))
-    for query, files, missions in asked:
+    monkeypatch.setattr(module, name, value)
+    queries = ((word, 21, 13), (f"{word} imu", 9, 9), (f"{word} {word}_1", 1, 1), (f"-{word}", 3, 3))
+    for query, files, missions in queries:
         found = api.get("/search", {"query": query, "limit": "50"}).ok()
         assert (found["files"]["total"], found["missions"]["total"]) == (files, missions), query
         assert len(found["files"]["items"]) == files
         assert len(found["missions"]["items"]) == missions
+
+
+def test_a_common_word_lists_what_a_rare_one_does(spread: tuple[Api, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reading a list in its order finds the same files and missions as looking them up."""
+    api, word = spread
+    rare = api.get("/search", {"query": word, "limit": "50"}).ok()
+    size = api.sql("SELECT count(*) FROM file")[0][0]
+    monkeypatch.setattr(planner, "SAMPLED_FILES", size)
+    monkeypatch.setattr(planner, "_COMMON_TOGETHER", 0)
+    monkeypatch.setattr(planner, "COMMON", 1)
+    common = api.get("/search", {"query": word, "limit": "50"}).ok()
+    assert (rare["is_whole"], common["is_whole"]) == (True, False)
+    for kind in ("files", "missions"):
+        assert [each["id"] for each in common[kind]["items"]] == [each["id"] for each in rare[kind]["items"]]

@@ -8,8 +8,8 @@ from kleinkram.contract.errors import Forbidden
 from kleinkram.contract.rights import GroupKind, Right
 from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.access.groups import own_group, own_project
-from kleinkram.server.access.owning import see_that_owners_stay
-from kleinkram.server.access.rights import hold_rights
+from kleinkram.server.access.ownership import ensure_owner_remains
+from kleinkram.server.access.rights import lock_rights
 from kleinkram.server.db import Connection
 from kleinkram.server.settings import Creators
 from kleinkram.server.tables import access_grant, access_group, affiliation, affiliation_domain, membership
@@ -42,13 +42,13 @@ async def _is_affiliated(db: Connection, actor: Actor) -> bool:
     return bool(found.scalar_one())
 
 
-async def give_first_rights(db: Connection, actor: Actor, project_id: uuid.UUID) -> dict[str, Right]:
+async def grant_first_rights(db: Connection, actor: Actor, project_id: uuid.UUID) -> dict[str, Right]:
     """Make whoever made a project its owner, and give each affiliation group what the settings say; return these.
 
     Raises:
         LastOwner: its maker left meanwhile.
     """
-    await hold_rights(db)
+    await lock_rights(db)
     await own_project(db, project_id=project_id, group_id=await own_group(db, actor.person_id))
     stmt = select(access_group.c.id, access_group.c.name, affiliation.c.default_level).join(affiliation)
     rows = (await db.execute(stmt.where(affiliation.c.default_level.is_not(None)))).all()
@@ -56,5 +56,5 @@ async def give_first_rights(db: Connection, actor: Actor, project_id: uuid.UUID)
         place = {"project_id": project_id, "granted_by_id": actor.person_id}
         given = [{"group_id": row.id, "level": row.default_level, "id": uuid.uuid4(), **place} for row in rows]
         await db.execute(insert(access_grant), given)
-    await see_that_owners_stay(db, [project_id])
+    await ensure_owner_remains(db, [project_id])
     return {row.name: Right.of_level(row.default_level) for row in rows}

@@ -6,29 +6,29 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.action import places, progress, report
+from kleinkram.action import progress, report, run_files
 from kleinkram.contract.reports import EVENTS_FILE, ReportEvent, Severity
 
 
 @pytest.fixture(autouse=True)
 def _folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, place in (("given", "in"), ("out", "out")):
+    for name, place in (("in_dir", "in"), ("out", "out")):
         (tmp_path / place).mkdir()
-        monkeypatch.setattr(places, name, tmp_path / place)
+        monkeypatch.setattr(run_files, name, tmp_path / place)
 
 
-def said() -> list[ReportEvent]:
-    return [ReportEvent.model_validate_json(line) for line in (places.out / EVENTS_FILE).read_bytes().splitlines()]
+def values() -> list[ReportEvent]:
+    return [ReportEvent.model_validate_json(line) for line in (run_files.out / EVENTS_FILE).read_bytes().splitlines()]
 
 
 def test_each_kind_is_one_event() -> None:
     report.finding("warning", "imu.gap", "2 s without a message", file="a/drive.bag", topic="/imu", time_ns=17)
-    report.metric("ate_rmse", 0.12, unit="m", file=places.given / "a" / "drive.bag")
-    report.preview(places.out / "track.png", "The way")
+    report.metric("ate_rmse", 0.12, unit="m", file=run_files.in_dir / "a" / "drive.bag")
+    report.preview(run_files.out / "track.png", "The way")
     report.propose(distance_m=12.5, sensors=["imu"])
     report.put_back("a/slam.bag", made_from=["a/drive.bag"])
     progress(0.5, "half")
-    finding, metric, preview, metadata, put_back, half = said()
+    finding, metric, preview, metadata, put_back, half = values()
     assert finding.finding is not None
     assert (finding.finding.severity, finding.finding.file) == (Severity.warning, "a/drive.bag")
     assert metric.metric is not None
@@ -42,7 +42,7 @@ def test_each_kind_is_one_event() -> None:
     assert half.progress.fraction == 0.5
 
 
-def test_what_makes_no_sense_is_refused_where_it_is_said() -> None:
+def test_invalid_reports_are_refused_in_the_script() -> None:
     nonsense: list[Callable[[], None]] = [
         lambda: report.finding("fatal", "a", "b"),
         lambda: report.metric("a", float("inf")),
@@ -56,10 +56,10 @@ def test_what_makes_no_sense_is_refused_where_it_is_said() -> None:
     for say in nonsense:
         with pytest.raises(ValueError, match=r"."):
             say()
-    assert not (places.out / EVENTS_FILE).exists()
+    assert not (run_files.out / EVENTS_FILE).exists()
 
 
 def test_lines_of_many_threads_stay_whole() -> None:
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(lambda n: report.metric(f"m{n}", n, unit="x" * 30), range(500)))
-    assert {event.metric.value for event in said() if event.metric} == set(range(500))
+    assert {event.metric.value for event in values() if event.metric} == set(range(500))

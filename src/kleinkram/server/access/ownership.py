@@ -13,7 +13,7 @@ from sqlalchemy import Row, Select, exists, select
 from kleinkram.contract.errors import LastAdmin, LastOwner
 from kleinkram.contract.rights import GroupKind, Right
 from kleinkram.server.access.groups import ADMINS_ID, own_project
-from kleinkram.server.access.rights import hold_rights
+from kleinkram.server.access.rights import lock_rights
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import access_grant, access_group, membership, person, project
 
@@ -26,7 +26,7 @@ def owned_by_groups(group_ids: Collection[uuid.UUID]) -> Select[Any]:
     )
 
 
-async def see_that_owners_stay(db: Connection, project_ids: Sequence[uuid.UUID]) -> None:
+async def ensure_owner_remains(db: Connection, project_ids: Sequence[uuid.UUID]) -> None:
     """After a change that took rights away, see that none of some projects lost its last lasting owner.
 
     Raises:
@@ -37,7 +37,7 @@ async def see_that_owners_stay(db: Connection, project_ids: Sequence[uuid.UUID])
         raise LastOwner(projects=[row.name for row in rows])
 
 
-async def see_that_an_admin_stays(db: Connection) -> None:
+async def ensure_admin_remains(db: Connection) -> None:
     """After a change that took the power of an admin away, see that somebody active keeps it without an end.
 
     Raises:
@@ -49,7 +49,7 @@ async def see_that_an_admin_stays(db: Connection) -> None:
         raise LastAdmin
 
 
-async def hand_over(db: Connection, project_ids: Sequence[uuid.UUID]) -> Sequence[Row[Any]]:
+async def give_to_admins(db: Connection, project_ids: Sequence[uuid.UUID]) -> Sequence[Row[Any]]:
     """Make the admins owners of those of some projects that nobody owns any more, and return these (`id`, `name`)."""
     rows = await _unowned(db, project_ids)
     for row in rows:
@@ -58,7 +58,7 @@ async def hand_over(db: Connection, project_ids: Sequence[uuid.UUID]) -> Sequenc
 
 
 async def _unowned(db: Connection, project_ids: Sequence[uuid.UUID]) -> Sequence[Row[Any]]:
-    await hold_rights(db)
+    await lock_rights(db)
     owned = (
         exists()
         .where(

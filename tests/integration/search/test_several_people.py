@@ -1,4 +1,4 @@
-"""Statements are put together once for all who ask alike: each is answered by their own words, and their own rights."""
+"""Searches of several people: each is answered with their own words and their own rights."""
 
 import uuid
 from collections.abc import Iterator
@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 
 from kleinkram.contract.rights import Right
-from kleinkram.server.access import few
+from kleinkram.server.missions import service as missions_service
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
@@ -15,9 +15,9 @@ from tests.integration.sample import Sample
 _READERS, _TOPICS = 2, ("/imu", "/gps")
 
 
-@pytest.fixture(name="asking", params=[True, False], ids=["sees many", "sees few"])
-def _asking(start_api: StartApi, request: pytest.FixtureRequest) -> Iterator[list[tuple[Api, str, str]]]:
-    """People who each see one mission, its id, and the word that it alone is named by; they see as many as it takes."""
+@pytest.fixture(name="readers", params=[True, False], ids=["sees many", "sees few"])
+def _readers(start_api: StartApi, request: pytest.FixtureRequest) -> Iterator[list[tuple[Api, str, str]]]:
+    """People who each see one mission, its id, and the word that names it alone."""
     api, found = start_api(), []
     sample = Sample(api)
     for number in range(_READERS):
@@ -30,13 +30,15 @@ def _asking(start_api: StartApi, request: pytest.FixtureRequest) -> Iterator[lis
         found.append((api.as_(people.token(api, reader).secret), mission, word))
     with pytest.MonkeyPatch.context() as patch:
         if request.param:
-            patch.setattr(few, "MOST", 0)
+            patch.setattr(missions_service, "MAX_VISIBLE_IDS", 0)
         yield found
 
 
 @pytest.mark.parametrize("query", ["{}", "drive", "drive {}", "meta.robot={}", "{} -word_0", "label:{}", ""])
-def test_nobody_is_answered_by_what_another_asked(asking: list[tuple[Api, str, str]], query: str) -> None:
-    for api, mission, word in [*asking, *asking]:
+def test_everyone_finds_only_what_their_own_query_and_rights_allow(
+    readers: list[tuple[Api, str, str]], query: str
+) -> None:
+    for api, mission, word in [*readers, *readers]:
         for sort in ("-start", "path"):
             found = api.get("/search", {"query": query.format(word), "sort": sort}).ok()
             assert [each["mission"]["id"] for each in found["files"]["items"]] == [mission]
@@ -48,8 +50,8 @@ def test_nobody_is_answered_by_what_another_asked(asking: list[tuple[Api, str, s
         assert [each["value"] for each in labels] == [word]
 
 
-def test_the_words_of_one_are_not_those_of_another(asking: list[tuple[Api, str, str]]) -> None:
-    words = [word for *_, word in asking]
-    for (api, *_), others in zip(asking, reversed(words), strict=True):
+def test_a_word_in_other_peoples_missions_finds_nothing(readers: list[tuple[Api, str, str]]) -> None:
+    words = [word for *_, word in readers]
+    for (api, *_), others in zip(readers, reversed(words), strict=True):
         assert api.get("/search", {"query": others}).ok()["files"]["total"] == 0
         assert api.get("/search", {"query": f"drive {others}"}).ok()["missions"]["total"] == 0
