@@ -74,12 +74,12 @@ def revoke(
     """Take away what somebody was granted here. What they have from elsewhere stays: `klein access list`."""
     with connect() as client:
         place = _place(client, project, mission)
-        found = find_grant(client.access.grants(place), to)
-        client.access.revoke(place, found.id)
+        target = find_grant(client.access.grants(place), to)
+        client.access.revoke(place, target.id)
     if as_json:
-        show_json(found)
+        show_json(target)
         return
-    note(f"Took {found.right.value} on the {found.on.value} {escape(place.name)} from {escape(found.to.name)}.")
+    note(f"Took {target.right.value} on the {target.on.value} {escape(place.name)} from {escape(target.to.name)}.")
 
 
 def _place(client: Client, project: str | None, mission: str | None) -> Place:

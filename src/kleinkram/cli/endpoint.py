@@ -42,8 +42,8 @@ def show(ctx: typer.Context, as_json: AsJson = False) -> None:
     why = _WHY[endpoint.source]
     known = _known(endpoint.url, endpoint.token)
     if as_json:
-        told = {"name": endpoint.name, "url": endpoint.url, "source": endpoint.source.value, "why": why}
-        show_json({**told, **_told(known)})
+        endpoint_fields = {"name": endpoint.name, "url": endpoint.url, "source": endpoint.source.value, "why": why}
+        show_json({**endpoint_fields, **_told(known)})
         return
     who, until = _who_until(known)
     place = [("endpoint", endpoint.name), ("url", endpoint.url), ("because", why)]

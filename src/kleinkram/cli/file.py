@@ -67,12 +67,12 @@ def info(
 ) -> None:
     """Show a file, its checksums and its topics."""
     with connect() as client:
-        found = client.files.get(file, mission=mission, project=project)
-        topics = [*client.files.topics(found.id)]
+        chosen = client.files.get(file, mission=mission, project=project)
+        topics = [*client.files.topics(chosen.id)]
     if as_json:
-        show_json({"file": found, "topics": topics})
+        show_json({"file": chosen, "topics": topics})
         return
-    _show(found)
+    _show(chosen)
     if topics:
         line("")
         show_topics(topics)
@@ -92,12 +92,12 @@ def update(
     if label is None and path is None and not no_labels:
         raise InvalidInput(what="The command", reason="say what to change: --label, --no-labels or --path")
     with connect() as client:
-        found = client.files.get(file, mission=mission, project=project)
+        chosen = client.files.get(file, mission=mission, project=project)
         if label is not None or no_labels:
-            found = client.files.update(found.id, if_match=found.etag, labels=label or [])
+            chosen = client.files.update(chosen.id, if_match=chosen.etag, labels=label or [])
         if path is not None:
-            found = client.files.update(found.id, if_match=found.etag, path=path)
-    show_json(found) if as_json else _show(found)
+            chosen = client.files.update(chosen.id, if_match=chosen.etag, path=path)
+    show_json(chosen) if as_json else _show(chosen)
 
 
 @app.command("label")
@@ -116,24 +116,24 @@ def label(
     if choice.is_empty() and not files:
         raise InvalidInput(what="The command", reason="say which files: -p, -m, --query, a path, a glob or an id")
     with connect() as client:
-        found = select_files(client, choice, files or [])
-        if not found:
+        chosen = select_files(client, choice, files or [])
+        if not chosen:
             raise NothingToDo(reason="No file matches")
         if dry_run:
-            show_json_list(found) if as_json else show_found(found)
-            note(f"Would label {count(len(found), 'file')}")
+            show_json_list(chosen) if as_json else show_found(chosen)
+            note(f"Would label {count(len(chosen), 'file')}")
             return
-        done = [*client.files.label([file.id for file in found], add=add or [], remove=remove or [])]
+        done = [*client.files.label([file.id for file in chosen], add=add or [], remove=remove or [])]
     if as_json:
         show_json_list(done)
-    _say_labelled(found, done)
+    _say_labelled(chosen, done)
 
 
-def _say_labelled(found: list[FileRead], done: list[FileLabelled]) -> None:
-    failures = [from_problem(each.problem) for each in done if each.problem is not None]
-    for file, each in zip(found, done, strict=True):
-        if each.problem is not None:
-            note(f"{file_label(file)}: {each.problem.detail}")
+def _say_labelled(chosen: list[FileRead], done: list[FileLabelled]) -> None:
+    failures = [from_problem(outcome.problem) for outcome in done if outcome.problem is not None]
+    for file, outcome in zip(chosen, done, strict=True):
+        if outcome.problem is not None:
+            note(f"{file_label(file)}: {outcome.problem.detail}")
     note(f"Labelled {count(len(done) - len(failures), 'file')}")
     if code := exit_code_of(failures):
         raise typer.Exit(code)
@@ -150,25 +150,25 @@ def delete(
 ) -> None:
     """Move files to the trash."""
     with connect() as client:
-        found = select_files(client, Choice(project=project, mission=mission), files)
-        if not found:
+        chosen = select_files(client, Choice(project=project, mission=mission), files)
+        if not chosen:
             raise NothingToDo(reason="No file matches")
-        total = sum(file.size_bytes for file in found)
-        for file in found:
-            said = client.files.delete(file.id, dry_run=True)
-            if said.made_from_it:
-                made = ", ".join(map(escape, said.made_from_it))
-                note(f"{file_label(file)} was read by {count(said.read_by_runs, 'run')}; of it came {made}, which stay")
+        total = sum(file.size_bytes for file in chosen)
+        for file in chosen:
+            preview = client.files.delete(file.id, dry_run=True)
+            if preview.made_from_it:
+                made = ", ".join(map(escape, preview.made_from_it))
+                note(f"{file_label(file)} was read by {count(preview.read_by_runs, 'run')}; {made} made from it stay")
         if not dry_run:
-            show_found(found, to_stderr=True)
-            confirm(f"Move {count(len(found), 'file')}, {size(total)}, to the trash?", yes)
-            for file in found:
+            show_found(chosen, to_stderr=True)
+            confirm(f"Move {count(len(chosen), 'file')}, {size(total)}, to the trash?", yes)
+            for file in chosen:
                 client.files.delete(file.id)
     if as_json:
-        show_json({"files": len(found), "size_bytes": total, "dry_run": dry_run, "items": found})
+        show_json({"files": len(chosen), "size_bytes": total, "dry_run": dry_run, "items": chosen})
     elif dry_run:
-        show_found(found)
-    note(f"{'Would move' if dry_run else 'Moved'} to the trash: {count(len(found), 'file')}, {size(total)}")
+        show_found(chosen)
+    note(f"{'Would move' if dry_run else 'Moved'} to the trash: {count(len(chosen), 'file')}, {size(total)}")
 
 
 def show_found(files: list[FileRead], *, to_stderr: bool = False) -> None:
@@ -265,8 +265,8 @@ def rename(
     renamed: BaseModel
     with connect() as client:
         if file is not None:
-            found = client.files.get(file, mission=mission, project=project)
-            old, renamed = found.path, client.files.update(found.id, if_match=found.etag, path=new_name)
+            chosen = client.files.get(file, mission=mission, project=project)
+            old, renamed = chosen.path, client.files.update(chosen.id, if_match=chosen.etag, path=new_name)
         elif mission is not None:
             held = client.missions.get(mission, project=project)
             old, renamed = held.name, client.missions.update(held.id, if_match=held.etag, name=new_name)
@@ -279,12 +279,12 @@ def rename(
 def _move_mission(
     client: Client, project: str | None, mission: str, to_project: str | None, dry_run: bool, as_json: bool
 ) -> None:
-    found = client.missions.get(mission, project=project)
+    chosen = client.missions.get(mission, project=project)
     target = client.projects.get(the_ref("project to move to", None, to_project))
-    moved = found if dry_run else client.missions.update(found.id, project_id=target.id)
+    moved = chosen if dry_run else client.missions.update(chosen.id, project_id=target.id)
     if as_json:
         show_json({"dry_run": dry_run, "mission": moved})
-    note(f"{'Would move' if dry_run else 'Moved'} {escape(found.name)} to the project {escape(target.name)}.")
+    note(f"{'Would move' if dry_run else 'Moved'} {escape(chosen.name)} to the project {escape(target.name)}.")
 
 
 def _move_files(
@@ -297,14 +297,14 @@ def _move_files(
     as_json: bool,
 ) -> None:
     target = client.missions.get(to_mission, project=to_project or the_only("project", choice.project))
-    found = select_files(client, choice, refs)
-    if not found:
+    chosen = select_files(client, choice, refs)
+    if not chosen:
         raise NothingToDo(reason="No file matches")
     if not dry_run:
-        found = [client.files.update(file.id, mission_id=target.id) for file in found]
+        chosen = [client.files.update(file.id, mission_id=target.id) for file in chosen]
     if as_json:
-        show_json({"dry_run": dry_run, "items": found})
+        show_json({"dry_run": dry_run, "items": chosen})
     elif dry_run:
-        show_found(found)
+        show_found(chosen)
     place = escape(f"{target.project.name}/{target.name}")
-    note(f"{'Would move' if dry_run else 'Moved'} {count(len(found), 'file')} to {place}.")
+    note(f"{'Would move' if dry_run else 'Moved'} {count(len(chosen), 'file')} to {place}.")

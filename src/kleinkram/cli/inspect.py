@@ -194,24 +194,24 @@ def inspect(
     """
     try:
         with watching(deep) as watch:
-            found = inspect_paths(paths, depth=Depth.scan if deep else Depth.summary, progress=watch)
+            inspections = inspect_paths(paths, depth=Depth.scan if deep else Depth.summary, progress=watch)
     except FileNotFoundError as error:
         raise InvalidInput(what=f"The path {error.filename}", reason="there is no such file or folder") from error
     if as_json:
-        show_json({"items": [to_plain(one) for one in found]})
+        show_json({"items": [to_plain(one) for one in inspections]})
     else:
-        _show_all(found)
-    unreadable = [one for one in found if one.summary.content is Content.error]
+        _show_all(inspections)
+    unreadable = [one for one in inspections if one.summary.content is Content.error]
     for one in unreadable:
         note(escape(one.summary.reason or one.path))
     if unreadable:
         raise typer.Exit(ExitCode.local_file)
 
 
-def _show_all(found: Sequence[Inspection]) -> None:
-    if not found:
+def _show_all(inspections: Sequence[Inspection]) -> None:
+    if not inspections:
         note("There are no recordings in it.")
-    for number, one in enumerate(found):
+    for number, one in enumerate(inspections):
         if number:
             line("")
         show(one)

@@ -69,8 +69,8 @@ def login(
 
 
 def _server(url: str | None) -> str:
-    if given := url or os.environ.get(URL_VARIABLE):
-        return normal_url(given)
+    if explicit_url := url or os.environ.get(URL_VARIABLE):
+        return normal_url(explicit_url)
     used = find_endpoint()
     if used.source is EndpointSource.local:
         reason = "the server in use runs on this machine and knows you by a file; give a URL to sign in elsewhere"

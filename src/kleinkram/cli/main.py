@@ -109,8 +109,8 @@ app = typer.Typer(
 )
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(is_requested: bool) -> None:
+    if is_requested:
         import kleinkram
 
         typer.echo(kleinkram.__version__)

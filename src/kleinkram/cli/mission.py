@@ -153,13 +153,13 @@ def show_recordings(recordings: Iterable[RecordingRead]) -> None:
             for row in rows
         ],
     )
-    odd = [
+    suspect = [
         *((row.name, row.content.value, row.content_reason) for row in rows if row.content_reason),
         *((row.name, problem.where, problem.message) for row in rows for problem in row.problems),
     ]
-    if odd:
+    if suspect:
         line("")
-        table(["recording", "what", "to know"], odd)
+        table(["recording", "what", "to know"], suspect)
 
 
 def show_files(files: Iterable[FileRead]) -> None:
@@ -267,13 +267,13 @@ def list_(
     as_json: AsJson = False,
 ) -> None:
     """List missions."""
-    given: dict[str, object] = {"text": text, "where": where, "topic": topic}
-    given["satisfied"] = False if unsatisfied else None
+    filter_fields: dict[str, object] = {"text": text, "where": where, "topic": topic}
+    filter_fields["satisfied"] = False if unsatisfied else None
     with connect() as client:
         refs = [str(client.missions.id_of(ref)) if "/" in ref else ref for ref in [*(names or []), *(mission or [])]]
-        given |= {"name": refs[0]} if len(refs) == 1 and not is_id(refs[0]) else {"missions": refs}
-        given |= projects_of(client, project)
-        matching = checked(MissionFilter, "The filter", **{key: value for key, value in given.items() if value})
+        filter_fields |= {"name": refs[0]} if len(refs) == 1 and not is_id(refs[0]) else {"missions": refs}
+        filter_fields |= projects_of(client, project)
+        matching = checked(MissionFilter, "The filter", **{key: value for key, value in filter_fields.items() if value})
         matching = matching.model_copy(update={"satisfied": False}) if unsatisfied else matching
         if count:
             number = client.missions.count(matching)
@@ -292,8 +292,8 @@ def info(
 ) -> None:
     """Show a mission: its metadata, recordings, files, and topics with counts, rates and gaps."""
     with connect() as client:
-        found = client.missions.get(the_ref("mission", name, mission), project=project)
-        show_contents(client, found, as_json)
+        target = client.missions.get(the_ref("mission", name, mission), project=project)
+        show_contents(client, target, as_json)
 
 
 @app.command("update")
@@ -320,17 +320,17 @@ def update(
         raise InvalidInput(what="--replace", reason="it goes with --metadata")
     if new_name is None and text is None and notes is None:
         raise InvalidInput(what="The command", reason="say what to change: --name, --metadata or --notes")
-    given: dict[str, str | bool] = {"name": new_name} if new_name is not None else {}
-    given |= {"notes": notes} if notes is not None else {}
+    filter_fields: dict[str, str | bool] = {"name": new_name} if new_name is not None else {}
+    filter_fields |= {"notes": notes} if notes is not None else {}
     if text is not None:
-        given |= {"metadata_yaml": text, "merge_yaml": not replace}
+        filter_fields |= {"metadata_yaml": text, "merge_yaml": not replace}
     with connect() as client:
-        found = client.missions.get(the_ref("mission", name, mission), project=project)
-        changed = client.missions.update(found.id, if_match=etag or found.etag, **given)
+        target = client.missions.get(the_ref("mission", name, mission), project=project)
+        changed = client.missions.update(target.id, if_match=etag or target.etag, **filter_fields)
     if as_json:
         show_json(changed)
         return
-    show_changes(found, changed)
+    show_changes(target, changed)
 
 
 @app.command("complete")
@@ -339,8 +339,8 @@ def complete(
 ) -> None:
     """Say that all of a mission has been uploaded."""
     with connect() as client:
-        found = client.missions.get(the_ref("mission", name, mission), project=project)
-        changed = client.missions.complete(found.id)
+        target = client.missions.get(the_ref("mission", name, mission), project=project)
+        changed = client.missions.complete(target.id)
     show_json(changed) if as_json else show_mission(changed)
 
 
@@ -354,15 +354,15 @@ def template(
 ) -> None:
     """Print the metadata YAML to fill in for a project's next mission; values of the last one stand in comments."""
     with connect() as client:
-        found = client.projects.get(the_ref("project", name, project))
-        form = client.projects.template(found.id)
+        target = client.projects.get(the_ref("project", name, project))
+        form = client.projects.template(target.id)
     if as_json:
         show_json(form)
         return
     if form.prefilled_from is not None and form.carried:
         note(f"Values of {escape(form.prefilled_from.name)} stand in comments: write those that hold again.")
-    for each in form.yaml.rstrip("\n").split("\n"):
-        line(each)
+    for yaml_line in form.yaml.rstrip("\n").split("\n"):
+        line(yaml_line)
 
 
 @app.command("delete")
@@ -376,10 +376,10 @@ def delete(
 ) -> None:
     """Move a mission, and its files, to the trash."""
     with connect() as client:
-        found = client.missions.get(the_ref("mission", name, mission), project=project)
-        would = client.missions.delete(found.id, dry_run=True)
-        what = f"{found.project.name}/{found.name}: {count(would.files, 'file')}, {size(would.size_bytes)}"
+        target = client.missions.get(the_ref("mission", name, mission), project=project)
+        would = client.missions.delete(target.id, dry_run=True)
+        what = f"{target.project.name}/{target.name}: {count(would.files, 'file')}, {size(would.size_bytes)}"
         if not dry_run:
             confirm(f"Move to the trash {what}?", yes)
-            would = client.missions.delete(found.id)
+            would = client.missions.delete(target.id)
     show_json(would) if as_json else note(f"{'Would move' if dry_run else 'Moved'} to the trash: {what}")

@@ -83,18 +83,18 @@ def _count(client: Client, choice: Choice, show: Shown, paths: list[str]) -> int
 
 
 def _show_topics(topics: Iterable[TopicFound]) -> None:
-    rows = [(each.name, each.message_type, each.file_count, each.message_count) for each in topics]
+    rows = [(row.name, row.message_type, row.file_count, row.message_count) for row in topics]
     table(["topic", "type", "files", "messages"], rows)
 
 
-def _show_facets(found: FacetsRead, as_json: bool) -> None:
+def _show_facets(read: FacetsRead, as_json: bool) -> None:
     if as_json:
-        show_json(found)
+        show_json(read)
         return
-    rows = [(each.name, value.value, value.file_count, value.query) for each in found.facets for value in each.values]
+    rows = [(row.name, value.value, value.file_count, value.query) for row in read.facets for value in row.values]
     table(["facet", "value", "files", "query"], rows)
-    if not found.is_whole:
-        note(f"To save time only {found.file_count} files were counted; say more to find fewer.")
+    if not read.is_whole:
+        note(f"To save time only {read.file_count} files were counted; say more to find fewer.")
 
 
 _GROUPS = frozenset(("project", "mission", "topic", "type", "month", "format"))
@@ -115,14 +115,14 @@ def stats(
     if as_csv and as_json:
         raise InvalidInput(what="The command", reason="say --csv or --json, not both")
     with connect() as client:
-        found = client.stats.get(_grouping(by), file_filter(client, choice))
+        read = client.stats.get(_grouping(by), file_filter(client, choice))
     if as_json:
-        show_json(found)
+        show_json(read)
     elif as_csv:
-        _write_csv(found)
+        _write_csv(read)
     else:
-        rows = [_row(row.group or "(none)", row) for row in found.rows]
-        table([by, "missions", "files", "recordings", "hours", "size", "messages"], [*rows, _row("total", found.total)])
+        rows = [_row(row.group or "(none)", row) for row in read.rows]
+        table([by, "missions", "files", "recordings", "hours", "size", "messages"], [*rows, _row("total", read.total)])
 
 
 def _grouping(by: str) -> str:
@@ -135,9 +135,9 @@ def _row(group: str, row: StatsRow) -> tuple[object, ...]:
     return (group, row.missions, row.files, row.recordings, hours, size(row.size_bytes), row.messages)
 
 
-def _write_csv(found: StatsRead) -> None:
+def _write_csv(read: StatsRead) -> None:
     writer = csv.writer(sys.stdout, lineterminator="\n")
-    writer.writerow([found.by, "missions", "files", "recordings", "duration_ns", "size_bytes", "messages"])
-    for row in found.rows:
+    writer.writerow([read.by, "missions", "files", "recordings", "duration_ns", "size_bytes", "messages"])
+    for row in read.rows:
         counts = [row.missions, row.files, row.recordings, row.duration_ns, row.size_bytes, row.messages]
         writer.writerow([row.group or "", *counts])
