@@ -41,9 +41,9 @@ def mission(terminal: Terminal, project: str, tmp_path: Path) -> tuple[str, ...]
 def test_a_script_runs_on_a_mission(terminal: Terminal, mission: tuple[str, ...], tmp_path: Path) -> None:
     script = tmp_path / "look.py"
     script.write_text(SCRIPT)
-    run = ["action", "run-local", script, *mission, "--out"]
+    command = ["action", "run-local", script, *mission, "--out"]
 
-    ran = terminal.run(*run, tmp_path / "out", "--json")
+    ran = terminal.run(*command, tmp_path / "out", "--json")
     assert "looking at /in/drive/drive.mcap" in ran.err
     assert "outside is a link: left out" in ran.err
     run = ran.json()
@@ -54,11 +54,11 @@ def test_a_script_runs_on_a_mission(terminal: Terminal, mission: tuple[str, ...]
     assert run["report"]["metadata"] == {"sensors": ["imu"]}
     assert (tmp_path / "out" / "tables" / "counts.csv").read_text() == "topic,count"
 
-    again = terminal.run(*run, tmp_path / "out", code=2)
+    again = terminal.run(*command, tmp_path / "out", code=2)
     assert "holds something already" in again.err
-    failed = terminal.run(*run, tmp_path / "failed", "--set", "code=3", code=14)
+    failed = terminal.run(*command, tmp_path / "failed", "--set", "code=3", code=14)
     assert "the exit code 3" in failed.err
-    unknown = terminal.run(*run, tmp_path / "unknown", "--set", "topc=/imu", code=2)
+    unknown = terminal.run(*command, tmp_path / "unknown", "--set", "topc=/imu", code=2)
     assert "no parameter 'topc'; it has topic, code" in unknown.err
 
 

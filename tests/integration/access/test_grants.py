@@ -113,7 +113,7 @@ def test_nobody_gives_for_longer_than_they_hold(api: Api, ada: Person, bob: Pers
     met(api, bob, carol)
     wanted = {"person_id": carol.id, "right": "WRITE"}
     problem = his.post(path, wanted).refused(403, "right_exceeded")
-    assert "without an end" in problem["wanted"]
+    assert "without an end" in problem["requested"]
     his.post(path, {**wanted, "expires_at": in_days(2)}).refused(403, "right_exceeded")
     his.patch(f"{path}/{mine}", {"expires_at": None}).refused(403, "right_exceeded")
     his.post(path, {**wanted, "expires_at": in_days(0.5)}).ok(201)
