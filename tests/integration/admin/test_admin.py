@@ -61,7 +61,7 @@ def test_a_job_that_fails_leaves_a_sentence_that_goes_with_it(lab: Api, monkeypa
         if fails:
             raise fails[0]
 
-    monkeypatch.setattr(service, "get_blob", read)
+    monkeypatch.setattr(service, "find_blob", read)
     job_id = lab.sql(
         "INSERT INTO procrastinate_jobs (queue_name, task_name, attempts, args)"
         " VALUES ('default', 'summarise_blob', %s, jsonb_build_object('ref', %s::text)) RETURNING id",
@@ -88,7 +88,7 @@ def test_a_job_shows_why_it_failed_while_it_is_tried_again(
     async def read(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr(service, "get_blob", read)
+    monkeypatch.setattr(service, "find_blob", read)
     job_id = lab.sql(
         "INSERT INTO procrastinate_jobs (queue_name, task_name, args)"
         " VALUES ('default', 'summarise_blob', jsonb_build_object('ref', %s::text)) RETURNING id",

@@ -57,7 +57,12 @@ def recent_missions(actor: Actor, *, limit: int) -> Select[Any]:
 
 def unfinished_uploads(actor: Actor, *, limit: int) -> Select[Any]:
     """Return one's own uploads that are under way, the latest first."""
-    named = (mission.c.name.label("mission_name"), mission.c.project_id, project.c.name.label("project_name"))
+    named = (
+        upload.c.created_at,
+        mission.c.name.label("mission_name"),
+        mission.c.project_id,
+        project.c.name.label("project_name"),
+    )
     return (
         own_uploads(actor)
         .add_columns(*named)
