@@ -87,12 +87,13 @@ def api(starting: Starting, begun_apis: list[Api]) -> Iterator[Api]:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _no_jobs_left(begun_apis: list[Api]) -> Iterator[None]:
-    """What a module leaves in the queue is not done by the next: that took a minute, now and then."""
+def _isolate_modules(begun_apis: list[Api]) -> Iterator[None]:
+    """Remove what a module leaves in the shared API and the next would meet: waiting jobs, public projects."""
     yield
     for api in begun_apis:
         api.sql("DELETE FROM procrastinate_jobs WHERE status = 'todo'")
-        # Or the sweep would find a thousand missions that nobody has grouped.
+        api.sql("UPDATE project SET is_public = false WHERE is_public")
+        # Or garbage collection would find a thousand missions without recordings.
         api.sql("UPDATE mission SET derived_revision = files_revision WHERE derived_revision <> files_revision")
 
 

@@ -158,8 +158,8 @@ def _limited(strict: Api) -> tuple[ClientApi, DownloadRequest]:
     return ClientApi(Endpoint("test", strict.url, api.token, EndpointSource.argument)), nothing
 
 
-def test_the_client_waits_as_it_is_told_and_then_goes_on(strict: Api, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_retry, "LONGEST_TOLD_S", float("inf"))
+def test_the_client_follows_retry_after(strict: Api, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_retry, "LONGEST_RETRY_AFTER_S", float("inf"))
     client, nothing = _limited(strict)
     waited: list[float] = []
 
