@@ -65,7 +65,7 @@ def test_a_run_from_form_to_lineage(cluster: Cluster, act: Act, pictures: Path, 
     assert seen["axe"] == []
     assert seen["wide"] == []
     assert seen["ran"] == [], "markup was run"
-    assert seen["wrong"] == ["This must be said.", "This is at most 10."]
+    assert seen["wrong"] == ["Required.", "Enter at most 10."]
     assert "/imu/data" in seen["topics"], "the mission's topics are offered"
     assert seen["live"]["progress"] == "half of it", "what it is at is seen while it runs"
     log = seen["log"]
