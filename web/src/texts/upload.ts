@@ -1,6 +1,6 @@
 // Texts of the upload page.
-import type { Phase } from "@/features/upload/engine/desk";
-import type { FileState, LeftOutReason, LocalFailure, Trouble } from "@/features/upload/engine/nouns";
+import type { Phase } from "@/features/upload/engine/uploadQueue";
+import type { FileState, LeftOutReason, LocalFailure, Trouble } from "@/features/upload/engine/types";
 import type { PathProblem } from "@/features/upload/engine/paths";
 import { counted, formatShare, formatSize, formatSpeed } from "@/components/format";
 

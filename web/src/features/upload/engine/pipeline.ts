@@ -9,10 +9,10 @@ import type { Hashing } from "./checksums";
 import { Budget, Queue, Stopped, checkStopped } from "./flow";
 import type { Journal } from "./journal";
 import { Leases } from "./leases";
-import type { Failure, ProblemDocument, SignedPart, UploadOutcome } from "./nouns";
+import type { Failure, ProblemDocument, SignedPart, UploadOutcome } from "./types";
 import { FileFailure, checkUnchanged } from "./reading";
 import { type Part, type Sending, toSign } from "./sending";
-import { StoreRefused, sendPart } from "./sendpart";
+import { StoreRefused, sendPart } from "./sendPart";
 import type { Store } from "./store";
 import type { Watcher } from "./watcher";
 

@@ -1,7 +1,7 @@
 // @vitest-environment node
 import { describe, expect, it } from "vitest";
 import { chosen, entriesOf, walk } from "./entries";
-import type { Found } from "./nouns";
+import type { Found } from "./types";
 import { planUpload } from "./plan";
 
 const NOW = 1_000_000;

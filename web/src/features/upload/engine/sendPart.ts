@@ -1,7 +1,7 @@
 // Sending one part until the store has taken it, or has said often enough that it will not.
 
 import { ApiProblem } from "./api";
-import type { SignedPart } from "./nouns";
+import type { SignedPart } from "./types";
 import type { Parts } from "./pipeline";
 import { checkUnchanged } from "./reading";
 import type { Part } from "./sending";
@@ -23,7 +23,7 @@ export class StoreRefused extends Error {
 export async function sendPart(part: Part, first: SignedPart, parts: Parts): Promise<void> {
   const { asking, around } = parts;
   const signAgain = async () => (await asking.sign([toSign(part)]))[0] as SignedPart;
-  const tries = around.patience.begin();
+  const tries = around.backoff.begin();
   let signed = first;
   let refusals = 0;
   while (!part.sending.ended) {
