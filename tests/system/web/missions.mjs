@@ -71,7 +71,7 @@ seen.revoked = await other.getByRole("alert").first().innerText();
 // What people named and said is text, whichever view of the project shows it.
 const made = () => page.evaluate(() => document.querySelectorAll("main img, main script, main b, main i, main u, main a[href=x]").length);
 seen.elements = [await made()];
-for (const name of ["Missions", "Statistics", "Required metadata", "Activity", "Settings"]) {
+for (const name of ["Missions", "Statistics", "Metadata fields", "Activity", "Settings"]) {
   const tab = page.getByRole("navigation", { name: "Views of the project" }).getByRole("link", { name });
   await tab.click();
   await tab.and(page.locator("[aria-current=page]")).waitFor();

@@ -28,7 +28,7 @@ await owner.waitForURL((url) => url.pathname === "/");
 // An invitation, accepted in another browser.
 await owner.goto(`${address}/people`);
 await owner.getByRole("button", { name: "Invite a person" }).click();
-await owner.getByLabel("Email address").fill("ben@lab.example");
+await owner.getByRole("textbox", { name: /^Email address/ }).fill("ben@lab.example");
 await owner.getByLabel("Name (optional)").fill(HOSTILE);
 await look(owner, "people-invite", owner.getByRole("button", { name: "Create link" }));
 await owner.getByRole("button", { name: "Create link" }).click();
@@ -179,8 +179,8 @@ seen.returned = await asBenAgain();
 
 // A job that was given up is tried again.
 await owner.goto(`${address}/admin?tab=jobs`);
-await owner.getByRole("button", { name: `Try again #${job}` }).click();
+await owner.getByRole("button", { name: `Retry #${job}` }).click();
 await owner.getByText(`Job ${job} is queued again.`).waitFor();
-await owner.getByRole("button", { name: `Try again #${job}` }).waitFor({ state: "detached" });
+await owner.getByRole("button", { name: `Retry #${job}` }).waitFor({ state: "detached" });
 seen.failed = await owner.getByText("No failed jobs.").count();
 await tell();

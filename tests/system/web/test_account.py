@@ -61,9 +61,9 @@ def test_an_account_a_mission_and_a_failed_job(cluster: Cluster, act: Act, pictu
     assert [seen[each] for each in ("complaints", "axe", "wide", "ran")] == [[], [], [], []]
     assert "Compared\n0 objects" in seen["scrub"]
     assert "Newly lost\n0" in seen["scrub"]
-    assert "ada@lab.example by your invitation" in seen["account"]
+    assert "ada@lab.example verified by your invitation" in seen["account"]
     assert "This server no longer offers this provider." in seen["account"]
-    assert seen["tooShort"] == "It takes at least 10 characters."
+    assert seen["tooShort"] == "Use at least 10 characters."
     assert seen["wrongPassword"] == "Wrong password."
     assert (seen["before"], seen["after"]) == (200, 401)
     assert sql(cluster, "SELECT unlinked_at IS NULL FROM identity WHERE person_id = %s", ada) == [(False,)]

@@ -46,7 +46,7 @@ def test_missions_changed(cluster: Cluster, act: Act, pictures: Path, tmp_path: 
     assert seen["ran"] == [], "markup was run"
     assert seen["axe"] == []
     assert seen["wide"] == []
-    assert "Alps / night\nGo on\ncamera.raw" in seen["unfinished"]
+    assert "Alps / night\nResume\ncamera.raw" in seen["unfinished"]
     assert "of 20.0 MB" in seen["unfinished"], "what the store holds of it is told"
     assert seen["chosen"] == ["Alps", "night"], "the address chose where it goes"
     assert "File uploaded." in seen["over"]

@@ -106,10 +106,10 @@ def _see_what_it_said(seen: dict[str, Any]) -> None:
 
 
 def _see_where_it_leads(seen: dict[str, Any], terminal: Terminal) -> None:
-    assert "Read by look <b>closely<b>" in seen["lineage"]
+    assert "Used by look <b>closely<b>" in seen["lineage"]
     assert "derived/<b>table<b>.csv" in seen["deletion"], "what came of it is told before it is deleted"
     assert seen["again"]["state"] == "done"
-    assert seen["many"]["made"] == "2 runs asked for"
+    assert seen["many"]["made"] == "2 runs started"
     assert len(seen["many"]["runs"]) == 4
     assert seen["cancelled"] == "cancelled"
     runs = terminal.run("run", "list", "--json").json()["items"]

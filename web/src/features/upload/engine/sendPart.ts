@@ -1,14 +1,27 @@
 // Sending one part until the store has taken it, or has said often enough that it will not.
 
-import { ApiProblem } from "./api";
+import { ApiProblem, type Asking, type Surroundings } from "./api";
+import type { Hashing } from "./checksums";
+import type { Journal } from "./journal";
 import type { SignedPart } from "./types";
-import type { Parts } from "./pipeline";
 import { checkUnchanged } from "./reading";
 import type { Part } from "./sending";
 import { toSign } from "./sending";
-import type { PutAnswer } from "./store";
+import type { PutAnswer, Store } from "./store";
+import type { Watcher } from "./watcher";
 
 const REFUSALS = 4;
+
+/** What an upload works with. */
+export interface Parts {
+  readonly asking: Asking;
+  readonly store: Store;
+  readonly journal: Journal;
+  readonly hashing: Hashing;
+  readonly watcher: Watcher;
+  readonly around: Surroundings;
+  readonly stop: AbortController;
+}
 
 /** The store would not take a part, for its own reason. */
 export class StoreRefused extends Error {

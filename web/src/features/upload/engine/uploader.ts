@@ -10,7 +10,7 @@ import type { JournalFile, JournalHead } from "./journal";
 import { NameConflicts } from "./nameConflicts";
 import type { Failure, PlannedFile, ProblemDocument, UploadDecision, UploadFile } from "./types";
 import { Pipeline } from "./pipeline";
-import type { Parts } from "./pipeline";
+import type { Parts } from "./sendPart";
 import { FileFailure } from "./reading";
 import { Sending } from "./sending";
 
