@@ -50,12 +50,12 @@ def test_parts_are_killed(
     killed = {part: instance.kill_part(part) for part in parts}
 
     def is_over() -> bool:
-        said = terminal.run("run", "info", run_id, "--json", code=None)
-        return said.code == 0 and json.loads(said.out)["ended_at"] is not None
+        values = terminal.run("run", "info", run_id, "--json", code=None)
+        return values.code == 0 and json.loads(values.out)["ended_at"] is not None
 
     wait_until(is_over, "the end of the run")
-    said = terminal.run("run", "info", run_id, "--json").json()
-    assert (said["state"], said["attempt"], said["artifact_count"], said["metric_count"]) == ("done", 1, 1, 1)
+    values = terminal.run("run", "info", run_id, "--json").json()
+    assert (values["state"], values["attempt"], values["artifact_count"], values["metric_count"]) == ("done", 1, 1, 1)
     assert all(instance.runtime_info()["parts"][part] not in {None, pid} for part, pid in killed.items())
     (runner,) = terminal.run("runner", "list", "--json").json()["items"]
     assert (runner["name"], runner["is_alive"]) == ("klein-up", True)

@@ -72,9 +72,9 @@ def test_a_run_is_followed_fetched_reused_and_leaves_its_lineage(
 
     made = terminal.run("lineage", "derived/counts.csv", *mission, "--json").json()["made_by"]
     assert made["run"]["id"] == run["id"]
-    assert [each["path"] for each in made["inputs"]] == ["drive/drive.bag"]
+    assert [entry["path"] for entry in made["inputs"]] == ["drive/drive.bag"]
     (reader,) = terminal.run("lineage", "drive/drive.bag", *mission, "--json").json()["read_by"]
-    assert [each["path"] for each in reader["files"]] == ["derived/counts.csv"]
+    assert [entry["path"] for entry in reader["files"]] == ["derived/counts.csv"]
 
     again = terminal.run("action", "run", "look@1", *mission, "--json").json()["items"][0]["run"]
     assert (again["state"], again["reuses_id"]) == ("done", run["id"])
@@ -115,7 +115,7 @@ def test_each_mission_of_a_search_is_run_on(
 
     assert "--yes" in terminal.run(*run, code=2).err
     ran = terminal.run(*run, "--yes", "--follow", "--json", code=None)
-    outcomes = {each["outcome"]: each for each in ran.json()["items"]}
+    outcomes = {entry["outcome"]: entry for entry in ran.json()["items"]}
     assert outcomes["created"]["run"]["state"] == "done"
     assert outcomes["refused"]["problem"]["code"] == "no_inputs"
     assert f"{project}/empty: No file of the mission" in ran.err

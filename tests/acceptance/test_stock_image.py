@@ -90,9 +90,9 @@ def test_the_shipped_action_runs_on_it(beside: Terminal, project: str, recording
     place = ("-p", project, "-m", "metadata")
     beside.run("upload", *place, "--create", "--wait", bag)
     example = ROOT / "examples" / "actions" / "extract-metadata"
-    told = beside.run("action", "run-local", *place, "--json", "--out", tmp_path / "out", example)
-    assert "Running extract-metadata in a container." in told.err
-    assert told.json()["report"]["metadata"]["distance_m"] > 80
+    reported = beside.run("action", "run-local", *place, "--json", "--out", tmp_path / "out", example)
+    assert "Running extract-metadata in a container." in reported.err
+    assert reported.json()["report"]["metadata"]["distance_m"] > 80
 
 
 def test_the_demo_runs_its_script_in_a_container(docker: Dockerd) -> None:

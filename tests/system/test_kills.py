@@ -118,7 +118,7 @@ def _all_is_well(cluster: Cluster, rounds: list[Round]) -> None:
     backend.tidy(cluster)
     kept = dict(backend.sql(cluster, "SELECT key, size_bytes FROM blob"))
     assert backend.objects(cluster) == kept, "objects that nobody refers to, or none where one should be"
-    assert backend.open_multiparts(cluster) == []
+    assert backend.list_multiparts(cluster) == []
 
 
 def _is_over(cluster: Cluster, run: str) -> bool:

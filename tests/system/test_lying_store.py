@@ -24,8 +24,8 @@ def _harm(cluster: Cluster, bodies: dict[str, bytes]) -> None:
 
     async def do(context: AppContext) -> None:
         await context.storage.delete(keys["gone.bin"])
-        await context.storage.put_small(keys["cut.bin"], bodies["cut.bin"][:1000])
-        await context.storage.put_small(keys["altered.bin"], altered[:-1] + bytes([altered[-1] ^ 1]))
+        await context.storage.put_object(keys["cut.bin"], bodies["cut.bin"][:1000])
+        await context.storage.put_object(keys["altered.bin"], altered[:-1] + bytes([altered[-1] ^ 1]))
 
     backend.on_site(cluster, do)
 

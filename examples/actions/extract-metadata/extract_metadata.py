@@ -48,9 +48,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from kleinkram.action import context, inputs, out, parameters, progress, report
-from kleinkram.action.places import given
-from kleinkram.recordings import FileSource, RecordingGroup, group
-from kleinkram.recordings.reading import Message, NotARecording, Recording
+from kleinkram.action.run_files import in_dir
+from kleinkram.recordings import FileSource, Message, NotARecording, Recording, RecordingGroup, group
 
 NS = 10**9
 MOST_POINTS = 5000
@@ -192,7 +191,7 @@ class Seen:
 
 def opened(group: RecordingGroup, stack: ExitStack) -> Recording:
     """Open a recording among the inputs, whatever number of files it has."""
-    paths = [given / path for path in (group.metadata_path, *group.members) if path is not None]
+    paths = [in_dir / path for path in (group.metadata_path, *group.members) if path is not None]
     if group.metadata_path is not None and "/" in group.metadata_path:
         return stack.enter_context(Recording.open(paths[0].parent))
     if len(paths) == 1:
@@ -231,7 +230,7 @@ def look(group: RecordingGroup, share: tuple[float, float]) -> Seen | None:
             if done > reported + 0.05:
                 reported = done
                 progress(min(begin + width * done, 1.0), name)
-        file = given / group.members[0] if len(group.members) == 1 else None
+        file = in_dir / group.members[0] if len(group.members) == 1 else None
         return Seen(name, file, recording.start_ns, recording.end_ns, sensors, [*tracks.values()])
 
 
@@ -386,14 +385,14 @@ def write_tracks(recordings: Iterable[Seen]) -> dict[str, Any]:
 def main() -> None:
     """Read all recordings of the mission, and say what they tell."""
     recordings: list[Seen] = []
-    paths = [path.relative_to(given).as_posix() for path in inputs()]
+    paths = [path.relative_to(in_dir).as_posix() for path in inputs()]
     groups = [candidate for candidate in group(paths) if candidate.members]
     for number, recording_group in enumerate(groups):
         progress(number / len(groups), recording_group.name)
         try:
             seen = look(recording_group, (number / len(groups), 1 / len(groups)))
         except NotARecording as error:
-            report.finding("error", "recording.unreadable", str(error), file=given / recording_group.members[0])
+            report.finding("error", "recording.unreadable", str(error), file=in_dir / recording_group.members[0])
             continue
         if seen is None:
             continue

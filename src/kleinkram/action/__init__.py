@@ -1,4 +1,4 @@
-"""For code inside of an action: what it was given, and how it says what it found.
+"""For code inside of an action: its inputs and parameters, and how it reports results.
 
 ```python
 from kleinkram.action import inputs, out, progress, report
@@ -9,11 +9,10 @@ for number, path in enumerate(inputs()):
 (out / "notes.txt").write_text("an artifact")
 ```
 
-Everything goes through files: there is no connection to anything, and nothing to close. See the page on actions.
+Everything goes through files: there is no connection, and nothing to close. See the page on actions.
 """
 
-from kleinkram.action.given import context, inputs, parameters
-from kleinkram.action.places import out, scratch
-from kleinkram.action.saying import progress, report
+from kleinkram.action.events import progress, report
+from kleinkram.action.run_files import context, inputs, out, parameters, scratch
 
 __all__ = ["context", "inputs", "out", "parameters", "progress", "report", "scratch"]

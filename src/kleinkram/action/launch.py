@@ -1,6 +1,6 @@
 """Starts a script action: `python -m kleinkram.action.launch SCRIPT DEPENDENCY…`, SCRIPT as in `/in`.
 
-Looks whether what the script says it depends on is installed, since a run can fetch nothing, and then is the script.
+Checks that the dependencies of the script are installed, since a run can fetch nothing, and then runs the script.
 """
 
 import importlib.metadata
@@ -9,39 +9,39 @@ import sys
 
 from packaging.requirements import InvalidRequirement, Requirement
 
-from kleinkram.action import places
+from kleinkram.action import run_files
 
 NOT_INSTALLED = 78  # EX_CONFIG of sysexits.h
 
 
 def main() -> None:
-    """Run the script in this process, or say what is missing and exit with `NOT_INSTALLED`."""
+    """Run the script in this process; exit with `NOT_INSTALLED` where a dependency is missing."""
     _, script, *dependencies = sys.argv
-    missing = [problem for each in dependencies if (problem := _missing(each))]
+    missing = [problem for dependency in dependencies if (problem := _missing(dependency))]
     if missing:
         sys.stderr.write(
-            f"This script needs what is not installed here: {'; '.join(missing)}. A run cannot fetch packages: "
+            f"Dependencies of this script are not installed here: {'; '.join(missing)}. A run cannot fetch packages: "
             "name an image that has them in the script's header ([tool.kleinkram] image = ...).\n"
         )
         raise SystemExit(NOT_INSTALLED)
-    # Without a root of its own, a run is told elsewhere where its `/in` is.
-    path = str(places.given / script)
+    # `/in` is elsewhere where the run has no sandbox.
+    path = str(run_files.in_dir / script)
     sys.argv = [path]
     runpy.run_path(path, run_name="__main__")
 
 
 def _missing(dependency: str) -> str | None:
     try:
-        wanted = Requirement(dependency)
+        requirement = Requirement(dependency)
     except InvalidRequirement:
         return f"{dependency!r}, which is no requirement"
-    if wanted.marker is not None and not wanted.marker.evaluate():
+    if requirement.marker is not None and not requirement.marker.evaluate():
         return None
     try:
-        version = importlib.metadata.version(wanted.name)
+        version = importlib.metadata.version(requirement.name)
     except importlib.metadata.PackageNotFoundError:
         return dependency
-    return None if wanted.specifier.contains(version, prereleases=True) else f"{dependency} (here is {version})"
+    return None if requirement.specifier.contains(version, prereleases=True) else f"{dependency} (here is {version})"
 
 
 if __name__ == "__main__":

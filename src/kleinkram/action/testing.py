@@ -7,8 +7,7 @@ def test_it_counts(tmp_path):
     assert ran.metric("messages") == 589
 ```
 
-What holds here of what a run may reach, is nothing: it reads and writes what the test may. `klein action run-local` is
-the next step.
+The run is not isolated: it reads and writes whatever the test may. `klein action run-local` is the next step.
 """
 
 import datetime
@@ -21,7 +20,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from kleinkram.action.places import IN_VARIABLE, OUT_VARIABLE
+from kleinkram.action.run_files import IN_VARIABLE, OUT_VARIABLE
 from kleinkram.client.errors import InvalidInput
 from kleinkram.client.manifest import MANIFEST, read_manifest
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
@@ -41,7 +40,7 @@ _THEN = datetime.datetime(2024, 5, 1, tzinfo=datetime.timezone.utc)
 
 @dataclass(frozen=True)
 class Tried:
-    """How a run ended: its exit code, what it wrote, the folder that it left, and what it said."""
+    """How a run ended: its exit code, output, directory of results, and report."""
 
     exit_code: int
     log: str
@@ -49,16 +48,16 @@ class Tried:
     report: Report
 
     def metric(self, name: str, file: str | None = None) -> float:
-        """Return the last value of a metric; of all files, where none is named.
+        """Return the last value of a metric, by default of the whole run.
 
         Raises:
-            KeyError: it said none.
+            KeyError: it was not reported.
         """
-        return {(each.name, each.file): each.value for each in self.report.metrics}[name, file]
+        return {(entry.name, entry.file): entry.value for entry in self.report.metrics}[name, file]
 
     def codes(self) -> set[str]:
         """Return the codes of all findings."""
-        return {each.code for each in self.report.findings}
+        return {entry.code for entry in self.report.findings}
 
 
 def try_out(
@@ -70,14 +69,14 @@ def try_out(
     metadata: Metadata | None = None,
     timeout_s: float = 60,
 ) -> Tried:
-    """Run a script on some files, said by their paths in the mission, in an empty folder of the test's.
+    """Run a script on some files, by their paths in the mission, in an empty directory of the test.
 
-    The manifest is `action.yaml` beside the script, or its own header. All files are given, whatever its `inputs` say;
-    `metadata` is the mission's.
+    The manifest is `action.yaml` beside the script, or its own header. All files are inputs, whatever its `inputs` are;
+    `metadata` is of the mission.
 
     Raises:
-        InvalidInput: the manifest or a parameter is not what it should be.
-        subprocess.TimeoutExpired: it was not over by then.
+        InvalidInput: the manifest or a parameter is invalid.
+        subprocess.TimeoutExpired: it took too long.
     """
     code = Path(script).resolve()
     definition = read_manifest(code.parent if (code.parent / MANIFEST).exists() else code)
@@ -107,12 +106,12 @@ def try_out(
         timeout=timeout_s,
         check=False,
     )
-    return Tried(ran.returncode, ran.stdout, places["out"], _said(places["out"]))
+    return Tried(ran.returncode, ran.stdout, places["out"], _read_report(places["out"]))
 
 
-def _filled_in(definition: ActionDefinition, given: ParameterValues) -> ParameterValues:
+def _filled_in(definition: ActionDefinition, values: ParameterValues) -> ParameterValues:
     try:
-        return definition.fill_in(given)
+        return definition.fill_in(values)
     except ValueError as error:
         raise InvalidInput(what="The parameters", reason=str(error)) from error
 
@@ -124,23 +123,30 @@ def _put(folder: Path, path: str, content: Path | bytes) -> FileRead:
         place.write_bytes(content)
     else:
         shutil.copyfile(content, place)
-    said: dict[str, object] = dict.fromkeys(FileRead.model_fields.keys() - {"etag"})
-    said |= {"id": uuid.uuid4(), "mission": _MISSION, "path": path, "size_bytes": place.stat().st_size}
-    said |= {"state": BlobState.stored, "content": ContentState.pending, "origin": "test"}
-    said |= {"uploaded_by": _NOBODY, "created_at": _THEN, "labels": [], "compression": [], "problems": [], "facts": []}
-    return FileRead.model_validate(said)
+    fields: dict[str, object] = dict.fromkeys(FileRead.model_fields.keys() - {"etag"})
+    fields |= {"id": uuid.uuid4(), "mission": _MISSION, "path": path, "size_bytes": place.stat().st_size}
+    fields |= {"state": BlobState.stored, "content": ContentState.pending, "origin": "test"}
+    fields |= {
+        "uploaded_by": _NOBODY,
+        "created_at": _THEN,
+        "labels": [],
+        "compression": [],
+        "problems": [],
+        "facts": [],
+    }
+    return FileRead.model_validate(fields)
 
 
 def _mission(metadata: Metadata) -> MissionRead:
-    said: dict[str, object] = dict.fromkeys(MissionRead.model_fields.keys() - {"etag"})
-    said |= {**_MISSION.model_dump(), "metadata": metadata, "metadata_problems": [], "notes": "", "right": Right.read}
-    said |= {"created_at": _THEN, "created_by": _NOBODY, "recordings_current": False}
-    said |= dict.fromkeys(("file_count", "size_bytes", "message_count", "pending_file_count"), 0)
-    return MissionRead.model_validate(said)
+    fields: dict[str, object] = dict.fromkeys(MissionRead.model_fields.keys() - {"etag"})
+    fields |= {**_MISSION.model_dump(), "metadata": metadata, "metadata_problems": [], "notes": "", "right": Right.read}
+    fields |= {"created_at": _THEN, "created_by": _NOBODY, "recordings_current": False}
+    fields |= dict.fromkeys(("file_count", "size_bytes", "message_count", "pending_file_count"), 0)
+    return MissionRead.model_validate(fields)
 
 
-def _said(out: Path) -> Report:
-    """Return what was said while it lasted, then what the report says."""
+def _read_report(out: Path) -> Report:
+    """Return the events, followed by the report."""
     events_file, report_file = out / EVENTS_FILE, out / REPORT_FILE
     lines = events_file.read_bytes().splitlines() if events_file.exists() else []
     events = [ReportEvent.model_validate_json(line) for line in lines]

@@ -10,8 +10,8 @@ from kleinkram.cli.options import AsJson, MissionOption, ProjectOption, Until
 from kleinkram.cli.render import escape, moment, note, show_json, show_json_list, table
 from kleinkram.cli.units import parse_time
 from kleinkram.client import Client
-from kleinkram.client.access import Place, find_grant
 from kleinkram.client.errors import InvalidInput
+from kleinkram.client.people import Place, find_grant
 from kleinkram.contract.grants import AccessRead, GrantRead
 from kleinkram.contract.rights import Right
 
@@ -74,12 +74,12 @@ def revoke(
     """Take away what somebody was granted here. What they have from elsewhere stays: `klein access list`."""
     with connect() as client:
         place = _place(client, project, mission)
-        found = find_grant(client.access.grants(place), to)
-        client.access.revoke(place, found.id)
+        target = find_grant(client.access.grants(place), to)
+        client.access.revoke(place, target.id)
     if as_json:
-        show_json(found)
+        show_json(target)
         return
-    note(f"Took {found.right.value} on the {found.on.value} {escape(place.name)} from {escape(found.to.name)}.")
+    note(f"Took {target.right.value} on the {target.on.value} {escape(place.name)} from {escape(target.to.name)}.")
 
 
 def _place(client: Client, project: str | None, mission: str | None) -> Place:

@@ -51,12 +51,12 @@ def unlink(
 ) -> None:
     """Sign in by a provider no more. Sessions and tokens stay; the last way to sign in does too."""
     with connect() as client:
-        found = _find(provider, client.me.identities())
-        confirm(f"Sign in by {_name(found)} no more?", yes)
-        client.me.unlink_identity(found.id)
+        matches = _find(provider, client.me.identities())
+        confirm(f"Sign in by {_name(matches)} no more?", yes)
+        client.me.unlink_identity(matches.id)
     if as_json:
-        show_json({"unlinked": str(found.id)})
-    note(f"{_name(found)} is unlinked. Browsers and tokens stay: `klein session list`, `klein token list`.")
+        show_json({"unlinked": str(matches.id)})
+    note(f"{_name(matches)} is unlinked. Browsers and tokens stay: `klein session list`, `klein token list`.")
 
 
 def _name(row: IdentityRead) -> str:
@@ -70,10 +70,10 @@ def _find(text: str, linked: list[IdentityRead]) -> IdentityRead:
         NotFound: there is none.
         InvalidInput: there are several of that provider.
     """
-    wanted = text.casefold()
-    found = [row for row in linked if wanted in {_name(row).casefold(), row.issuer.casefold(), str(row.id)}]
-    if len(found) > 1:
+    folded = text.casefold()
+    matches = [row for row in linked if folded in {_name(row).casefold(), row.issuer.casefold(), str(row.id)}]
+    if len(matches) > 1:
         raise InvalidInput(what=f"The provider {text!r}", reason="you linked several of its accounts: give an id")
-    if not found:
+    if not matches:
         raise NotFound(noun="linked provider", ref=text)
-    return found[0]
+    return matches[0]

@@ -24,8 +24,8 @@ from kleinkram.contract.runners import Isolation
 from kleinkram.contract.runs import EndReason
 
 if TYPE_CHECKING:
-    from kleinkram.runner.local import LocalRun
-    from kleinkram.runner.work import Executor
+    from kleinkram.runner.executors.base import Executor
+    from kleinkram.runner.local_run import LocalRun
 
 _ISOLATIONS = {
     Isolation.container: "in a container.",
@@ -62,8 +62,8 @@ def run_local(
     An action with an image runs in a container, built first of the Dockerfile beside its manifest; any other runs as a
     process.
     """
-    from kleinkram.cli.progress import watching
-    from kleinkram.runner.local import run_locally
+    from kleinkram.cli.transfer_view import watching
+    from kleinkram.runner.local_run import run_locally
 
     definition = read_manifest(action)
     values = parameter_values(definition, parameters or [])
@@ -75,22 +75,21 @@ def run_local(
             build(action if action.is_dir() else action.parent, definition.image)
         definition = _pinned(executor, definition, definition.image)
     with connect() as client, watching() as watcher:
-        found = client.missions.get(mission, project=project)
+        target = client.missions.get(mission, project=project)
         ran = run_locally(
-            client, definition, found, values, executor=executor, out=out, show=on_stderr, watcher=watcher
+            client, definition, target, values, executor=executor, out=out, show=on_stderr, watcher=watcher
         )
     _show_local(ran, as_json)
 
 
 def _executor(definition: ActionDefinition) -> "Executor":
-    from kleinkram.runner.__main__ import DEFAULT_IMAGE
-    from kleinkram.runner.choosing import ExecutorChoice, ImagePolicy, choose
+    from kleinkram.runner.__main__ import DEFAULT_IMAGE, ExecutorChoice, ImagePolicy, choose_executor
 
     if definition.image is None:
-        executor = choose(ExecutorChoice.process, "local", ImagePolicy(), DEFAULT_IMAGE)
+        executor = choose_executor(ExecutorChoice.process, ImagePolicy(), DEFAULT_IMAGE)
     else:
         try:
-            executor = choose(ExecutorChoice.docker, "local", ImagePolicy(), DEFAULT_IMAGE)
+            executor = choose_executor(ExecutorChoice.docker, ImagePolicy(), DEFAULT_IMAGE)
         except InvalidInput as error:
             why = f"it runs an image, for which an engine of containers must be here, and {error.reason}"
             raise InvalidInput(what=f"The action {definition.name}", reason=why) from None
@@ -99,10 +98,10 @@ def _executor(definition: ActionDefinition) -> "Executor":
 
 
 def _pinned(executor: "Executor", definition: ActionDefinition, image: str) -> ActionDefinition:
-    from kleinkram.runner.work import CannotStart
+    from kleinkram.runner.executors.base import CannotStart
 
     try:
-        return definition.model_copy(update={"image": executor.prepare(image).reference})
+        return definition.model_copy(update={"image": executor.prepare_image(image).reference})
     except CannotStart as error:
         note(error.ending.message)
         raise typer.Exit(ExitCode.run_failed) from None
@@ -159,11 +158,11 @@ def create(
 
 
 def _add_version(client: Client, definition: ActionDefinition, project: str | None, etag: str | None) -> ActionRead:
-    found = client.actions.get(definition.name, project=project)
-    if found.latest.definition == definition:
-        note(f"{found.name}@{found.latest.number} is this very definition; nothing was published.")
-        return found
-    return client.actions.add_version(found.id, definition, if_match=etag or found.etag)
+    target = client.actions.get(definition.name, project=project)
+    if target.latest.definition == definition:
+        note(f"{target.name}@{target.latest.number} is this very definition; nothing was published.")
+        return target
+    return client.actions.add_version(target.id, definition, if_match=etag or target.etag)
 
 
 @app.command("list")
@@ -191,9 +190,9 @@ def info(
     """Show an action in its latest version, or in another: what it runs, reads and can be told."""
     name, number = split_version(action)
     with connect() as client:
-        found = client.actions.get(name, project=project)
-        version = client.actions.version(found, number)
-    show_json({"action": found, "version": version}) if as_json else show_action(found, version)
+        target = client.actions.get(name, project=project)
+        version = client.actions.version(target, number)
+    show_json({"action": target, "version": version}) if as_json else show_action(target, version)
 
 
 @app.command("versions")
@@ -214,6 +213,6 @@ def archive(
 ) -> None:
     """Take an action out of lists, so that nobody runs it anew; its versions and runs stay."""
     with connect() as client:
-        found = client.actions.get(action, project=project)
-        changed = client.actions.archive(found.id, archived=not undo, if_match=etag or found.etag)
+        target = client.actions.get(action, project=project)
+        changed = client.actions.archive(target.id, archived=not undo, if_match=etag or target.etag)
     show_json(changed) if as_json else note(f"{'Put back' if undo else 'Archived'} the action {changed.name}.")

@@ -61,8 +61,8 @@ def show_action(action: ActionRead, version: ActionVersionRead) -> None:
         table(
             ["parameter", "type", "default", "unit", "choices", "description"],
             [
-                (each.name, each.type.value, _default(each.default), each.unit, each.choices, each.description)
-                for each in definition.parameters
+                (entry.name, entry.type.value, _default(entry.default), entry.unit, entry.choices, entry.description)
+                for entry in definition.parameters
             ],
         )
 
@@ -78,10 +78,10 @@ def show_versions(versions: Iterable[ActionVersionRead]) -> None:
     )
 
 
-def inputs(wanted: Inputs) -> str:
+def inputs(resources: Inputs) -> str:
     """Return which files of a mission an action gets, in words."""
-    said = [("files", wanted.paths), ("with topics", wanted.topics), ("of types", wanted.message_types)]
-    return "; ".join(f"{what} {', '.join(globs)}" for what, globs in said if globs) or "all files"
+    lines = [("files", resources.paths), ("with topics", resources.topics), ("of types", resources.message_types)]
+    return "; ".join(f"{what} {', '.join(globs)}" for what, globs in lines if globs) or "all files"
 
 
 def _what(definition: ActionDefinition) -> str:

@@ -11,7 +11,7 @@ from kleinkram.cli.filters import ids_of
 from kleinkram.cli.options import AsJson, Limit, MissionsOption, ProjectsOption
 from kleinkram.cli.render import line, plain, show_json_list, table
 from kleinkram.cli.units import parse_time
-from kleinkram.client.checking import checked
+from kleinkram.client._nouns import checked
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.audit import AuditFilter, AuditRead
 from kleinkram.contract.names import is_id
@@ -39,7 +39,7 @@ def audit(
     """List who did what to what, latest first: of all that you own; for admins, of everything."""
     if jsonl and (as_json or limit is not None):
         raise InvalidInput(what="The command", reason="--export gives everything as JSON lines: no --json, no --limit")
-    given: dict[str, object] = {
+    audit_fields: dict[str, object] = {
         _id_or_name("person", person): person,
         _id_or_name("token", token): token,
         "noun": noun,
@@ -50,8 +50,8 @@ def audit(
         "as_admin": as_admin or None,
     }
     with connect() as client:
-        given |= ids_of(client, project, mission)
-        matching = checked(AuditFilter, "The filter", **{key: value for key, value in given.items() if value})
+        audit_fields |= ids_of(client, project, mission)
+        matching = checked(AuditFilter, "The filter", **{key: value for key, value in audit_fields.items() if value})
         if jsonl:
             for event in client.audit.export(matching):
                 line(json.dumps(plain(event)))
@@ -63,8 +63,8 @@ def audit(
         _show(rows)
 
 
-def _id_or_name(noun: str, given: str | None) -> str:
-    return f"{noun}_id" if given is not None and is_id(given) else noun
+def _id_or_name(noun: str, audit_fields: str | None) -> str:
+    return f"{noun}_id" if audit_fields is not None and is_id(audit_fields) else noun
 
 
 def _show(rows: Iterable[AuditRead]) -> None:

@@ -124,10 +124,10 @@ class Noun(typer.Typer):
 def take_flag(arguments: list[str], flag: str) -> bool:
     """Remove a flag wherever it stands before `--`, and say whether it was there."""
     end = arguments.index("--") if "--" in arguments else len(arguments)
-    found = [position for position, argument in enumerate(arguments[:end]) if argument == flag]
-    for position in reversed(found):
+    positions = [position for position, argument in enumerate(arguments[:end]) if argument == flag]
+    for position in reversed(positions):
         del arguments[position]
-    return bool(found)
+    return bool(positions)
 
 
 def wants_json() -> bool:

@@ -41,22 +41,22 @@ def download(
 ) -> None:
     """Download files, each verified before it gets its name. The same command again resumes."""
     bytes_per_s = parse_rate(limit_rate)
-    links = [each for each in filters or [] if is_link(each)]
-    refs = [each for each in filters or [] if not is_link(each)]
+    links = [value for value in filters or [] if is_link(value)]
+    refs = [value for value in filters or [] if not is_link(value)]
     if len(links) > 1:
         raise InvalidInput(what="The command", reason="say one link at a time")
     if choice.is_empty() and not filters:
         raise InvalidInput(what="The command", reason="say which files: -p, -m, a path, a glob ('*' for all) or an id")
     with connect(*links) as client:
-        found = [file for file in select_files(client, choice, refs) if not is_excluded(file.path, exclude or [])]
-        plan = plan_download(found, dest, nested=nested)
+        files = [file for file in select_files(client, choice, refs) if not is_excluded(file.path, exclude or [])]
+        plan = plan_download(files, dest, nested=nested)
         say_left_out(plan.left_out)
         if not plan.targets and not plan.left_out:
             raise NothingToDo(reason="No file matches")
         if dry_run:
             _show_plan(plan, as_json)
             return
-        from kleinkram.cli.progress import watching
+        from kleinkram.cli.transfer_view import watching
 
         began_at = time.monotonic()
         try:

@@ -7,19 +7,19 @@ from typing import Annotated
 import typer
 
 from kleinkram.cli.commands import Noun
-from kleinkram.cli.completion import complete_endpoint
-from kleinkram.cli.options import AsJson, read_text, read_token
+from kleinkram.cli.options import AsJson, complete_endpoint, read_text, read_token
 from kleinkram.cli.render import details, moment, note, show_json, table
-from kleinkram.client.config import EndpointSource, find_endpoint
-from kleinkram.client.errors import NotConfigured
-from kleinkram.client.saved_endpoints import (
+from kleinkram.client.config import (
+    EndpointSource,
     SavedEndpoint,
     add_endpoint,
     endpoints_file,
+    find_endpoint,
     load_endpoints,
     remove_endpoint,
     use_endpoint,
 )
+from kleinkram.client.errors import NotConfigured
 
 app = Noun("Which server commands talk to, and why.", no_args_is_help=False)
 
@@ -42,8 +42,8 @@ def show(ctx: typer.Context, as_json: AsJson = False) -> None:
     why = _WHY[endpoint.source]
     known = _known(endpoint.url, endpoint.token)
     if as_json:
-        told = {"name": endpoint.name, "url": endpoint.url, "source": endpoint.source.value, "why": why}
-        show_json({**told, **_told(known)})
+        endpoint_fields = {"name": endpoint.name, "url": endpoint.url, "source": endpoint.source.value, "why": why}
+        show_json({**endpoint_fields, **_told(known)})
         return
     who, until = _who_until(known)
     place = [("endpoint", endpoint.name), ("url", endpoint.url), ("because", why)]

@@ -163,8 +163,8 @@ def fail(code: str, message: str, exit_code: int, fields: Mapping[str, object] |
     """Print why a command failed, as JSON where JSON was asked for, and return the exit code."""
     known = {name: plain(value) for name, value in (fields or {}).items() if value is not None}
     as_json = wants_json()
-    told = failure_line(message, code=code, exit_code=int(exit_code), as_json=as_json, fields=known)
-    typer.echo(told if as_json else escape(told), err=True)  # JSON has escapes of its own
+    failure_text = failure_line(message, code=code, exit_code=int(exit_code), as_json=as_json, fields=known)
+    typer.echo(failure_text if as_json else escape(failure_text), err=True)  # JSON has escapes of its own
     return exit_code
 
 

@@ -1,14 +1,15 @@
-"""`klein file …`"""
+"""`klein file …`, `klein move` and `klein rename`"""
 
 from typing import Annotated
 
 import typer
+from pydantic import BaseModel
 
 from kleinkram import connect
 from kleinkram.cli.commands import Noun
 from kleinkram.cli.errors import exit_code_of
 from kleinkram.cli.filters import Choice, Many, file_filter, select_files, with_choice
-from kleinkram.cli.mission_view import show_topics
+from kleinkram.cli.mission import show_topics
 from kleinkram.cli.options import (
     AsJson,
     DryRun,
@@ -19,10 +20,13 @@ from kleinkram.cli.options import (
     ProjectsOption,
     Yes,
     confirm,
+    the_only,
+    the_ref,
 )
 from kleinkram.cli.render import details, escape, line, note, show_json, show_json_list, table
 from kleinkram.cli.units import count, instant, size, span
 from kleinkram.cli.upload import upload
+from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.client.files import file_label
 from kleinkram.contract.files import FileLoss, FileRead, FileSort, ReadDepth
@@ -63,12 +67,12 @@ def info(
 ) -> None:
     """Show a file, its checksums and its topics."""
     with connect() as client:
-        found = client.files.get(file, mission=mission, project=project)
-        topics = [*client.files.topics(found.id)]
+        chosen = client.files.get(file, mission=mission, project=project)
+        topics = [*client.files.topics(chosen.id)]
     if as_json:
-        show_json({"file": found, "topics": topics})
+        show_json({"file": chosen, "topics": topics})
         return
-    _show(found)
+    _show(chosen)
     if topics:
         line("")
         show_topics(topics)
@@ -88,12 +92,12 @@ def update(
     if label is None and path is None and not no_labels:
         raise InvalidInput(what="The command", reason="say what to change: --label, --no-labels or --path")
     with connect() as client:
-        found = client.files.get(file, mission=mission, project=project)
+        chosen = client.files.get(file, mission=mission, project=project)
         if label is not None or no_labels:
-            found = client.files.update(found.id, if_match=found.etag, labels=label or [])
+            chosen = client.files.update(chosen.id, if_match=chosen.etag, labels=label or [])
         if path is not None:
-            found = client.files.update(found.id, if_match=found.etag, path=path)
-    show_json(found) if as_json else _show(found)
+            chosen = client.files.update(chosen.id, if_match=chosen.etag, path=path)
+    show_json(chosen) if as_json else _show(chosen)
 
 
 @app.command("label")
@@ -112,24 +116,24 @@ def label(
     if choice.is_empty() and not files:
         raise InvalidInput(what="The command", reason="say which files: -p, -m, --query, a path, a glob or an id")
     with connect() as client:
-        found = select_files(client, choice, files or [])
-        if not found:
+        chosen = select_files(client, choice, files or [])
+        if not chosen:
             raise NothingToDo(reason="No file matches")
         if dry_run:
-            show_json_list(found) if as_json else show_found(found)
-            note(f"Would label {count(len(found), 'file')}")
+            show_json_list(chosen) if as_json else show_found(chosen)
+            note(f"Would label {count(len(chosen), 'file')}")
             return
-        done = [*client.files.label([file.id for file in found], add=add or [], remove=remove or [])]
+        done = [*client.files.label([file.id for file in chosen], add=add or [], remove=remove or [])]
     if as_json:
         show_json_list(done)
-    _say_labelled(found, done)
+    _say_labelled(chosen, done)
 
 
-def _say_labelled(found: list[FileRead], done: list[FileLabelled]) -> None:
-    failures = [from_problem(each.problem) for each in done if each.problem is not None]
-    for file, each in zip(found, done, strict=True):
-        if each.problem is not None:
-            note(f"{file_label(file)}: {each.problem.detail}")
+def _say_labelled(chosen: list[FileRead], done: list[FileLabelled]) -> None:
+    failures = [from_problem(outcome.problem) for outcome in done if outcome.problem is not None]
+    for file, outcome in zip(chosen, done, strict=True):
+        if outcome.problem is not None:
+            note(f"{file_label(file)}: {outcome.problem.detail}")
     note(f"Labelled {count(len(done) - len(failures), 'file')}")
     if code := exit_code_of(failures):
         raise typer.Exit(code)
@@ -146,25 +150,25 @@ def delete(
 ) -> None:
     """Move files to the trash."""
     with connect() as client:
-        found = select_files(client, Choice(project=project, mission=mission), files)
-        if not found:
+        chosen = select_files(client, Choice(project=project, mission=mission), files)
+        if not chosen:
             raise NothingToDo(reason="No file matches")
-        total = sum(file.size_bytes for file in found)
-        for file in found:
-            said = client.files.delete(file.id, dry_run=True)
-            if said.made_from_it:
-                made = ", ".join(map(escape, said.made_from_it))
-                note(f"{file_label(file)} was read by {count(said.read_by_runs, 'run')}; of it came {made}, which stay")
+        total = sum(file.size_bytes for file in chosen)
+        for file in chosen:
+            preview = client.files.delete(file.id, dry_run=True)
+            if preview.made_from_it:
+                made = ", ".join(map(escape, preview.made_from_it))
+                note(f"{file_label(file)} was read by {count(preview.read_by_runs, 'run')}; {made} made from it stay")
         if not dry_run:
-            show_found(found, to_stderr=True)
-            confirm(f"Move {count(len(found), 'file')}, {size(total)}, to the trash?", yes)
-            for file in found:
+            show_found(chosen, to_stderr=True)
+            confirm(f"Move {count(len(chosen), 'file')}, {size(total)}, to the trash?", yes)
+            for file in chosen:
                 client.files.delete(file.id)
     if as_json:
-        show_json({"files": len(found), "size_bytes": total, "dry_run": dry_run, "items": found})
+        show_json({"files": len(chosen), "size_bytes": total, "dry_run": dry_run, "items": chosen})
     elif dry_run:
-        show_found(found)
-    note(f"{'Would move' if dry_run else 'Moved'} to the trash: {count(len(found), 'file')}, {size(total)}")
+        show_found(chosen)
+    note(f"{'Would move' if dry_run else 'Moved'} to the trash: {count(len(chosen), 'file')}, {size(total)}")
 
 
 def show_found(files: list[FileRead], *, to_stderr: bool = False) -> None:
@@ -222,3 +226,85 @@ def _show(file: FileRead) -> None:
 def _loss(lost: FileLoss) -> str:
     messages = "an unknown number of messages" if lost.messages is None else count(lost.messages, "message")
     return f"{messages}, {size(lost.bytes)} in {count(lost.chunks, 'chunk')}"
+
+
+def move(
+    files: Annotated[
+        Many, typer.Argument(metavar="FILES", help="Paths, globs or ids; none: the mission.", show_default=False)
+    ] = None,
+    project: ProjectsOption = None,
+    mission: MissionsOption = None,
+    to_project: Annotated[str | None, typer.Option("--to-project", metavar="PROJECT", help="Where to.")] = None,
+    to_mission: Annotated[str | None, typer.Option("--to-mission", metavar="MISSION", help="Where to.")] = None,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Move files to another mission, or a whole mission to another project. No byte is copied."""
+    with connect() as client:
+        if to_mission is not None:
+            if not files:
+                raise InvalidInput(what="The command", reason="say which files move to the other mission ('*' for all)")
+            _move_files(
+                client, Choice(project=project, mission=mission), files, to_mission, to_project, dry_run, as_json
+            )
+        elif files:
+            raise InvalidInput(what="The command", reason="files move to a mission: say --to-mission")
+        else:
+            one_mission = the_ref("mission", None, the_only("mission", mission))
+            _move_mission(client, the_only("project", project), one_mission, to_project, dry_run, as_json)
+
+
+def rename(
+    new_name: Annotated[str, typer.Argument(metavar="NEW_NAME", show_default=False)],
+    project: ProjectOption = None,
+    mission: MissionOption = None,
+    file: Annotated[str | None, typer.Option("--file", "-f", metavar="FILE", help="Path or id of the file.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Rename the innermost thing named: a file (-f), else a mission (-m), else a project (-p)."""
+    renamed: BaseModel
+    with connect() as client:
+        if file is not None:
+            chosen = client.files.get(file, mission=mission, project=project)
+            old, renamed = chosen.path, client.files.update(chosen.id, if_match=chosen.etag, path=new_name)
+        elif mission is not None:
+            held = client.missions.get(mission, project=project)
+            old, renamed = held.name, client.missions.update(held.id, if_match=held.etag, name=new_name)
+        else:
+            top = client.projects.get(the_ref("project", None, project))
+            old, renamed = top.name, client.projects.update(top.id, if_match=top.etag, name=new_name)
+    show_json(renamed) if as_json else note(f"Renamed {escape(old)} to {escape(new_name)}.")
+
+
+def _move_mission(
+    client: Client, project: str | None, mission: str, to_project: str | None, dry_run: bool, as_json: bool
+) -> None:
+    chosen = client.missions.get(mission, project=project)
+    target = client.projects.get(the_ref("project to move to", None, to_project))
+    moved = chosen if dry_run else client.missions.update(chosen.id, project_id=target.id)
+    if as_json:
+        show_json({"dry_run": dry_run, "mission": moved})
+    note(f"{'Would move' if dry_run else 'Moved'} {escape(chosen.name)} to the project {escape(target.name)}.")
+
+
+def _move_files(
+    client: Client,
+    choice: Choice,
+    refs: list[str],
+    to_mission: str,
+    to_project: str | None,
+    dry_run: bool,
+    as_json: bool,
+) -> None:
+    target = client.missions.get(to_mission, project=to_project or the_only("project", choice.project))
+    chosen = select_files(client, choice, refs)
+    if not chosen:
+        raise NothingToDo(reason="No file matches")
+    if not dry_run:
+        chosen = [client.files.update(file.id, mission_id=target.id) for file in chosen]
+    if as_json:
+        show_json({"dry_run": dry_run, "items": chosen})
+    elif dry_run:
+        show_found(chosen)
+    place = escape(f"{target.project.name}/{target.name}")
+    note(f"{'Would move' if dry_run else 'Moved'} {count(len(chosen), 'file')} to {place}.")

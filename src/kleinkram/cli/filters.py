@@ -11,8 +11,7 @@ import typer
 from kleinkram.cli.options import MissionsOption, ProjectsOption, the_only
 from kleinkram.cli.units import parse_size, parse_time
 from kleinkram.client import Client
-from kleinkram.client.checking import checked
-from kleinkram.client.references import is_glob
+from kleinkram.client._nouns import checked, is_glob
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import FileFilter, FileRead
 from kleinkram.contract.missions import MissionFilter, MissionRead
@@ -67,9 +66,9 @@ def with_choice(command: Callable[..., None]) -> Callable[..., None]:
     names = {parameter.name for parameter in shared}
 
     @functools.wraps(command)
-    def run(**given: Any) -> None:  # Any: Typer calls with what the options are
-        choice = Choice(**{name: value for name, value in given.items() if name in names})
-        command(choice=choice, **{name: value for name, value in given.items() if name not in names})
+    def run(**all_fields: Any) -> None:  # Any: Typer calls with what the options are
+        choice = Choice(**{name: value for name, value in all_fields.items() if name in names})
+        command(choice=choice, **{name: value for name, value in all_fields.items() if name not in names})
 
     every = sorted([*own, *shared], key=lambda parameter: parameter.default is not inspect.Parameter.empty)
     every = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in every]
@@ -107,7 +106,7 @@ def mission_query(client: Client, choice: Choice, paths: Sequence[str] = ()) -> 
 
 
 def _filter(choice: Choice, place: dict[str, object], paths: Sequence[str]) -> FileFilter:
-    given: dict[str, object] = {
+    all_fields: dict[str, object] = {
         **place,
         "text": choice.text,
         "path": [*paths],
@@ -124,8 +123,8 @@ def _filter(choice: Choice, place: dict[str, object], paths: Sequence[str]) -> F
         "max_size_bytes": None if choice.max_size is None else parse_size(choice.max_size),
         "query": choice.query,
     }
-    said = {key: value for key, value in given.items() if value not in (None, [])}
-    return whole(checked(FileQuery, "The filter", **said))
+    set_fields = {key: value for key, value in all_fields.items() if value not in (None, [])}
+    return whole(checked(FileQuery, "The filter", **set_fields))
 
 
 def select_files(client: Client, choice: Choice, refs: Sequence[str]) -> list[FileRead]:
@@ -136,14 +135,14 @@ def select_files(client: Client, choice: Choice, refs: Sequence[str]) -> list[Fi
     """
     ids = [ref for ref in refs if is_id(ref)]
     paths = [ref for ref in refs if not is_id(ref)]
-    found = [client.files.get(ref) for ref in ids]
+    matches = [client.files.get(ref) for ref in ids]
     if paths or not ids:
-        found += client.files.list(file_filter(client, choice, paths))
-    there = {name_key(file.path) for file in found}
+        matches += client.files.list(file_filter(client, choice, paths))
+    there = {name_key(file.path) for file in matches}
     for path in paths:
         if not is_glob(path) and name_key(path) not in there:
             raise NotFound(noun="file", ref=path)
-    return [*{file.id: file for file in found}.values()]
+    return [*{file.id: file for file in matches}.values()]
 
 
 def projects_of(client: Client, refs: Sequence[str] | None) -> dict[str, object]:
@@ -158,7 +157,7 @@ def projects_of(client: Client, refs: Sequence[str] | None) -> dict[str, object]
         return within[0]
     if len(globs) == 1 and not within:
         return {"project": globs[0]}
-    return {"projects": [*(str(value) for each in within for value in each.values()), *globs]}
+    return {"projects": [*(str(value) for scope_part in within for value in scope_part.values()), *globs]}
 
 
 def ids_of(client: Client, projects: Sequence[str] | None, missions: Sequence[str] | None) -> dict[str, object]:
@@ -169,8 +168,8 @@ def ids_of(client: Client, projects: Sequence[str] | None, missions: Sequence[st
         AmbiguousName: no project was named, and several have a mission of that name.
     """
     if missions:
-        found = [mission.id for ref in missions for mission in find_missions(client, ref, projects)]
-        return {"mission_id": found[0]} if len(found) == 1 else {"mission_ids": [*dict.fromkeys(found)]}
+        matches = [mission.id for ref in missions for mission in find_missions(client, ref, projects)]
+        return {"mission_id": matches[0]} if len(matches) == 1 else {"mission_ids": [*dict.fromkeys(matches)]}
     if not projects:
         return {}
     named = [project.id for ref in projects for project in _projects(client, ref)]
@@ -188,18 +187,18 @@ def find_missions(client: Client, ref: str, projects: Sequence[str] | None) -> l
     if (is_id(ref) or is_in_one) and not is_glob(ref):
         return [client.missions.get(ref, project=projects[0] if projects else None)]
     within = checked(MissionFilter, "The filter", name=ref, **projects_of(client, projects))
-    found = [row for row in client.missions.list(within) if is_glob(ref) or name_key(row.name) == name_key(ref)]
-    if not found:
+    matches = [row for row in client.missions.list(within) if is_glob(ref) or name_key(row.name) == name_key(ref)]
+    if not matches:
         raise NotFound(noun="mission", ref=ref)
-    return found
+    return matches
 
 
 def _projects(client: Client, ref: str) -> list[ProjectRead]:
     if not is_glob(ref):
         return [client.projects.get(ref)]
-    if not (found := [*client.projects.list(name=ref)]):
+    if not (matches := [*client.projects.list(name=ref)]):
         raise NotFound(noun="project", ref=ref)
-    return found
+    return matches
 
 
 def _place(client: Client, choice: Choice) -> dict[str, object]:

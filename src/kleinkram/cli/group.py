@@ -50,12 +50,12 @@ def list_(
 def info(group: Group, as_json: AsJson = False) -> None:
     """Show a group and who is in it."""
     with connect() as client:
-        found = client.groups.get(group)
-        members = [*client.groups.members(found.id)]
+        target = client.groups.get(group)
+        members = [*client.groups.members(target.id)]
     if as_json:
-        show_json({"group": found, "members": members})
+        show_json({"group": target, "members": members})
         return
-    _show(found, as_json=False)
+    _show(target, as_json=False)
     line("")
     table(
         ["member", "addresses", "editor", "until", "active", "id"],
@@ -75,8 +75,8 @@ def rename(
 ) -> None:
     """Rename a group."""
     with connect() as client:
-        found = client.groups.get(group)
-        changed = client.groups.rename(found.id, name, if_match=etag or found.etag)
+        target = client.groups.get(group)
+        changed = client.groups.rename(target.id, name, if_match=etag or target.etag)
     _show(changed, as_json)
 
 
@@ -84,10 +84,10 @@ def rename(
 def delete(group: Group, yes: Yes = False, as_json: AsJson = False) -> None:
     """Delete a group, and with it every right that was granted to it."""
     with connect() as client:
-        found = client.groups.get(group)
-        confirm(f"Delete the group {escape(found.name)} of {found.member_count}, and its rights?", yes)
-        client.groups.delete(found.id)
-    show_json(found) if as_json else note(f"Deleted the group {escape(found.name)}.")
+        target = client.groups.get(group)
+        confirm(f"Delete the group {escape(target.name)} of {target.member_count}, and its rights?", yes)
+        client.groups.delete(target.id)
+    show_json(target) if as_json else note(f"Deleted the group {escape(target.name)}.")
 
 
 @app.command("add")
@@ -101,30 +101,30 @@ def add(
     """Put people into a group, or change how and until when they are in it."""
     expires_at = parse_time(until)
     with connect() as client:
-        found = client.groups.get(group)
+        target = client.groups.get(group)
         chosen = [client.people.get(who) for who in people]
-        rows = [client.groups.set_member(found.id, who.id, is_editor=editor, expires_at=expires_at) for who in chosen]
+        rows = [client.groups.set_member(target.id, who.id, is_editor=editor, expires_at=expires_at) for who in chosen]
     if as_json:
         show_json_list(rows)
         return
     for row in rows:
         ending = f" until {moment(row.expires_at)}" if row.expires_at else ""
-        note(f"{escape(row.person.name)} is in {escape(found.name)}{ending}.")
+        note(f"{escape(row.person.name)} is in {escape(target.name)}{ending}.")
 
 
 @app.command("remove")
 def remove(group: Group, people: People, as_json: AsJson = False) -> None:
     """Take people out of a group, or leave it."""
     with connect() as client:
-        found = client.groups.get(group)
+        target = client.groups.get(group)
         chosen = [client.people.get(who) for who in people]
         for who in chosen:
-            client.groups.remove_member(found.id, who.id)
+            client.groups.remove_member(target.id, who.id)
     if as_json:
         show_json({"items": chosen})
         return
     for who in chosen:
-        note(f"{escape(who.name)} is in {escape(found.name)} no longer.")
+        note(f"{escape(who.name)} is in {escape(target.name)} no longer.")
 
 
 def _show(group: GroupRead, as_json: bool) -> None:

@@ -33,7 +33,7 @@ _NAMED = 10
 
 
 @dataclass(frozen=True)
-class _Wanted:
+class _ActionChoice:
     """What to run: a published action in a version, or a definition that nobody has published."""
 
     definition: ActionDefinition
@@ -66,28 +66,28 @@ def run(
     With --follow the exit code is 0 only if all went well; Ctrl-C ends the following, not the run.
     """
     with connect() as client:
-        found = _missions(client, missions or [], Choice(query=query, project=project, where=where))
-        wanted = _wanted(client, action, found)
-        values = parameter_values(wanted.definition, parameters or [])
-        names = _listing(found)
+        targets = _missions(client, missions or [], Choice(query=query, project=project, where=where))
+        choice_of_action = _find_action(client, action, targets)
+        values = parameter_values(choice_of_action.definition, parameters or [])
+        names = _listing(targets)
         if dry_run:
             note(f"Would run {action} on {names}")
             if as_json:
-                show_json({"dry_run": True, "missions": found, "parameters": values})
+                show_json({"dry_run": True, "missions": targets, "parameters": values})
             return
-        if not missions and len(found) > 1:
-            confirm(f"Run {action} on {count(len(found), 'mission')}: {names}?", yes)
+        if not missions and len(targets) > 1:
+            confirm(f"Run {action} on {count(len(targets), 'mission')}: {names}?", yes)
         outcomes = client.runs.launch(
-            wanted.action.id if wanted.action else wanted.definition,
-            [each.id for each in found],
-            version=wanted.version,
+            choice_of_action.action.id if choice_of_action.action else choice_of_action.definition,
+            [entry.id for entry in targets],
+            version=choice_of_action.version,
             parameters=values,
             force=force,
         )
-        _show(client, found, outcomes, follow_it=follow_it, as_json=as_json)
+        _show(client, targets, outcomes, follow_it=follow_it, as_json=as_json)
 
 
-def parameter_values(definition: ActionDefinition, said: Iterable[str]) -> ParameterValues:
+def parameter_values(definition: ActionDefinition, assignments: Iterable[str]) -> ParameterValues:
     """Return the values that `NAME=VALUE`s mean for the parameters of an action, checked.
 
     Raises:
@@ -95,10 +95,10 @@ def parameter_values(definition: ActionDefinition, said: Iterable[str]) -> Param
     """
     known = {parameter.name: parameter for parameter in definition.parameters}
     values: ParameterValues = {}
-    for each in said:
-        name, equals, text = each.partition("=")
+    for entry in assignments:
+        name, equals, text = entry.partition("=")
         if not equals:
-            raise InvalidInput(what=f"The parameter {each!r}", reason="say it as NAME=VALUE")
+            raise InvalidInput(what=f"The parameter {entry!r}", reason="say it as NAME=VALUE")
         try:
             values[name] = known[name].read(text) if name in known else text
         except ValueError as error:
@@ -119,10 +119,10 @@ def split_version(ref: str) -> tuple[str, int | None]:
 def follow_all(client: Client, runs: Sequence[RunRead], *, as_json: bool) -> list[RunDetail]:
     """Show runs until they are over, one after the other, then what came of them."""
     ended: list[RunDetail] = []
-    for each in runs:
+    for entry in runs:
         if len(runs) > 1:
-            note(heading(each))
-        over = follow(client, each.id)
+            note(heading(entry))
+        over = follow(client, entry.id)
         last_word(over)
         ended.append(over)
     if not as_json:
@@ -137,7 +137,7 @@ def follow_all(client: Client, runs: Sequence[RunRead], *, as_json: bool) -> lis
 
 def code_of(runs: Iterable[RunRead]) -> int:
     """Return the exit code for runs that are over: 0 only where all went well."""
-    return 0 if all(each.state is RunState.done for each in runs) else ExitCode.run_failed
+    return 0 if all(entry.state is RunState.done for entry in runs) else ExitCode.run_failed
 
 
 def _missions(client: Client, names: Sequence[str], choice: Choice) -> list[MissionRead]:
@@ -147,31 +147,31 @@ def _missions(client: Client, names: Sequence[str], choice: Choice) -> list[Miss
             what="The command", reason="say which missions: with -m, or by a search with --query or --where"
         )
     if names:
-        found = [mission for each in names for mission in find_missions(client, each, choice.project)]
-        return [*{mission.id: mission for mission in found}.values()]
-    found = [*client.missions.list(query=mission_query(client, choice))]
-    if not found:
+        targets = [mission for entry in names for mission in find_missions(client, entry, choice.project)]
+        return [*{mission.id: mission for mission in targets}.values()]
+    targets = [*client.missions.list(query=mission_query(client, choice))]
+    if not targets:
         raise NothingToDo(reason="No mission matches")
-    return found
+    return targets
 
 
 def _listing(missions: Sequence[MissionRead]) -> str:
-    shown = ", ".join(f"{each.project.name}/{each.name}" for each in missions[:_NAMED])
+    shown = ", ".join(f"{entry.project.name}/{entry.name}" for entry in missions[:_NAMED])
     return shown if len(missions) <= _NAMED else f"{shown} and {len(missions) - _NAMED} more"
 
 
-def _wanted(client: Client, ref: str, missions: Sequence[MissionRead]) -> _Wanted:
+def _find_action(client: Client, ref: str, missions: Sequence[MissionRead]) -> _ActionChoice:
     path = Path(ref)
     if path.exists():
         definition = read_manifest(path)
         note(f"Running {definition.name} as it is in {path}, unpublished.")
-        return _Wanted(definition)
+        return _ActionChoice(definition)
     if "/" in ref or path.suffix == ".py":
         raise InvalidInput(what=f"The action {ref!r}", reason="there is no such file or folder")
     name, version = split_version(ref)
     projects = {mission.project.id for mission in missions}
     action = client.actions.get(name, project=projects.pop() if len(projects) == 1 else None)
-    return _Wanted(client.actions.version(action, version).definition, action, version)
+    return _ActionChoice(client.actions.version(action, version).definition, action, version)
 
 
 def _show(
@@ -182,19 +182,19 @@ def _show(
     follow_it: bool,
     as_json: bool,
 ) -> None:
-    made = [each.run for each in outcomes if isinstance(each, RunCreated)]
-    refused = [each for each in outcomes if isinstance(each, RunRefused)]
-    names = {each.id: f"{each.project.name}/{each.name}" for each in missions}
-    failures = [from_problem(each.problem) for each in refused]
-    for each, failure in zip(refused, failures, strict=True):
-        note(f"{names[each.mission_id]}: {failure}")
+    made = [entry.run for entry in outcomes if isinstance(entry, RunCreated)]
+    refused = [entry for entry in outcomes if isinstance(entry, RunRefused)]
+    names = {entry.id: f"{entry.project.name}/{entry.name}" for entry in missions}
+    failures = [from_problem(entry.problem) for entry in refused]
+    for entry, failure in zip(refused, failures, strict=True):
+        note(f"{names[entry.mission_id]}: {failure}")
     if follow_it:
         made = [*follow_all(client, made, as_json=as_json)]
     elif made:
         _say_made(made, as_json=as_json)
     if as_json:
-        now = {each.id: each for each in made}
-        items = [RunCreated(run=now[each.run.id]) if isinstance(each, RunCreated) else each for each in outcomes]
+        now = {entry.id: entry for entry in made}
+        items = [RunCreated(run=now[entry.run.id]) if isinstance(entry, RunCreated) else entry for entry in outcomes]
         show_json({"items": items})
     code = exit_code_of(failures) or (code_of(made) if follow_it else 0)
     if code:
@@ -204,8 +204,8 @@ def _show(
 def _say_made(made: Sequence[RunRead], *, as_json: bool) -> None:
     if not as_json:
         show_runs(made)
-    over = [each for each in made if each.reuses_id is not None]
-    for each in over:
-        note(f"{mission_name(each)}: results of the run {each.reuses_id} hold; --force runs anew.")
+    over = [entry for entry in made if entry.reuses_id is not None]
+    for entry in over:
+        note(f"{mission_name(entry)}: results of the run {entry.reuses_id} hold; --force runs anew.")
     if len(made) == 1 and not over:
         note(f"`klein run logs -f {made[0].id}` follows it.")

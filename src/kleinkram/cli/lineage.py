@@ -19,37 +19,37 @@ def lineage(
 ) -> None:
     """Show which run made a file, of what, and which runs have read it, and what they made of it."""
     with connect() as client:
-        found = client.files.lineage(client.files.get(file, mission=mission, project=project).id)
-    show_json(found) if as_json else _show(found)
+        lineage_read = client.files.lineage(client.files.get(file, mission=mission, project=project).id)
+    show_json(lineage_read) if as_json else _show(lineage_read)
 
 
-def _show(found: LineageRead) -> None:
-    line(f"{found.file.path}  sha256 {found.file.sha256}")
+def _show(lineage_read: LineageRead) -> None:
+    line(f"{lineage_read.file.path}  sha256 {lineage_read.file.sha256}")
     line("")
-    if found.made_by is None:
+    if lineage_read.made_by is None:
         line("Uploaded: no run made it.")
     else:
         line("Made by")
-        _show_maker(found.made_by)
-    if found.read_by:
+        _show_maker(lineage_read.made_by)
+    if lineage_read.read_by:
         line("")
         line("Read by")
         table(
             ["mission", "action", "state", "ended", "files made", "artifacts", "run"],
             [
                 (
-                    mission_name(each.run),
-                    action_name(each.run.action),
-                    standing(each.run),
-                    each.run.ended_at,
-                    [_file(made) for made in each.files] or None,
-                    each.artifact_count,
-                    each.run.id,
+                    mission_name(row.run),
+                    action_name(row.run.action),
+                    standing(row.run),
+                    row.run.ended_at,
+                    [_file(made) for made in row.files] or None,
+                    row.artifact_count,
+                    row.run.id,
                 )
-                for each in found.read_by
+                for row in lineage_read.read_by
             ],
         )
-    if found.truncated:
+    if lineage_read.truncated:
         note("More runs read it; `klein run list` has all.")
 
 
@@ -68,7 +68,10 @@ def _show_maker(made_by: LineageRun) -> None:
         ]
     )
     line("")
-    table(["of the file", "sha256", "id"], [(_file(each), each.sha256, each.id) for each in made_by.inputs])
+    table(
+        ["of the file", "sha256", "id"],
+        [(_file(row), row.sha256, row.id) for row in made_by.inputs],
+    )
 
 
 def _file(file: LineageFile) -> str:

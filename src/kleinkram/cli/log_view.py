@@ -27,7 +27,7 @@ def _line(line: str) -> str:
 
 
 def _escaped(text: str) -> str:
-    return "\t".join(escape(each) for each in text.split("\t"))
+    return "\t".join(escape(entry) for entry in text.split("\t"))
 
 
 def write_log(text: str, stream: TextIO) -> None:

@@ -22,8 +22,8 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "backup": ("kleinkram.cli.backup", "app", "Backups of a whole site: create, list, verify, forget."),
     "restore": ("kleinkram.cli.backup", "restore", "Restore a backup into an empty site."),
     "login": ("kleinkram.cli.login", "login", "Sign in to a server."),
-    "logout": ("kleinkram.cli.logout", "logout", "Sign out, and end the token."),
-    "whoami": ("kleinkram.cli.whoami", "whoami", "Who the server takes you for."),
+    "logout": ("kleinkram.cli.login", "logout", "Sign out, and end the token."),
+    "whoami": ("kleinkram.cli.login", "whoami", "Who the server takes you for."),
     "account": ("kleinkram.cli.account", "app", "Your own account: info, unlink."),
     "session": ("kleinkram.cli.session", "app", "Browsers that you are signed in with: list, revoke."),
     "project": ("kleinkram.cli.project", "app", "Projects: create, list, info, update, delete."),
@@ -36,13 +36,13 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "download": ("kleinkram.cli.download", "download", "Download files, verified."),
     "verify": ("kleinkram.cli.verify", "verify", "Compare local files with a mission, or verify the stored bytes."),
     "search": ("kleinkram.cli.search", "search", "Find files, missions or topics."),
-    "stats": ("kleinkram.cli.stats", "stats", "Hours, bytes, files and messages, grouped."),
+    "stats": ("kleinkram.cli.search", "stats", "Hours, bytes, files and messages, grouped."),
     "action": ("kleinkram.cli.action", "app", "What to run on the data: init, run-local, create, run, list, info."),
     "run": ("kleinkram.cli.run", "app", "Runs of actions: list, info, logs, cancel, retry, artifacts, findings."),
     "lineage": ("kleinkram.cli.lineage", "lineage", "Where a file comes from, and what came from it."),
     "runner": ("kleinkram.cli.runner", "app", "Machines that run actions: start, list."),
-    "move": ("kleinkram.cli.move", "move", "Move a mission, or files, elsewhere."),
-    "rename": ("kleinkram.cli.move", "rename", "Rename a project, mission or file."),
+    "move": ("kleinkram.cli.file", "move", "Move a mission, or files, elsewhere."),
+    "rename": ("kleinkram.cli.file", "rename", "Rename a project, mission or file."),
     "token": ("kleinkram.cli.token", "app", "Tokens for scripts, robots and runners: create, list, revoke."),
     "share": ("kleinkram.cli.share", "app", "Links for people without an account: create, list, revoke."),
     "trash": ("kleinkram.cli.trash", "app", "What was deleted: list, restore."),
@@ -109,8 +109,8 @@ app = typer.Typer(
 )
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(is_requested: bool) -> None:
+    if is_requested:
         import kleinkram
 
         typer.echo(kleinkram.__version__)

@@ -39,8 +39,8 @@ def list_(
 def info(who: Who, as_json: AsJson = False) -> None:
     """Show one person."""
     with connect() as client:
-        found = client.people.get(who)
-    _show(found, as_json)
+        target = client.people.get(who)
+    _show(target, as_json)
 
 
 @app.command("admin")
@@ -52,12 +52,12 @@ def admin(
 ) -> None:
     """Make somebody an admin, who sees and does everything."""
     with connect() as client:
-        found = client.people.get(who)
+        target = client.people.get(who)
         if end:
-            changed = client.people.unmake_admin(found.id)
+            changed = client.people.unmake_admin(target.id)
         else:
-            confirm(f"Let {escape(found.name)} see and do everything on this server?", yes)
-            changed = client.people.make_admin(found.id)
+            confirm(f"Let {escape(target.name)} see and do everything on this server?", yes)
+            changed = client.people.make_admin(target.id)
     _show(changed, as_json)
 
 
@@ -65,13 +65,13 @@ def admin(
 def deactivate(who: Who, yes: Yes = False, as_json: AsJson = False) -> None:
     """End somebody's sessions, tokens and links; projects that only they owned go to the admins."""
     with connect() as client:
-        found = client.people.get(who)
-        confirm(f"Deactivate {escape(found.name)} ({found.id})?", yes)
-        ended = client.people.deactivate(found.id)
+        target = client.people.get(who)
+        confirm(f"Deactivate {escape(target.name)} ({target.id})?", yes)
+        ended = client.people.deactivate(target.id)
     if as_json:
         show_json(ended)
         return
-    note(f"{escape(found.name)} left: {ended.sessions} sessions, {ended.tokens} tokens and {ended.links} links ended.")
+    note(f"{escape(target.name)} left: {ended.sessions} sessions, {ended.tokens} tokens and {ended.links} links ended.")
     if ended.projects:
         note(f"The admins own now: {escape(', '.join(ended.projects))}")
 

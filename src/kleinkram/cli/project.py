@@ -7,8 +7,18 @@ import typer
 
 from kleinkram import connect
 from kleinkram.cli.commands import Noun
-from kleinkram.cli.completion import complete_project
-from kleinkram.cli.options import AsJson, DryRun, IfMatch, Limit, ProjectOption, Yes, confirm, read_text, the_ref
+from kleinkram.cli.options import (
+    AsJson,
+    DryRun,
+    IfMatch,
+    Limit,
+    ProjectOption,
+    Yes,
+    complete_project,
+    confirm,
+    read_text,
+    the_ref,
+)
 from kleinkram.cli.render import details, line, note, show_json, show_json_list, table
 from kleinkram.cli.units import count, parse_size, size, total_hours
 from kleinkram.client.errors import InvalidInput
@@ -71,8 +81,8 @@ def list_(
 def info(name: NameArgument = None, project: ProjectOption = None, as_json: AsJson = False) -> None:
     """Show one project and the metadata fields it declares."""
     with connect() as client:
-        found = client.projects.get(the_ref("project", name, project))
-    _show(found, as_json)
+        target = client.projects.get(the_ref("project", name, project))
+    _show(target, as_json)
 
 
 @app.command("update")
@@ -102,10 +112,10 @@ def update(
     """
     changes: dict[str, str | bool | int | None] = {"name": new_name, "description": description}
     changes |= {"fields_yaml": read_text(fields), "is_public": public, "licence": licence, "citation": citation}
-    given = {key: value for key, value in changes.items() if value is not None} | _quotas(quota_bytes, quota_files)
+    settings = {key: value for key, value in changes.items() if value is not None} | _quotas(quota_bytes, quota_files)
     with connect() as client:
-        found = client.projects.get(the_ref("project", name, project))
-        changed = client.projects.update(found.id, if_match=etag or found.etag, **given)
+        target = client.projects.get(the_ref("project", name, project))
+        changed = client.projects.update(target.id, if_match=etag or target.etag, **settings)
     _show(changed, as_json)
     if changed.unsatisfied_mission_count:
         note(
@@ -124,23 +134,23 @@ def delete(
 ) -> None:
     """Move a project, and all in it, to the trash."""
     with connect() as client:
-        found = client.projects.get(the_ref("project", name, project))
-        would = client.projects.delete(found.id, dry_run=True)
+        target = client.projects.get(the_ref("project", name, project))
+        would = client.projects.delete(target.id, dry_run=True)
         what = (
-            f"{found.name}: {count(would.missions, 'mission')}, {count(would.files, 'file')}, {size(would.size_bytes)}"
+            f"{target.name}: {count(would.missions, 'mission')}, {count(would.files, 'file')}, {size(would.size_bytes)}"
         )
         if not dry_run:
             confirm(f"Move to the trash {what}?", yes)
-            would = client.projects.delete(found.id)
+            would = client.projects.delete(target.id)
     show_json(would) if as_json else note(f"{'Would move' if dry_run else 'Moved'} to the trash: {what}")
 
 
 def _quotas(quota_bytes: str | None, quota_files: str | None) -> dict[str, int | None]:
     """Return what to set; `none` lifts a quota."""
-    given = {"quota_bytes": quota_bytes, "quota_files": quota_files}
+    fields = {"quota_bytes": quota_bytes, "quota_files": quota_files}
     return {
         name: None if text == "none" else parse_size(text) if name == "quota_bytes" else _count(text)
-        for name, text in given.items()
+        for name, text in fields.items()
         if text is not None
     }
 

@@ -94,8 +94,8 @@ def table(headers: Sequence[str], rows: Iterable[Sequence[object]], *, to_stderr
 
 def _columns() -> int | None:
     """Return how many columns the terminal has; None where no person looks."""
-    said = os.environ.get("COLUMNS", "")
-    if _wide or not (sys.stdout.isatty() or said.isdigit()):
+    columns_text = os.environ.get("COLUMNS", "")
+    if _wide or not (sys.stdout.isatty() or columns_text.isdigit()):
         return None
     return shutil.get_terminal_size().columns
 
@@ -130,9 +130,9 @@ def _cut(text: str, width: int) -> str:
 
 def details(pairs: Iterable[tuple[str, object]]) -> None:
     """Print one thing's properties, a line each; those without a value are left out."""
-    said = [(name, _cell(value)) for name, value in pairs if value not in (None, "", [])]
-    width = max((len(name) for name, _ in said), default=0)
-    for name, value in said:
+    columns_text = [(name, _cell(value)) for name, value in pairs if value not in (None, "", [])]
+    width = max((len(name) for name, _ in columns_text), default=0)
+    for name, value in columns_text:
         line(f"{name + ':':<{width + 1}} {value}")
 
 

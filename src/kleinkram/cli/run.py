@@ -21,7 +21,7 @@ from kleinkram.cli.run_view import action_name, show_run, show_runs
 from kleinkram.cli.transfer_view import plain_report, say_left_out, say_summary
 from kleinkram.cli.units import instant, size
 from kleinkram.client import Client
-from kleinkram.client.checking import checked
+from kleinkram.client._nouns import checked
 from kleinkram.client.errors import NothingToDo
 from kleinkram.contract.reports import Severity
 from kleinkram.contract.runs import ReportFilter, RunFilter, RunState
@@ -47,10 +47,10 @@ def list_(
     as_json: AsJson = False,
 ) -> None:
     """List runs, latest first."""
-    given: dict[str, object] = {"action": action, "state": state, "active": active, "mine": mine}
+    criteria: dict[str, object] = {"action": action, "state": state, "active": active, "mine": mine}
     with connect() as client:
-        given |= ids_of(client, project, mission)
-        matching = checked(RunFilter, "The filter", **{key: value for key, value in given.items() if value})
+        criteria |= ids_of(client, project, mission)
+        matching = checked(RunFilter, "The filter", **{key: value for key, value in criteria.items() if value})
         if count:
             number = client.runs.count(matching)
             show_json({"total": number}) if as_json else line(str(number))
@@ -65,8 +65,8 @@ def list_(
 def info(run: RunArgument, as_json: AsJson = False) -> None:
     """Show a run: how it ended and why, what it used, and what it proposes for its mission."""
     with connect() as client:
-        found = client.runs.get(run)
-    show_json(found) if as_json else show_run(found)
+        selected = client.runs.get(run)
+    show_json(selected) if as_json else show_run(selected)
 
 
 @app.command("logs")
@@ -77,17 +77,17 @@ def logs(
 ) -> None:
     """Print what a run has written."""
     with connect() as client:
-        found = client.runs.get(run)
+        selected = client.runs.get(run)
         if follow_it and not as_json:
-            over = follow(client, found.id)
+            over = follow(client, selected.id)
             last_word(over)
             raise typer.Exit(code_of([over]))
         if as_json:
-            text = "".join(each.text for each in client.runs.log(found.id, follow=follow_it))
-            found = client.runs.wait(found.id) if follow_it else found
-            show_json({"run_id": str(found.id), "state": found.state.value, "text": text})
-            raise typer.Exit(code_of([found]) if follow_it else 0)
-        for piece in client.runs.log(found.id):
+            text = "".join(entry.text for entry in client.runs.log(selected.id, follow=follow_it))
+            selected = client.runs.wait(selected.id) if follow_it else selected
+            show_json({"run_id": str(selected.id), "state": selected.state.value, "text": text})
+            raise typer.Exit(code_of([selected]) if follow_it else 0)
+        for piece in client.runs.log(selected.id):
             write_log(piece.text, sys.stdout)
 
 
@@ -98,8 +98,8 @@ def cancel(
 ) -> None:
     """End runs: those that wait at once, those that go on within seconds."""
     with connect() as client:
-        found = [client.runs.get(each) for each in runs]
-        ended = [client.runs.cancel(each.id) for each in found]
+        selected = [client.runs.get(entry) for entry in runs]
+        ended = [client.runs.cancel(entry.id) for entry in selected]
     show_json_list(ended) if as_json else show_runs(ended)
 
 
@@ -132,10 +132,10 @@ def artifacts(
 ) -> None:
     """List the files that a run left, or fetch them."""
     with connect() as client:
-        found = client.runs.get(run)
+        selected = client.runs.get(run)
         rows = [
             row
-            for row in client.runs.artifacts(found.id)
+            for row in client.runs.artifacts(selected.id)
             if not paths or any(fnmatchcase(row.path, glob) for glob in paths)
         ]
         if download is None:
@@ -144,13 +144,13 @@ def artifacts(
             return
         if not rows:
             raise NothingToDo(reason="No artifact matches")
-        from kleinkram.cli.progress import watching
+        from kleinkram.cli.transfer_view import watching
 
         began_at = time.monotonic()
         try:
             with watching() as watcher:
                 report = client.runs.download_artifacts(
-                    found.id, download, artifacts=rows, overwrite=overwrite, watcher=watcher
+                    selected.id, download, artifacts=rows, overwrite=overwrite, watcher=watcher
                 )
         except KeyboardInterrupt:
             raise Interrupted from None
@@ -232,7 +232,7 @@ def metrics(
 
 
 def _saying(client: Client, run: str | None, project: Many, mission: Many, **more: object) -> ReportFilter:
-    given: dict[str, object] = {**more, **ids_of(client, project, mission)}
+    criteria: dict[str, object] = {**more, **ids_of(client, project, mission)}
     if run is not None:
-        given["run_id"] = client.runs.get(run).id
-    return checked(ReportFilter, "The filter", **{key: value for key, value in given.items() if value})
+        criteria["run_id"] = client.runs.get(run).id
+    return checked(ReportFilter, "The filter", **{key: value for key, value in criteria.items() if value})

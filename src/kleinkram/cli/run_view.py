@@ -98,15 +98,15 @@ def show_results(metrics: Sequence[MetricRead], findings: Sequence[FindingRead])
     """Print what one run said."""
     if metrics:
         line("")
-        show_metrics([each.metric for each in metrics])
+        show_metrics([entry.metric for entry in metrics])
     if findings:
         line("")
-        show_findings([each.finding for each in findings])
+        show_findings([entry.finding for entry in findings])
 
 
 def show_metrics(metrics: Iterable[Metric]) -> None:
     """Print the metrics of one run as a table."""
-    table(["metric", "value", "unit", "file"], [(each.name, each.value, each.unit, each.file) for each in metrics])
+    table(["metric", "value", "unit", "file"], [(entry.name, entry.value, entry.unit, entry.file) for entry in metrics])
 
 
 def show_findings(findings: Iterable[Finding]) -> None:
@@ -114,8 +114,8 @@ def show_findings(findings: Iterable[Finding]) -> None:
     table(
         ["severity", "finding", "message", "file", "topic", "time"],
         [
-            (each.severity.value, each.code, each.message, each.file, each.topic, instant(each.time_ns))
-            for each in findings
+            (entry.severity.value, entry.code, entry.message, entry.file, entry.topic, instant(entry.time_ns))
+            for entry in findings
         ],
     )
 

@@ -25,7 +25,7 @@ app = Noun("Runners: machines that run actions.")
 _FOLDER = "kleinkram-runner"
 
 
-class Executor(str, Enum):
+class ExecutorOption(str, Enum):
     """How it runs actions."""
 
     auto = "auto"
@@ -48,7 +48,9 @@ def start(
     disk: Annotated[str | None, typer.Option(metavar="SIZE", help="For runs. Default: half of what is free.")] = None,
     cache: Annotated[str | None, typer.Option(metavar="SIZE", help="For inputs. Default: 30 % of the same.")] = None,
     gpus: Annotated[int, typer.Option(metavar="N", min=0, help="For runs.")] = 0,
-    executor: Annotated[Executor, typer.Option(help="auto: containers where an engine answers.")] = Executor.auto,
+    executor: Annotated[
+        ExecutorOption, typer.Option(help="auto: containers where an engine answers.")
+    ] = ExecutorOption.auto,
     default_image: Annotated[
         str | None, typer.Option(metavar="IMAGE", help="What scripts run on. Default: kleinkram/action-python.")
     ] = None,
@@ -62,8 +64,7 @@ def start(
 ) -> None:
     """Run actions on this machine. Ctrl-C ends it and its runs; SIGTERM leaves them to the next one."""
     from kleinkram.client.config import find_endpoint
-    from kleinkram.runner.__main__ import DEFAULT_IMAGE, Arguments
-    from kleinkram.runner.choosing import ExecutorChoice
+    from kleinkram.runner.__main__ import DEFAULT_IMAGE, Arguments, ExecutorChoice
 
     arguments = Arguments(
         url=url or find_endpoint().url,
@@ -120,7 +121,7 @@ def _token(token: RunnerToken | None) -> str | None:
     """Return the name of a runner's token, and what it is limited to."""
     if token is None:
         return None
-    limits = [f"project {each.name}" for each in token.projects or []] + [
-        f"label {each}" for each in token.labels or []
+    limits = [f"project {entry.name}" for entry in token.projects or []] + [
+        f"label {entry}" for entry in token.labels or []
     ]
     return f"{token.name} (only {', '.join(limits)})" if limits else token.name

@@ -1,6 +1,8 @@
-"""`klein search`"""
+"""`klein search` and `klein stats`"""
 
+import csv
 import enum
+import sys
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Annotated
@@ -10,14 +12,16 @@ import typer
 from kleinkram import connect
 from kleinkram.cli.file import show_found
 from kleinkram.cli.filters import Choice, Many, file_filter, mission_query, with_choice
-from kleinkram.cli.mission_view import show_missions
+from kleinkram.cli.mission import show_missions
 from kleinkram.cli.options import AsJson, Limit
 from kleinkram.cli.render import note, show_json, show_json_list, table
+from kleinkram.cli.units import size
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.files import FileSort
 from kleinkram.contract.query import render
 from kleinkram.contract.searching import FacetsRead, TopicFound
+from kleinkram.contract.stats import StatsRead, StatsRow
 
 
 class Shown(str, enum.Enum):
@@ -79,15 +83,61 @@ def _count(client: Client, choice: Choice, show: Shown, paths: list[str]) -> int
 
 
 def _show_topics(topics: Iterable[TopicFound]) -> None:
-    rows = [(each.name, each.message_type, each.file_count, each.message_count) for each in topics]
+    rows = [(row.name, row.message_type, row.file_count, row.message_count) for row in topics]
     table(["topic", "type", "files", "messages"], rows)
 
 
-def _show_facets(found: FacetsRead, as_json: bool) -> None:
+def _show_facets(read: FacetsRead, as_json: bool) -> None:
     if as_json:
-        show_json(found)
+        show_json(read)
         return
-    rows = [(each.name, value.value, value.file_count, value.query) for each in found.facets for value in each.values]
+    rows = [(row.name, value.value, value.file_count, value.query) for row in read.facets for value in row.values]
     table(["facet", "value", "files", "query"], rows)
-    if not found.is_whole:
-        note(f"To save time only {found.file_count} files were counted; say more to find fewer.")
+    if not read.is_whole:
+        note(f"To save time only {read.file_count} files were counted; say more to find fewer.")
+
+
+_GROUPS = frozenset(("project", "mission", "topic", "type", "month", "format"))
+_NS_PER_HOUR = 3600 * 1_000_000_000
+
+
+@with_choice
+def stats(
+    choice: Choice,
+    by: Annotated[
+        str,
+        typer.Option("--by", metavar="GROUP", help="project, mission, topic, type, month, format or a metadata FIELD."),
+    ] = "project",
+    as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV on stdout.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Count hours, bytes, files, messages and missions, grouped; of all files, or of those that the options choose."""
+    if as_csv and as_json:
+        raise InvalidInput(what="The command", reason="say --csv or --json, not both")
+    with connect() as client:
+        read = client.stats.get(_grouping(by), file_filter(client, choice))
+    if as_json:
+        show_json(read)
+    elif as_csv:
+        _write_csv(read)
+    else:
+        rows = [_row(row.group or "(none)", row) for row in read.rows]
+        table([by, "missions", "files", "recordings", "hours", "size", "messages"], [*rows, _row("total", read.total)])
+
+
+def _grouping(by: str) -> str:
+    """Return how to group; what is no group by itself is the name of a field."""
+    return by if by in _GROUPS or by.startswith("metadata.") else f"metadata.{by}"
+
+
+def _row(group: str, row: StatsRow) -> tuple[object, ...]:
+    hours = f"{row.duration_ns / _NS_PER_HOUR:.4f}"
+    return (group, row.missions, row.files, row.recordings, hours, size(row.size_bytes), row.messages)
+
+
+def _write_csv(read: StatsRead) -> None:
+    writer = csv.writer(sys.stdout, lineterminator="\n")
+    writer.writerow([read.by, "missions", "files", "recordings", "duration_ns", "size_bytes", "messages"])
+    for row in read.rows:
+        counts = [row.missions, row.files, row.recordings, row.duration_ns, row.size_bytes, row.messages]
+        writer.writerow([row.group or "", *counts])

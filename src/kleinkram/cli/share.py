@@ -42,8 +42,8 @@ def create(
         if files:
             chosen = [client.files.get(ref).id for ref in files if is_id(ref)]
             for path in (ref for ref in files if not is_id(ref)):
-                found = [file.id for file in client.files.list(FileFilter(mission_id=place.id, path=[path]))]
-                chosen += found or [client.files.get(path, mission=place.id).id]
+                share_read = [file.id for file in client.files.list(FileFilter(mission_id=place.id, path=[path]))]
+                chosen += share_read or [client.files.get(path, mission=place.id).id]
             file_ids = [*dict.fromkeys(chosen)]
         made = client.shares.create(place.id, name or place.name, expires_at=expires_at, file_ids=file_ids)
     if as_json:
@@ -103,9 +103,9 @@ def revoke(
 ) -> None:
     """End a link, from the next request on."""
     with connect() as client:
-        found = client.shares.get(ref)
-        client.shares.revoke(found.id)
+        share_read = client.shares.get(ref)
+        client.shares.revoke(share_read.id)
     if as_json:
-        show_json({"revoked": found.model_dump(mode="json")})
+        show_json({"revoked": share_read.model_dump(mode="json")})
         return
-    details([("revoked", found.name), ("begins", found.prefix), ("id", found.id)])
+    details([("revoked", share_read.name), ("begins", share_read.prefix), ("id", share_read.id)])

@@ -117,21 +117,21 @@ def revoke(
 ) -> None:
     """End a token, and all that were made with it, from the next request on."""
     with connect() as client:
-        found = client.tokens.get(ref, everybody=everybody)
-        client.tokens.revoke(found.id)
+        token_rows = client.tokens.get(ref, everybody=everybody)
+        client.tokens.revoke(token_rows.id)
     if as_json:
-        show_json({"revoked": found.model_dump(mode="json")})
+        show_json({"revoked": token_rows.model_dump(mode="json")})
         return
-    details([("revoked", found.name), ("begins", found.prefix), ("id", found.id)])
+    details([("revoked", token_rows.name), ("begins", token_rows.prefix), ("id", token_rows.id)])
 
 
 def _missions(client: Client, refs: list[str]) -> list[uuid.UUID]:
     """Return the missions of ids, names, and names behind their projects' (no name holds a slash)."""
-    found = []
+    token_rows = []
     for ref in refs:
         project, _, name = ref.rpartition("/")
-        found.append(client.missions.get(name, project=None if is_id(ref) else project or None).id)
-    return found
+        token_rows.append(client.missions.get(name, project=None if is_id(ref) else project or None).id)
+    return token_rows
 
 
 def _summary(token: TokenRead) -> str:

@@ -51,9 +51,9 @@ def restore(
 ) -> None:
     """Put deleted things back where they were."""
     with connect() as client:
-        found = [client.trash.get(ref, noun=noun) for ref in refs]
-        for row in found:
+        trash_rows = [client.trash.get(ref, noun=noun) for ref in refs]
+        for row in trash_rows:
             client.trash.restore(row.noun, row.id)
             note(f"Restored the {row.noun.value} {escape(row.name)}.")
     if as_json:
-        show_json({"items": found})
+        show_json({"items": trash_rows})

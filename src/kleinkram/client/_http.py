@@ -223,7 +223,7 @@ class Api:
             if answer.status < 300:
                 return answer
             backoff = backoff or _backoff(patience_s, wait)
-            if answer.status == _TOO_OFTEN and backoff.obey(_retry_after_s(answer.headers)):
+            if answer.status == _TOO_OFTEN and backoff.wait_retry_after(_retry_after_s(answer.headers)):
                 continue  # nothing was done yet, so this holds for changes too
             if answer.status in _RETRIED_STATUS and idempotent and backoff.pause(_retry_after_s(answer.headers)):
                 continue

@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING, TypeVar, cast
 from typing_extensions import TypedDict, Unpack
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import Listing, count, pages
+from kleinkram.client._nouns import Listing, Ref, checked, count, known_id, pages, refs_of
 from kleinkram.client.actions import Actions
-from kleinkram.client.checking import checked
 from kleinkram.client.errors import InvalidInput, TimedOut
 from kleinkram.client.missions import Missions
 from kleinkram.client.projects import Projects
-from kleinkram.client.references import Ref, known_id, refs_of
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.files import BlobState, DownloadLink
 from kleinkram.contract.reports import Severity
@@ -104,13 +102,13 @@ class Runs:
         what = "definition" if isinstance(action, ActionDefinition) else "action_id"
         if not isinstance(action, ActionDefinition):
             action = known_id(action, "action") or Actions(self._api).get(action).id
-        said: dict[str, object] = {what: action, "parameters": parameters or {}, "force": force}
+        requested: dict[str, object] = {what: action, "parameters": parameters or {}, "force": force}
         if version is not None:
-            said["version"] = version
+            requested["version"] = version
         missions = Missions(self._api)
-        ids, outcomes = [missions.id_of(each) for each in mission_ids], []
+        ids, outcomes = [missions.id_of(entry) for entry in mission_ids], []
         for start in range(0, len(ids), MAX_LAUNCHED):
-            body = checked(RunsCreate, "The run", mission_ids=ids[start : start + MAX_LAUNCHED], **said)
+            body = checked(RunsCreate, "The run", mission_ids=ids[start : start + MAX_LAUNCHED], **requested)
             outcomes += self._api.send("POST", "/runs", RunsCreated, body).items
         return outcomes
 
@@ -204,7 +202,7 @@ class Runs:
         plan = plan_artifacts(self.artifacts(run_id) if artifacts is None else artifacts, dest)
 
         def links(ids: Sequence[uuid.UUID]) -> Sequence[DownloadLink]:
-            return [_as_link(each) for each in self.artifact_urls(run_id, ids)]
+            return [_as_link(entry) for entry in self.artifact_urls(run_id, ids)]
 
         return fetch(links, self._api.endpoint.url, plan, overwrite=overwrite, watcher=watcher)
 
@@ -231,7 +229,7 @@ class Runs:
         """
         attempt, offset, wait_s = 0, 0, 0.0
         while True:
-            asked_at = time.monotonic()
+            requested_offset = time.monotonic()
             query = query_of(None, offset=offset, wait_s=wait_s)
             piece = self._api.get(f"/runs/{_run_id(run_id)}/log", LogChunkRead, query)
             begins_anew = piece.attempt != attempt and offset > 0
@@ -243,7 +241,7 @@ class Runs:
             if piece.is_over or not (piece.text or follow):
                 return
             wait_s = _LOG_WAIT_S if follow else 0.0
-            if not piece.text and time.monotonic() - asked_at < _LOG_PAUSE_S:
+            if not piece.text and time.monotonic() - requested_offset < _LOG_PAUSE_S:
                 time.sleep(_LOG_PAUSE_S)
 
     def _filter(
@@ -257,21 +255,21 @@ class Runs:
         """
         if not fields:
             return matching
-        given = dict(fields)
+        selected = dict(fields)
         projects: list[uuid.UUID] = []
-        if (value := given.pop("project", None)) is not None:
+        if (value := selected.pop("project", None)) is not None:
             projects = [Projects(self._api).id_of(cast(Ref, ref)) for ref in refs_of("project", value)]
-            given["project_ids"] = projects
-        if (value := given.pop("mission", None)) is not None:
+            selected["project_ids"] = projects
+        if (value := selected.pop("mission", None)) is not None:
             within = projects[0] if len(projects) == 1 else None
-            given["mission_ids"] = [self._mission_id(cast(Ref, ref), within) for ref in refs_of("mission", value)]
-        if (run := given.pop("run", None)) is not None:
-            given["run_id"] = known_id(cast(Ref, run), "run") or run
+            selected["mission_ids"] = [self._mission_id(cast(Ref, ref), within) for ref in refs_of("mission", value)]
+        if (run := selected.pop("run", None)) is not None:
+            selected["run_id"] = known_id(cast(Ref, run), "run") or run
         for name in ("state", "severity"):
-            if isinstance(given.get(name), str):
-                given[name] = [given[name]]
-        said = matching.model_dump(exclude_defaults=True) if matching else {}
-        return checked(kind, "The filter", **said, **given)
+            if isinstance(selected.get(name), str):
+                selected[name] = [selected[name]]
+        requested = matching.model_dump(exclude_defaults=True) if matching else {}
+        return checked(kind, "The filter", **requested, **selected)
 
     def _mission_id(self, ref: Ref, project_id: uuid.UUID | None) -> uuid.UUID:
         says_project = isinstance(ref, str) and "/" in ref

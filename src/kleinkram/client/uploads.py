@@ -8,9 +8,8 @@ import uuid
 from collections.abc import Callable, Sequence
 
 from kleinkram.client._http import PATIENCE_S, Api
-from kleinkram.client._paging import Listing, pages
+from kleinkram.client._nouns import Listing, Ref, pages
 from kleinkram.client.missions import Missions
-from kleinkram.client.references import Ref
 from kleinkram.contract.uploads import (
     PartsSign,
     PartToSign,

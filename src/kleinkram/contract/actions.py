@@ -272,8 +272,8 @@ class ActionVersionRead(Response):
     created_by: PersonRef
 
 
-def _etag(said: dict[str, Any]) -> str:
-    return etag_of("action", said["id"], said["latest"].number, said["archived"])
+def _etag(fields: dict[str, Any]) -> str:
+    return etag_of("action", fields["id"], fields["latest"].number, fields["archived"])
 
 
 class ActionRead(Response):

@@ -54,7 +54,7 @@ class EndReason(str, enum.Enum):
     not_possible = "not_possible"
     inputs_unavailable = "inputs_unavailable"
     broken_report = "broken_report"
-    results_not_kept = "results_not_kept"
+    results_not_stored = "results_not_stored"
     lost = "lost"
 
 

@@ -80,7 +80,7 @@ class UploadBegin(Request):
     files: Annotated[list[UploadFile], Field(min_length=1, max_length=MAX_FILES_PER_REQUEST)]
 
 
-class HeldPart(Response):
+class StoredPart(Response):
     """A part that the store already holds."""
 
     number: PartNumber
@@ -100,7 +100,7 @@ class UploadRead(Response):
     state: UploadState
     lease_ends_at: datetime.datetime
     expires_at: datetime.datetime
-    parts: list[HeldPart] = []
+    parts: list[StoredPart] = []
 
 
 class SignedPart(Response):

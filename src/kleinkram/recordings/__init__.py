@@ -1,12 +1,9 @@
-"""Bytes of a recording -> facts about it: ROS 1 bag, MCAP, rosbag2.
+"""Recordings (MCAP, ROS 1 bag, rosbag2, ULog): what is in them (`summarise`, `scan`), and their messages (`Recording`).
 
-Pure: a source is "read these bytes at this offset". Bounded memory, no database, nothing of ours outside this
-package. Files are untrusted: whatever their bytes, the answer is a summary (`summarise`), and a server lets a child
-process give it (`summarise_isolated`).
+Independent of the rest of Kleinkram: it reads bytes from a source, in bounded memory, without a database. Files are
+untrusted: whatever their bytes, the answer is a summary. A server reads them in a child process (`isolation`).
 
 Names are imported when they are first used, so that `klein --help` does not pay for reading recordings.
-
-Submodules: `reading` (messages), `inspect`, `isolation`, `http_source`, and `sample`, which makes sample missions.
 """
 
 from importlib import import_module
@@ -15,7 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from kleinkram.recordings.combine_summaries import combine
     from kleinkram.recordings.errors import FailureKind, RecordingError, SourceError, SummaryFailed
-    from kleinkram.recordings.formats.base import sniff
+    from kleinkram.recordings.formats.registry import sniff
     from kleinkram.recordings.formats.rosbag2.metadata import (
         MemberFacts,
         Rosbag2Metadata,
@@ -23,7 +20,6 @@ if TYPE_CHECKING:
         compare_metadata,
         parse_rosbag2_metadata,
     )
-    from kleinkram.recordings.grouping import GroupKind, RecordingGroup, group, is_recording_name
     from kleinkram.recordings.isolation import (
         CHILD_COMMAND,
         CHILD_ENVIRONMENT,
@@ -50,20 +46,35 @@ if TYPE_CHECKING:
         RecordingSummary,
         TopicSummary,
     )
+    from kleinkram.recordings.recording import (
+        Channel,
+        Message,
+        NoSuchTopic,
+        NotARecording,
+        RawMessage,
+        Recording,
+        Schema,
+        SeveralRecordings,
+        TooCostly,
+        TooDisordered,
+        Topic,
+    )
+    from kleinkram.recordings.recording_groups import RecordingGroup, RecordingGroupKind, group, is_recording_name
     from kleinkram.recordings.sources import (
         CountingSource,
         FileSource,
-        Forward,
+        SequentialReader,
         Source,
-        from_file,
-        from_pipe,
-        from_source,
+        file_reader,
+        pipe_reader,
+        source_reader,
     )
     from kleinkram.recordings.summary import scan, summarise
 
 __all__ = [
     "CHILD_COMMAND",
     "CHILD_ENVIRONMENT",
+    "Channel",
     "Content",
     "CountingSource",
     "Depth",
@@ -71,38 +82,48 @@ __all__ = [
     "FailureKind",
     "FileRequest",
     "FileSource",
-    "Forward",
-    "GroupKind",
     "Lost",
     "MemberFacts",
+    "Message",
+    "NoSuchTopic",
+    "NotARecording",
     "Problem",
+    "RawMessage",
+    "Recording",
     "RecordingError",
     "RecordingFormat",
     "RecordingGroup",
+    "RecordingGroupKind",
     "RecordingSummary",
     "Rosbag2Metadata",
+    "Schema",
+    "SequentialReader",
+    "SeveralRecordings",
     "Source",
     "SourceError",
     "StreamRequest",
     "SummaryFailed",
+    "TooCostly",
+    "TooDisordered",
+    "Topic",
     "TopicFacts",
     "TopicSummary",
     "UrlRequest",
     "combine",
     "compare_metadata",
+    "file_reader",
     "from_dict",
-    "from_file",
-    "from_pipe",
-    "from_source",
     "group",
     "is_recording_name",
     "metadata_request_bytes",
     "parse_rosbag2_metadata",
+    "pipe_reader",
     "read_answer",
     "read_metadata_answer",
     "request_bytes",
     "scan",
     "sniff",
+    "source_reader",
     "stream_request_bytes",
     "summarise",
     "summarise_isolated",
@@ -111,10 +132,31 @@ __all__ = [
 ]
 
 _HOMES = {
+    "recording": (
+        "Channel",
+        "Message",
+        "NoSuchTopic",
+        "NotARecording",
+        "RawMessage",
+        "Recording",
+        "Schema",
+        "SeveralRecordings",
+        "TooCostly",
+        "TooDisordered",
+        "Topic",
+    ),
     "combine_summaries": ("combine",),
     "errors": ("FailureKind", "RecordingError", "SourceError", "SummaryFailed"),
-    "sources": ("CountingSource", "FileSource", "Forward", "Source", "from_file", "from_pipe", "from_source"),
-    "grouping": ("GroupKind", "RecordingGroup", "group", "is_recording_name"),
+    "sources": (
+        "CountingSource",
+        "FileSource",
+        "SequentialReader",
+        "Source",
+        "file_reader",
+        "pipe_reader",
+        "source_reader",
+    ),
+    "recording_groups": ("RecordingGroupKind", "RecordingGroup", "group", "is_recording_name"),
     "isolation": (
         "CHILD_COMMAND",
         "CHILD_ENVIRONMENT",
@@ -139,7 +181,7 @@ _HOMES = {
         "compare_metadata",
         "parse_rosbag2_metadata",
     ),
-    "formats.base": ("sniff",),
+    "formats.registry": ("sniff",),
     "summary": ("scan", "summarise"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

@@ -1,4 +1,4 @@
-"""A table of whole numbers, 8 bytes a cell: what is kept of millions of chunks."""
+"""Compact tables of chunks: 8 bytes a cell, for millions of chunks."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_CHUNKS
-from kleinkram.recordings.message_counts import Stretches
+from kleinkram.recordings.message_counts import ReadableRanges
 from kleinkram.recordings.messages import Selection
 
 MAX_SET_BYTES = 16 * 2**20
@@ -24,7 +24,7 @@ UNKNOWN = 2**64 - 1
 
 
 class ChannelSets:
-    """Sets of channels, each kept once however many chunks share it."""
+    """Sets of channels. A set that many chunks share is stored once."""
 
     def __init__(self) -> None:
         self.members: list[frozenset[int]] = [frozenset()]
@@ -44,15 +44,15 @@ class ChannelSets:
         return number
 
     def listed(self, number: int) -> frozenset[int] | None:
-        """Return the channels of a set; None where they are not known."""
+        """Return the channels of a set; None if unknown."""
         return None if number == ANY_CHANNEL else self.members[number]
 
 
 RowT = TypeVar("RowT", bound=tuple[int, ...])
 
 
-class PackedTable(Generic[RowT]):
-    """Rows of numbers from 0 to 2^64 - 1; `make` builds a row (a NamedTuple of `columns` numbers) again."""
+class Int64Table(Generic[RowT]):
+    """Rows of unsigned 64-bit numbers. `make` builds a row, a NamedTuple of `columns` numbers."""
 
     def __init__(self, make: Callable[..., RowT], columns: int) -> None:
         self._make = make
@@ -82,23 +82,23 @@ class PackedTable(Generic[RowT]):
             self._cells.extend(row)
         except OverflowError:
             del self._cells[size:]
-            raise Malformed("index", "a chunk is said to lie beyond any file") from None
+            raise Malformed("index", "a chunk lies beyond any possible file size") from None
 
     def replace(self, number: int, row: RowT) -> None:
-        """Put another row in the place of one."""
+        """Replace a row."""
         at = number * self._columns
         self._cells[at : at + self._columns] = array("Q", row)
 
     def pop(self) -> None:
-        """Take the last row away, if there is one."""
+        """Remove the last row, if there is one."""
         del self._cells[-self._columns :]
 
     def column(self, number: int) -> array[int]:
-        """Return one column, in order."""
+        """Return one column."""
         return self._cells[number :: self._columns]
 
     def sort(self) -> None:
-        """Bring the rows into the order of their first column."""
+        """Sort the rows by their first column."""
         keys = self.column(0)
         if all(map(le, keys, keys[1:])):
             return
@@ -109,7 +109,7 @@ class PackedTable(Generic[RowT]):
 
 
 def smallest_to_come(values: array[int]) -> Iterator[int | None]:
-    """Yield for each value the smallest of those behind it; None for the last."""
+    """Yield, for each value, the smallest of the later ones; None for the last."""
     smallest = array("Q")
     for value in reversed(values):
         smallest.append(min(value, smallest[-1]) if smallest else value)
@@ -120,7 +120,7 @@ def smallest_to_come(values: array[int]) -> Iterator[int | None]:
 
 
 class StoredChunk(NamedTuple):
-    """What a chunk says of itself; its stored bytes follow. `crc`: of the uncompressed bytes; 0: it has none."""
+    """The fields of a chunk before its stored bytes. `crc`: of the uncompressed bytes; 0: none."""
 
     compression: str
     uncompressed_bytes: int
@@ -129,10 +129,11 @@ class StoredChunk(NamedTuple):
 
 
 class Row(NamedTuple):
-    """A piece of a file: [start, start + length). Times are inclusive; `uncompressed_bytes` may be a guess.
+    """A chunk, or records outside of chunks: [start, start + length). Times are inclusive; `uncompressed_bytes` may be
+    a guess.
 
-    `end`: behind what belongs to it, such as its message indexes. `kind`: as in `Place`. `stored_bytes`, `messages`:
-    `UNKNOWN` where the index does not say.
+    `end`: behind its message indexes. `kind`: as in `MessagePlace`. `stored_bytes`, `messages`: `UNKNOWN` where the
+    index does not say.
     """
 
     start: int
@@ -152,30 +153,36 @@ class ChunkTable:
     """The chunks of one file, in the order of the file.
 
     Attributes:
-        stretches: of the content of damaged chunks, by their start: what can be followed; see `listening.Place`.
+        readable_ranges: of damaged chunks, by their start: the ranges of the content that can be read.
     """
 
-    rows: PackedTable[Row] = field(default_factory=lambda: PackedTable(Row, len(Row._fields)))
-    stretches: dict[int, Stretches] = field(default_factory=dict)
+    rows: Int64Table[Row] = field(default_factory=lambda: Int64Table(Row, len(Row._fields)))
+    readable_ranges: dict[int, ReadableRanges] = field(default_factory=dict)
     sets: ChannelSets = field(default_factory=ChannelSets)
 
     def known_channels(self) -> frozenset[int]:
-        """Return all channels that some chunk is known to hold."""
+        """Return all channels that are known to be in some chunk."""
         return frozenset().union(*self.sets.members)
 
     def span(self, without: Container[int] = ()) -> tuple[int | None, int | None]:
-        """Return first and last time of all chunks; `without` those that start at these places, or are empty."""
+        """Return the first and last time of all chunks, except empty ones and those that start at the places in
+        `without`.
+        """
         rows = [row for row in self.rows if row.uncompressed_bytes and row.start not in without]
         first_ns = min((row.first_ns for row in rows), default=None)
         return first_ns, max((row.last_ns for row in rows), default=None)
 
-    def select(self, selection: Selection, wanted: frozenset[int]) -> array[int]:
-        """Return the numbers of the rows that may hold what is wanted, by their first time, then by place."""
-        hits = [number == ANY_CHANNEL or bool(members & wanted) for number, members in enumerate(self.sets.members)]
+    def select(self, selection: Selection, channel_ids: frozenset[int]) -> array[int]:
+        """Return the numbers of the rows that may hold messages of these channels in the selected time, by first time,
+        then by place.
+        """
+        hits = [
+            number == ANY_CHANNEL or bool(members & channel_ids) for number, members in enumerate(self.sets.members)
+        ]
         columns = (self.rows.column(Row._fields.index(name)) for name in ("first_ns", "last_ns", "channels"))
         start_ns, end_ns = selection.start_ns, selection.end_ns
         firsts, lasts, sets = columns
-        found = array(
+        numbers = array(
             "Q",
             (
                 number
@@ -183,6 +190,6 @@ class ChunkTable:
                 if first_ns < end_ns and last_ns >= start_ns and hits[members]
             ),
         )
-        if any(firsts[after] < firsts[before] for before, after in pairwise(found)):
-            found = array("Q", sorted(found, key=firsts.__getitem__))
-        return found
+        if any(firsts[after] < firsts[before] for before, after in pairwise(numbers)):
+            numbers = array("Q", sorted(numbers, key=firsts.__getitem__))
+        return numbers

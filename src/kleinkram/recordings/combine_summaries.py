@@ -1,4 +1,4 @@
-"""Several files of one recording -> one summary of the recording."""
+"""Combines the summaries of the files of one recording."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from kleinkram.recordings.model import (
     TopicSummary,
     counted,
 )
-from kleinkram.recordings.timeline import LEAST_JUMP_NS, Run, bulk, join, within
-from kleinkram.recordings.topic_statistics import bounded, name_oddities, rate_hz
+from kleinkram.recordings.timeline import LEAST_JUMP_NS, StampRun, bulk, join, within
+from kleinkram.recordings.topic_statistics import bounded, find_quality_warnings, rate_hz
 
 _WORST_FIRST = (
     Content.error,
@@ -77,11 +77,11 @@ def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) ->
                 *(problem for one in summaries for problem in one.problems if problem.code not in _OF_THE_WHOLE),
                 *_changed_types(summaries),
                 *jumps,
-                *name_oddities(
+                *find_quality_warnings(
                     topics,
                     island.last_ns - island.first_ns if island else None,
                     longest_silence_ns=0
-                    if jumps or any(one.code == _CLOCK_JUMP for each in summaries for one in each.problems)
+                    if jumps or any(one.code == _CLOCK_JUMP for summary in summaries for one in summary.problems)
                     else None,
                 ),
             ]
@@ -98,26 +98,26 @@ def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) ->
 
 
 def _readable_count(summary: RecordingSummary) -> int | None:
-    """Return the messages of a member; none where nothing of it can be read."""
+    """Return the messages of a file; 0 if nothing of it can be read."""
     unreadable = summary.content in (Content.broken, Content.opaque)
     return summary.message_count or 0 if unreadable else summary.message_count
 
 
 def _changed_types(summaries: Sequence[RecordingSummary]) -> list[Problem]:
-    """Name the topics whose type is not the same in all members."""
+    """Report the topics whose type differs between files."""
     types: dict[str, dict[str, None]] = defaultdict(dict)
     for summary in summaries:
         for topic in summary.topics:
             types[topic.name][topic.message_type] = None
     return [
-        Problem("topic-types-differ", name, f"its type changes between the files: {', '.join(found)}")
-        for name, found in sorted(types.items())
-        if len(found) > 1
+        Problem("topic-types-differ", name, f"its type changes between the files: {', '.join(type_names)}")
+        for name, type_names in sorted(types.items())
+        if len(type_names) > 1
     ]
 
 
 def _jumps_between(summaries: Sequence[RecordingSummary], names: Sequence[str]) -> list[Problem]:
-    """Name the members before which the clock was set back: there, most topics begin long before they ended."""
+    """Report the files before which the clock was set back: most of their topics begin before the file before ended."""
     problems = []
     ended: dict[str, int] = {}
     for number, summary in enumerate(summaries):
@@ -128,7 +128,7 @@ def _jumps_between(summaries: Sequence[RecordingSummary], names: Sequence[str]) 
         if 2 * len(back) > len(shared):
             where = names[number] if names else f"file {number + 1}"
             message = f"it begins {back[-1] / 1e9:.1f} s before the file before it ends: the clock was set in between, "
-            problems.append(Problem(_CLOCK_JUMP, where, message + "so order, span and gaps are not to be trusted"))
+            problems.append(Problem(_CLOCK_JUMP, where, message + "so order, span and gaps are unreliable"))
         ended.update((name, last_ns) for name, _, last_ns in known)
     return problems
 
@@ -143,13 +143,13 @@ def _content(contents: set[Content]) -> Content:
 
 
 def _reason(summaries: Sequence[RecordingSummary], names: Sequence[str]) -> str | None:
-    """Return why the whole is not whole: the worst member's reason, and how many others have one."""
-    told = [number for number, summary in enumerate(summaries) if summary.reason]
-    if not told:
+    """Return the reason of the worst file, and how many others have one."""
+    numbers_with_reason = [number for number, summary in enumerate(summaries) if summary.reason]
+    if not numbers_with_reason:
         return None
-    worst = min(told, key=lambda number: _WORST_FIRST.index(summaries[number].content))
+    worst = min(numbers_with_reason, key=lambda number: _WORST_FIRST.index(summaries[number].content))
     name = f"{names[worst]}: " if names else ""
-    others = f" (and {len(told) - 1} more files are not whole)" if len(told) > 1 else ""
+    others = f" (and {len(numbers_with_reason) - 1} more files are not whole)" if len(numbers_with_reason) > 1 else ""
     return f"{name}{summaries[worst].reason}{others}"
 
 
@@ -171,14 +171,14 @@ def _total(counts: Iterable[int | None]) -> int | None:
     return total
 
 
-def _span(summary: RecordingSummary) -> Run | None:
+def _span(summary: RecordingSummary) -> StampRun | None:
     if summary.start_ns is None or summary.end_ns is None:
         return None
     counted = sum((topic.count or 0) - topic.suspect_count for topic in summary.topics)
-    return Run(summary.start_ns, summary.end_ns, counted, 0)
+    return StampRun(summary.start_ns, summary.end_ns, counted, 0)
 
 
-def _combine_topics(summaries: Sequence[RecordingSummary], island: Run | None) -> tuple[TopicSummary, ...]:
+def _combine_topics(summaries: Sequence[RecordingSummary], island: StampRun | None) -> tuple[TopicSummary, ...]:
     by_name: dict[str, list[TopicSummary]] = defaultdict(list)
     for summary in summaries:
         for topic in summary.topics:
@@ -186,7 +186,7 @@ def _combine_topics(summaries: Sequence[RecordingSummary], island: Run | None) -
     return tuple(_combine_topic(by_name[name], island) for name in sorted(by_name))
 
 
-def _combine_topic(parts: list[TopicSummary], island: Run | None) -> TopicSummary:
+def _combine_topic(parts: list[TopicSummary], island: StampRun | None) -> TopicSummary:
     runs = join(run for part in parts if (run := _run(part)) is not None)
     run = within(runs, island)
     count = _total(part.count for part in parts)
@@ -206,10 +206,10 @@ def _combine_topic(parts: list[TopicSummary], island: Run | None) -> TopicSummar
     )
 
 
-def _run(topic: TopicSummary) -> Run | None:
+def _run(topic: TopicSummary) -> StampRun | None:
     if topic.first_ns is None or topic.last_ns is None or topic.count is None:
         return None
-    return Run(
+    return StampRun(
         topic.first_ns, topic.last_ns, topic.count - topic.suspect_count, topic.longest_gap_ns or 0, topic.density
     )
 
@@ -223,7 +223,7 @@ _FORMATS = {"sqlite3": RecordingFormat.rosbag2_db3, "mcap": RecordingFormat.mcap
 def combine_folder(
     metadata: Rosbag2Metadata | None, names: Sequence[str], summaries: Sequence[RecordingSummary]
 ) -> RecordingSummary:
-    """Merge the data files of a rosbag2 folder, given in the order of recording, and compare with its metadata.yaml.
+    """Merge the summaries of a rosbag2 folder, in the order of recording, and compare them with its metadata.yaml.
 
     `metadata` is None where it could not be understood. `names` are those of the files, without folder. Where files
     are missing, or a damaged one holds fewer messages than the metadata says, that is the recording's loss.

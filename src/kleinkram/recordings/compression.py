@@ -1,4 +1,4 @@
-"""Compressed chunks: whole ones at once, large ones as forward streams; never more than the chunk claims to hold."""
+"""Decompression of chunks and messages: bounded by the size that they claim."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import zstandard
 
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_ZSTD_WINDOW, WINDOW
-from kleinkram.recordings.streams import ForwardStream, Refill
+from kleinkram.recordings.streams import ByteStream, Refill
 
 _LEAST_ZEROS = 64
 Buffer = bytes | memoryview
@@ -21,17 +21,17 @@ ReadUpTo = Callable[[int], bytes]
 
 
 def is_known_compression(name: str) -> bool:
-    """Say whether chunks that are compressed so can be read; `name` as MCAP or a bag spells it."""
+    """Return whether chunks with this compression can be read; `name` as in MCAP or a bag."""
     return name in ("", "none", "zstd") or name in _AT_ONCE
 
 
 def unknown_compression(name: str) -> Malformed:
-    """Return why a chunk that is compressed in another way is not read."""
-    return Malformed("chunk", f"compression '{name}' is not one that we read", certain=False)
+    """Return why a chunk with an unknown compression is not read."""
+    return Malformed("chunk", f"unknown compression '{name}'", certain=False)
 
 
 def unreadable_chunk(name: str, *, stored: int, uncompressed: int) -> Malformed | None:
-    """Return why a chunk cannot be read, whatever its bytes are; None: it can."""
+    """Return why a chunk cannot be read, by its compression and sizes; None: it can."""
     if not is_known_compression(name):
         return unknown_compression(name)
     size = max(stored, uncompressed)
@@ -40,26 +40,26 @@ def unreadable_chunk(name: str, *, stored: int, uncompressed: int) -> Malformed 
     return None
 
 
-def open_decompressed(name: str, read: ReadUpTo, uncompressed_bytes: int) -> ForwardStream:
-    """Decompress what `read` returns; `name` as MCAP or a bag spells it.
+def open_decompressed(name: str, read: ReadUpTo, uncompressed_bytes: int) -> ByteStream:
+    """Decompress what `read` returns; `name` as in MCAP or a bag.
 
     Raises:
         Malformed: at once for another name; while reading for bad data, or more bytes than were claimed.
     """
     if name in ("", "none"):
-        return ForwardStream(_bounded(lambda: read(WINDOW), uncompressed_bytes))
+        return ByteStream(_bounded(lambda: read(WINDOW), uncompressed_bytes))
     if name == "bz2":
-        return ForwardStream(_bounded(_in_windows(name, read, bz2.BZ2Decompressor(), OSError), uncompressed_bytes))
+        return ByteStream(_bounded(_in_windows(name, read, bz2.BZ2Decompressor(), OSError), uncompressed_bytes))
     if name == "zstd":
-        return ForwardStream(_bounded(_zstd(read), uncompressed_bytes))
+        return ByteStream(_bounded(_zstd(read), uncompressed_bytes))
     if name == "lz4":
         decompressor = lz4.frame.LZ4FrameDecompressor()
-        return ForwardStream(_bounded(_in_windows(name, read, decompressor, RuntimeError), uncompressed_bytes))
+        return ByteStream(_bounded(_in_windows(name, read, decompressor, RuntimeError), uncompressed_bytes))
     raise unknown_compression(name)
 
 
 def decompress(name: str, stored: Buffer, uncompressed_bytes: int) -> bytes:
-    """Decompress a chunk as a whole; `name` as MCAP or a bag spells it.
+    """Decompress a whole chunk; `name` as in MCAP or a bag.
 
     Raises:
         Malformed: another name, bad data, or not exactly `uncompressed_bytes`.
@@ -80,7 +80,7 @@ def decompress(name: str, stored: Buffer, uncompressed_bytes: int) -> bytes:
 
 
 def decompress_beginning(name: str, stored: bytes, uncompressed_bytes: int) -> bytes:
-    """Return what can be had of a chunk whose end is missing, at most `uncompressed_bytes`."""
+    """Decompress a chunk whose end is missing, as far as possible, up to `uncompressed_bytes`."""
     if name in ("", "none"):
         return stored[:uncompressed_bytes]
     pieces = [stored]
@@ -91,14 +91,12 @@ def decompress_beginning(name: str, stored: bytes, uncompressed_bytes: int) -> b
 
 
 def without_zero_tail(name: str, stored: bytes) -> bytes | None:
-    """Return compressed data without the zeros at their end; None if they do not end in so many that a disk must have
-    lost them.
-    """
-    kept = stored.rstrip(b"\0")
-    return kept if name not in ("", "none") and len(stored) - len(kept) >= _LEAST_ZEROS else None
+    """Return compressed data without trailing zeros; None unless there are so many that sectors must be lost."""
+    without_zeros = stored.rstrip(b"\0")
+    return without_zeros if name not in ("", "none") and len(stored) - len(without_zeros) >= _LEAST_ZEROS else None
 
 
-def _beginning_of(stream: ForwardStream) -> bytes:
+def _beginning_of(stream: ByteStream) -> bytes:
     pieces: list[bytes] = []
     with suppress(Malformed):
         pieces.extend(iter(stream.take_some, b""))
@@ -155,8 +153,8 @@ def _bounded(refill: Refill, most: int) -> Refill:
     return refill_bounded
 
 
-class _Reading:
-    """The little of a file that zstandard's reader asks for; notes the window that the first frame wants."""
+class _ZstdInput:
+    """File-like input of zstandard's reader; notes the window size of the first frame."""
 
     def __init__(self, read: ReadUpTo) -> None:
         self._read = read
@@ -175,7 +173,7 @@ class _Reading:
 
 def _zstd(read: ReadUpTo) -> Refill:
     decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_ZSTD_WINDOW)
-    reading = _Reading(read)
+    reading = _ZstdInput(read)
     reader = decompressor.stream_reader(reading, read_across_frames=True)  # type: ignore[arg-type]  # only read() is used
 
     def refill() -> bytes:
@@ -194,7 +192,7 @@ def _zstd(read: ReadUpTo) -> Refill:
 
 
 class _Decompressor(Protocol):
-    """What lz4 and bz2 have in common."""
+    """The common interface of the lz4 and bz2 decompressors."""
 
     @property
     def eof(self) -> bool:
@@ -213,7 +211,7 @@ class _Decompressor(Protocol):
 
 
 def _in_windows(name: str, read: ReadUpTo, decompressor: _Decompressor, damage: type[Exception]) -> Refill:
-    """Return what decompresses the next window; `damage`: how this library says that data are damaged."""
+    """Return a function that decompresses the next window; `damage`: the exception of this library for damaged data."""
 
     def refill() -> bytes:
         while not decompressor.eof:
@@ -234,18 +232,18 @@ def _in_windows(name: str, read: ReadUpTo, decompressor: _Decompressor, damage: 
 
 
 class ZstdFrames:
-    """Follows the frames of packed bytes, to know whether they end where a frame ends: zstandard does not tell."""
+    """Tracks zstd frames, to know whether data end at the end of a frame: zstandard does not tell."""
 
     def __init__(self) -> None:
         self._head = b""
-        self._wanted = 4
+        self._head_bytes = 4
         self._skip = 0
         self._step: Callable[[bytes], None] = self._on_magic
         self._checksum_bytes = 0
 
     @property
     def at_end_of_frame(self) -> bool:
-        """Say whether the bytes so far end with a frame."""
+        """Return whether the bytes so far end with a frame."""
         return not self._head and not self._skip and self._step == self._on_magic
 
     def feed(self, data: bytes) -> None:
@@ -257,15 +255,15 @@ class ZstdFrames:
                 self._skip -= passed
                 at += passed
                 continue
-            piece = data[at : at + self._wanted - len(self._head)]
+            piece = data[at : at + self._head_bytes - len(self._head)]
             self._head += piece
             at += len(piece)
-            if len(self._head) == self._wanted:
+            if len(self._head) == self._head_bytes:
                 head, self._head = self._head, b""
                 self._step(head)
 
-    def _next(self, step: Callable[[bytes], None], wanted: int, *, skip: int = 0) -> None:
-        self._step, self._wanted, self._skip = step, wanted, skip
+    def _next(self, step: Callable[[bytes], None], head_bytes: int, *, skip: int = 0) -> None:
+        self._step, self._head_bytes, self._skip = step, head_bytes, skip
 
     def _on_magic(self, head: bytes) -> None:
         if head[1:] == b"\x2a\x4d\x18" and head[0] >> 4 == 5:
@@ -295,7 +293,7 @@ _of_thread = threading.local()
 
 
 def unpack_message(stored: bytes, most_bytes: int) -> bytes:
-    """Return the content of a message that rosbag2 compressed by itself (zstd).
+    """Decompress a message that rosbag2 compressed by itself (zstd).
 
     Raises:
         Malformed: it is damaged, or holds more than `most_bytes`.

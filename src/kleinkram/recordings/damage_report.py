@@ -1,4 +1,4 @@
-"""The account of a damaged file: where it is damaged, and what of it is lost."""
+"""What is damaged in a file, what is lost of it, and the problems found while it is read."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import FREE_UNPACKED, MAX_DAMAGE, MAX_EXPANSION, MAX_PROBLEMS
 from kleinkram.recordings.model import Lost, Problem, counted
 
-_FREE_VAIN_BYTES = 256 * 2**20
-_VAIN_SHARE = 4
+_FREE_WASTED_BYTES = 256 * 2**20
+_WASTED_SHARE = 4
 
 
 @dataclass
-class Losses:
+class DamageReport:
     """What a scan could not read.
 
     Attributes:
@@ -22,9 +22,9 @@ class Losses:
         index_faults: what the file's index says that is not so.
         messages: lost ones, as far as the indexes behind damaged chunks say.
         messages_are_known: those account for all that is lost.
-        unproven: messages that were saved out of a chunk whose checksum is missing with its end.
+        unverified: messages that were saved out of a chunk whose checksum is missing with its end.
         unpacked_bytes: that came out of compressed chunks.
-        vain_bytes: of records that were read, led nowhere, and were searched through.
+        wasted_bytes: of records that were read, led nowhere, and were searched through.
     """
 
     damage: list[Malformed] = field(default_factory=list)
@@ -33,65 +33,67 @@ class Losses:
     chunks: int = 0
     messages: int = 0
     messages_are_known: bool = True
-    unproven: int = 0
-    vain_bytes: int = 0
+    unverified: int = 0
+    wasted_bytes: int = 0
     unpacked_bytes: int = 0
 
     def unpack(self, uncompressed: int, *, end: int) -> None:
-        """Count what a compressed chunk, which ends at a place in the file, unpacks to.
+        """Count the uncompressed size of a chunk that ends at a place in the file.
 
         Raises:
             Malformed: with it, the file would unpack to more than any recording does.
         """
         if not self.may_unpack(uncompressed, end=end):
             most = _most_unpacked(end)
-            message = f"it is left packed: with its {uncompressed} bytes, the file would unpack to more than {most}"
+            message = (
+                f"not decompressed: with its {uncompressed} bytes, the file would expand to more than {most} (limit)"
+            )
             raise Malformed("chunk", message, certain=False)
 
     def may_unpack(self, uncompressed: int, *, end: int) -> bool:
-        """Count it as `unpack` does, and return True; False, uncounted, where it is too much."""
+        """Count as `unpack` does and return True; return False, uncounted, above the limit."""
         if self.unpacked_bytes + uncompressed > _most_unpacked(end):
             return False
         self.unpacked_bytes += uncompressed
         return True
 
-    def is_patience_spent(self, position: int) -> bool:
-        """Say whether so much was read in vain, up to a place in the file, that no honest damage explains it.
+    def is_search_budget_spent(self, position: int) -> bool:
+        """Return whether more bytes were searched without result, up to a place in the file, than real damage explains.
 
         Behind a chunk that turns out to be none, the search begins inside it: a file of nothing but heads of chunks
         would be read as often as it has heads.
         """
-        return self.vain_bytes > _FREE_VAIN_BYTES + _VAIN_SHARE * position
+        return self.wasted_bytes > _FREE_WASTED_BYTES + _WASTED_SHARE * position
 
-    def leave_chunk(self, start: int, size_bytes: int, messages: int, why: Malformed) -> None:
-        """Count a chunk of which nothing can be read, and whose index lists so many messages."""
+    def skip_chunk(self, start: int, size_bytes: int, messages: int, why: Malformed) -> None:
+        """Count a chunk that cannot be read, and whose index lists so many messages."""
         self.note(Malformed(f"chunk at byte {start}", why.message, certain=why.certain))
         self.chunks += 1
         self.bytes += size_bytes
         self.messages += messages
 
     def note(self, damage: Malformed) -> None:
-        """Remember a damaged place."""
+        """Add a damaged place."""
         if len(self.damage) < MAX_DAMAGE:
             self.damage.append(_alone(damage))
 
     def note_index(self, fault: Malformed) -> None:
-        """Remember what is wrong with the index alone."""
+        """Add a fault of the index."""
         if len(self.index_faults) < MAX_DAMAGE:
             self.index_faults.append(_alone(fault))
 
     def problems(self) -> list[Problem]:
-        """Return all of it as problems; more of them than a summary lists are not made."""
+        """Return damage and index faults as problems, up to one more than a summary lists."""
         listed = [Problem("damaged", fault.where, fault.message) for fault in self.damage[: MAX_PROBLEMS + 1]]
         return listed + [
             Problem("index-damaged", fault.where, fault.message) for fault in self.index_faults[: MAX_PROBLEMS + 1]
         ]
 
-    def total(self, *, claimed: int | None, found: int) -> Lost:
-        """Return what is lost, which may be nothing. `claimed`: messages that the file should hold, if it says so."""
+    def total(self, *, claimed: int | None, readable: int) -> Lost:
+        """Return the loss, which may be zero. `claimed`: messages that the file should hold; None: unknown."""
         messages = self.messages if self.messages_are_known else None
-        if claimed is not None and claimed >= found:
-            messages = claimed - found
+        if claimed is not None and claimed >= readable:
+            messages = claimed - readable
         return Lost(self.bytes, self.chunks, messages)
 
 
@@ -100,42 +102,42 @@ def _most_unpacked(end: int) -> int:
 
 
 def _alone(fault: Malformed) -> Malformed:
-    """Return the fault without the frames that raised it: they would keep their bytes as long as it is kept."""
+    """Return a copy without traceback: its frames would keep their buffers alive."""
     return Malformed(fault.where, fault.message, certain=fault.certain)
 
 
 @dataclass
-class ListedChunk:
-    """What the index records behind a chunk list, and what was found in it."""
+class IndexedChunk:
+    """The messages that the index records after a chunk list, and those that were readable."""
 
     start: int
-    found: int
+    readable: int
     damaged: bool
     records: int = 0
     messages: int = 0
 
-    def settle(self, losses: Losses) -> None:
-        """Compare the two, once all index records of the chunk were read."""
+    def settle(self, losses: DamageReport) -> None:
+        """Compare both, after all index records of the chunk."""
         if not self.damaged:
-            if self.records and self.messages != self.found:
-                message = f"its index lists {counted(self.messages, 'message')}, it holds {self.found}"
+            if self.records and self.messages != self.readable:
+                message = f"its index lists {counted(self.messages, 'message')}, it holds {self.readable}"
                 losses.note_index(Malformed(f"chunk at byte {self.start}", message))
         elif self.records:
-            losses.messages += max(0, self.messages - self.found)
+            losses.messages += max(0, self.messages - self.readable)
         else:
             losses.messages_are_known = False
 
 
-class Noticed:
-    """The problems of one recording so far."""
+class ProblemLog:
+    """The problems of one recording: each once, up to `MAX_PROBLEMS`."""
 
     def __init__(self) -> None:
         self._problems: dict[tuple[str, str], Problem] = {}
         self._left_out = 0
-        self._late = 0
+        self._late_count = 0
 
     def add(self, code: str, where: str, message: str) -> None:
-        """Note a problem; the second of a code and a place is the first one met again."""
+        """Add a problem, unless there is one with this code and place."""
         if (code, where) in self._problems:
             return
         if len(self._problems) < MAX_PROBLEMS:
@@ -144,20 +146,20 @@ class Noticed:
             self._left_out += 1
 
     def note_late(self, messages: int) -> None:
-        """Note how many messages one iteration has left out, so far, because they came too late to be in order."""
-        self._late = max(self._late, messages)
+        """Set how many messages one iteration has left out so far because they came too late to be in order."""
+        self._late_count = max(self._late_count, messages)
 
     def all(self, known: Iterable[Problem] = ()) -> tuple[Problem, ...]:
-        """Return the problems in the order in which they were met, behind those that were `known` from elsewhere."""
+        """Return the `known` problems from elsewhere, then those of this log in their order."""
         merged: dict[tuple[str, str], Problem] = {}
         for problem in (*known, *self._problems.values()):
             merged.setdefault((problem.code, problem.where), problem)
-        found = list(merged.values())
-        if self._late:
-            late = counted(self._late, "message is", "messages are")
+        problems = list(merged.values())
+        if self._late_count:
+            late = counted(self._late_count, "message is", "messages are")
             message = f"{late} left out: earlier than the index says, too late to be put in order"
-            found.append(Problem("too-late", "messages", message))
+            problems.append(Problem("too-late", "messages", message))
         if self._left_out:
             message = f"{self._left_out} more problems are not listed"
-            found.append(Problem("more-problems", "file", message))
-        return tuple(found)
+            problems.append(Problem("more-problems", "file", message))
+        return tuple(problems)

@@ -1,4 +1,4 @@
-"""What can go wrong around a recording, by name.
+"""Errors about recordings.
 
 The content of a file never raises to a caller: it becomes `content` and `reason` of a summary. These errors are about
 reading at all, or about the child process that reads.
@@ -10,11 +10,11 @@ from enum import Enum
 
 
 class RecordingError(Exception):
-    """Something about reading a recording failed."""
+    """Base class: reading a recording failed."""
 
 
 class SourceError(RecordingError):
-    """The bytes of a recording could not be read (disk, network, store): not the file's fault, worth a retry."""
+    """The bytes of a recording could not be read (disk, network, store). Not the file's fault; retry."""
 
 
 class FailureKind(str, Enum):
@@ -27,7 +27,7 @@ class FailureKind(str, Enum):
 
 
 class SummaryFailed(RecordingError):
-    """The process that reads a recording gave no summary: it ran out of memory or time, crashed, or could not read.
+    """The child process gave no summary: it ran out of memory or time, crashed, or could not read.
 
     Attributes:
         kind: which of these.
@@ -41,7 +41,7 @@ class SummaryFailed(RecordingError):
 
 
 class Malformed(RecordingError):
-    """The bytes contradict their format at a known place. Never leaves `recordings`.
+    """The bytes contradict their format at a known place. Internal to `recordings`.
 
     Attributes:
         where: the place in words, such as "byte 4117".
@@ -56,11 +56,11 @@ class Malformed(RecordingError):
 
 
 class Cut(Malformed):
-    """The bytes end before the thing that is being read does."""
+    """The bytes end too early."""
 
 
 class NotIndexed(RecordingError):
-    """The file has no index that can be used, so that it must be read whole. Never leaves `recordings`."""
+    """The file has no usable index, so it must be read whole. Internal to `recordings`."""
 
     def __init__(self, code: str, message: str, *, is_problem: bool) -> None:
         super().__init__(message)
@@ -72,7 +72,7 @@ _SHOWN = 20
 
 
 class NotARecording(RecordingError):
-    """What was to be opened holds no messages, or none of a format that we read.
+    """A file or folder without messages, or of a format without a reader.
 
     Attributes:
         name: of the file or folder.
@@ -84,7 +84,7 @@ class NotARecording(RecordingError):
 
 
 class SeveralRecordings(RecordingError):
-    """A folder holds more than one recording, so it cannot be told which is meant.
+    """A folder holds several recordings; open one of them.
 
     Attributes:
         names: of the recordings.
@@ -97,7 +97,7 @@ class SeveralRecordings(RecordingError):
 
 
 class TooCostly(RecordingError):
-    """A file without an index that can be used would have to be read whole, and that was not allowed.
+    """A file without a usable index would have to be read whole, and is larger than allowed.
 
     Attributes:
         name: of the file.

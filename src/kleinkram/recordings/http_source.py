@@ -1,4 +1,4 @@
-"""Kept connections for short range requests.
+"""Reads byte ranges over HTTP, such as from a presigned URL of an S3 store.
 
 A summary over a network is about a thousand requests of a kilobyte. Through urllib3 each costs its caller 0.6 ms of
 CPU time, most of it for parsing addresses and pooling that such requests have no use for; through `http.client`, less
@@ -28,7 +28,7 @@ READ_TIMEOUT_S = 30.0
 _Place = tuple[str, str, "int | None"]
 
 
-class Connections:
+class HttpConnections:
     """At most `most` idle connections. Safe to share between threads."""
 
     def __init__(self, most: int) -> None:
@@ -40,7 +40,7 @@ class Connections:
         weakref.finalize(self, _close_all, self._idle)
 
     def send(self, url: SplitResult, headers: dict[str, str]) -> Exchange:
-        """Send a GET; its answer may be waited for later.
+        """Send a GET without waiting for the response.
 
         Raises:
             OSError: no connection, or it was lost.
@@ -56,7 +56,7 @@ class Connections:
         return Exchange(connection, lambda: self._keep(place, connection))
 
     def close(self) -> None:
-        """Close those that are idle."""
+        """Close the idle connections."""
         with self._lock:
             _close_all(self._idle)
 
@@ -97,7 +97,7 @@ class Connections:
 
 
 class Exchange:
-    """A request that was sent. As a context, its answer, whose body is not read yet.
+    """A request whose response was not read yet; as a context, the response.
 
     The connection is kept for others if all of the answer was read.
 
@@ -127,7 +127,7 @@ class Exchange:
             self.abandon()
 
     def abandon(self) -> None:
-        """Close the connection, whatever it still brings."""
+        """Close the connection."""
         if self._answer is not None:
             self._answer.close()
         self._connection.close()
@@ -140,7 +140,7 @@ def _close_all(idle: list[tuple[_Place, http.client.HTTPConnection]]) -> None:
 
 
 def _was_dropped(connection: http.client.HTTPConnection) -> bool:
-    """Whether an idle connection has something to read: its end, or what nobody asked for."""
+    """Return whether an idle connection was closed by the server, or has unexpected data."""
     waiting = select.poll()
     waiting.register(connection.sock, select.POLLIN)
     return bool(waiting.poll(0))
@@ -170,7 +170,7 @@ class HttpSource:
         *,
         size_bytes: int,
         name: str,
-        connections: Connections | None = None,
+        connections: HttpConnections | None = None,
         renew: Callable[[], str] | None = None,
         check: Callable[[], None] | None = None,
     ) -> None:
@@ -184,10 +184,10 @@ class HttpSource:
         self._renew = renew
         self._check = check
         self._renewing = threading.Lock()
-        self._connections = connections or Connections(PARALLEL_READS)
+        self._connections = connections or HttpConnections(PARALLEL_READS)
 
     def read(self, offset: int, length: int) -> bytes:
-        """Return exactly `length` bytes from `offset`; a lost connection or a 5xx is tried again.
+        """Return exactly `length` bytes from `offset`; retries lost connections and 5xx.
 
         Raises:
             SourceError: refused, or no answer after a few attempts.
@@ -200,7 +200,7 @@ class HttpSource:
         return data
 
     def read_short(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
-        """Yield the bytes of each (offset, length), in order; the next few are asked for meanwhile.
+        """Yield the bytes of each (offset, length), in order; the next requests are sent meanwhile.
 
         All in the calling thread: what has come waits in the connections, so each range had better be short.
 
@@ -265,7 +265,7 @@ class HttpSource:
             check()
 
     def _has_other(self, refused: str) -> bool:
-        """Get another URL in place of one that was refused; False where nobody has one."""
+        """Renew a refused URL; return whether there is another one."""
         if self._renew is None:
             return False
         with self._renewing:
@@ -320,7 +320,7 @@ def _headers(offset: int, length: int) -> dict[str, str]:
 
 
 class _Retryable(Exception):
-    """The same request may succeed next time. `is_failure`: the server failed at it, and may for good."""
+    """A request that may succeed next time. `is_failure`: the server failed, perhaps permanently."""
 
     def __init__(self, message: str, *, is_failure: bool = False) -> None:
         super().__init__(message)
@@ -328,4 +328,4 @@ class _Retryable(Exception):
 
 
 class _Refused(Exception):
-    """The URL is not good for this, or no longer."""
+    """The URL was refused, or has expired."""

@@ -1,4 +1,4 @@
-"""Untrusted files, read in a child process that is bounded in memory and time and holds no credential.
+"""Reads untrusted files in a child process without credentials, bounded in memory and time.
 
 `summarise_isolated` waits for it. A server that must not wait starts `CHILD_COMMAND` with `CHILD_ENVIRONMENT` itself,
 writes `request_bytes(...)` and a newline to its stdin, and hands the line that comes back to `read_answer` (after a
@@ -21,10 +21,10 @@ from kleinkram.recordings.formats.rosbag2.metadata import Rosbag2Metadata, State
 from kleinkram.recordings.limits import MAX_SCAN_BYTES
 from kleinkram.recordings.model import (
     Content,
-    Density,
     Depth,
     Fact,
     Lost,
+    MessageDensity,
     Problem,
     RecordingFormat,
     RecordingSummary,
@@ -88,8 +88,8 @@ def request_bytes(
     timeout_s: int = DEFAULT_TIMEOUT_S,
 ) -> bytes:
     """Return the line that the child reads from stdin, without its newline. `most_bytes`: as `summarise`."""
-    wanted = {"depth": depth.value, "most_bytes": most_bytes, "memory_bytes": memory_bytes, "cpu_s": timeout_s}
-    return json.dumps({**vars(request), **wanted}).encode()
+    options = {"depth": depth.value, "most_bytes": most_bytes, "memory_bytes": memory_bytes, "cpu_s": timeout_s}
+    return json.dumps({**vars(request), **options}).encode()
 
 
 def stream_request_bytes(
@@ -107,7 +107,7 @@ def metadata_request_bytes(
 
 
 def read_answer(stdout: bytes, stderr: bytes, returncode: int) -> RecordingSummary:
-    """Return the summary from what the child left behind.
+    """Return the summary in the child's answer.
 
     Raises:
         SummaryFailed: there is none; says why.
@@ -120,7 +120,7 @@ def read_answer(stdout: bytes, stderr: bytes, returncode: int) -> RecordingSumma
 
 
 def read_metadata_answer(stdout: bytes, stderr: bytes, returncode: int) -> Rosbag2Metadata | None:
-    """Return what `parse_rosbag2_metadata` returned, from what the child left behind.
+    """Return the metadata in the child's answer.
 
     Raises:
         SummaryFailed: it was not read; says why.
@@ -151,7 +151,7 @@ def _answer(stdout: bytes, stderr: bytes, returncode: int) -> dict[str, Any]:
 
 
 def timed_out() -> SummaryFailed:
-    """Return the error for a child that was stopped after its time."""
+    """Return the error for a child that was stopped after its time limit."""
     return _failure(FailureKind.time, "")
 
 
@@ -221,12 +221,12 @@ def from_dict(plain: Mapping[str, Any]) -> RecordingSummary:
 
 def _topic(plain: Mapping[str, Any]) -> TopicSummary:
     density = plain["density"]
-    counted = Density(**{**density, "counts": tuple(density["counts"])}) if density is not None else None
+    counted = MessageDensity(**{**density, "counts": tuple(density["counts"])}) if density is not None else None
     return TopicSummary(**{**plain, "density": counted})
 
 
 def metadata_from_dict(plain: Mapping[str, Any]) -> Rosbag2Metadata:
-    """Return what `dataclasses.asdict` was given, after a way through JSON.
+    """Return what `dataclasses.asdict` was given, after a round trip through JSON.
 
     Raises:
         KeyError, TypeError: it is none.

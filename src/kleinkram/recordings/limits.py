@@ -53,6 +53,9 @@ MAX_CHUNK_INDEX = 8 * 2**20
 MAX_SCAN_BYTES = 16 * 2**30
 """Bytes of a file without index that a summary reads; a larger one stays pending for a scan."""
 
+MAX_DESCRIBED_BYTES = 64 * 2**20
+"""Bytes of a file that holds no messages, up to which a summary reads it for its facts."""
+
 MAX_ZSTD_WINDOW = 2**26
 """Memory that a zstd frame may demand of its reader."""
 
@@ -60,7 +63,7 @@ FREE_UNPACKED = 4 * 2**30
 """Bytes that the chunks of a file may unpack to whatever its size, and"""
 
 MAX_EXPANSION = 200
-"""times as many as stand in the file so far: ten times what is seen of real recordings. Beyond, a chunk is left packed,
+"""times as many as are in the file so far: ten times what is seen of real recordings. Beyond, a chunk is left packed,
 so that a scan costs about the file."""
 
 MAX_PROBLEMS = 50

@@ -1,12 +1,10 @@
-"""Putting messages into the order of their log times, in bounded memory.
+"""Merges messages by log time, in bounded memory, and reads ahead.
 
-What is merged are pieces: chunks, parts of databases, each with the earliest time that it may hold. A piece is opened
-when its time has come, so where pieces follow each other in time, one is held at a time and handed on as it is. Where
-they overlap, all that overlap are held; once they are more than `MAX_HELD`, only a share of each is, and a piece is
-read again for its next share: slower, and still in order. Equal times keep the order of the files.
+The inputs are pieces (chunks, parts of databases), each with the earliest time that it may hold. A piece is opened when
+that time has come. Pieces that overlap in time are buffered; beyond `MAX_BUFFERED_BYTES`, only a share of each is, and
+a piece is read again for its next share. Equal times keep the order of the files.
 
-A piece that holds earlier messages than it promised may come too late for them: those that belong before what was
-handed on already are left out. Whoever makes the piece names that.
+A piece that holds earlier messages than it claims may be opened too late for them: they are left out.
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ from kleinkram.recordings.errors import RecordingError
 from kleinkram.recordings.messages import END_OF_TIME_NS, Block
 from kleinkram.recordings.streams import keep_freed_memory
 
-MAX_HELD = 48 * 2**20
+MAX_BUFFERED_BYTES = 48 * 2**20
 """Bytes of messages that may wait for their time before pieces are held in shares."""
 
 OVERHEAD_BYTES = 250
@@ -32,70 +30,70 @@ _log_time = attrgetter("log_time_ns")
 
 
 class TooDisordered(RecordingError):
-    """So many parts of the recording overlap in time that they cannot be put in order in bounded memory."""
+    """Too many parts of the recording overlap in time to be merged in bounded memory."""
 
 
-class Run:
-    """Messages of one piece, in order of time; `more` yields those that are not at hand yet.
+class MessageRun:
+    """Messages of one piece by time; `more` yields later ones.
 
     Attributes:
-        held_bytes: about the memory that the messages at hand take.
+        buffered_bytes: about the memory that the messages in memory take.
     """
 
-    def __init__(self, messages: Block, held_bytes: int, more: Iterator[Block] | None = None) -> None:
+    def __init__(self, messages: Block, buffered_bytes: int, more: Iterator[Block] | None = None) -> None:
         self._messages = messages
         self._more = more
-        self.held_bytes = held_bytes
+        self.buffered_bytes = buffered_bytes
 
     @property
     def ready_ns(self) -> int:
-        """All its messages before this time are at hand."""
+        """All messages before this time are in memory."""
         if self._more is None:
             return END_OF_TIME_NS
         return self._messages[-1].log_time_ns if self._messages else 0
 
     @property
     def is_whole(self) -> bool:
-        """Say whether all that is left is at hand."""
+        """Return whether all remaining messages are in memory."""
         return self._more is None
 
     @property
     def ended(self) -> bool:
-        """Say whether nothing is left."""
+        """Return whether no message remains."""
         return self._more is None and not self._messages
 
     def refill(self) -> None:
-        """Bring more messages to hand."""
+        """Read more messages."""
         block = None if self._more is None else next(self._more, None)
         if block is None:
             self._more = None
         else:
             self._messages = self._messages + block
-            self.held_bytes += weigh(block)
+            self.buffered_bytes += weigh(block)
 
     def take(self, before_ns: int) -> Block:
-        """Hand out the messages before a time, and hold them no longer."""
+        """Return and drop the messages before a time."""
         messages = self._messages
         if not messages or messages[0].log_time_ns >= before_ns:
             return []
         if messages[-1].log_time_ns < before_ns:
-            self._messages, self.held_bytes = [], 0
+            self._messages, self.buffered_bytes = [], 0
             return messages
         cut = bisect_left(messages, before_ns, key=_log_time)
         self._messages = messages[cut:]
-        self.held_bytes = self.held_bytes * len(self._messages) // len(messages)
+        self.buffered_bytes = self.buffered_bytes * len(self._messages) // len(messages)
         return messages[:cut]
 
     def keep_share(self, share_bytes: int, read_again: Callable[[], Block]) -> None:
-        """Hold no more than a share; the rest is read again when its time comes."""
+        """Keep only a share in memory; read the rest again later."""
         left = len(self._messages)
-        self._messages, self.held_bytes = [], 0
+        self._messages, self.buffered_bytes = [], 0
         self._more = _shares(left, share_bytes, read_again)
         self.refill()
 
 
-class Piece(NamedTuple):
-    """Something that holds messages from `first_ns` on.
+class MessagePiece(NamedTuple):
+    """A source of messages from `first_ns` on.
 
     Attributes:
         order: place in the order of the files; decides between equal times.
@@ -105,21 +103,21 @@ class Piece(NamedTuple):
 
     first_ns: int
     order: tuple[int, ...]
-    open: Callable[[], Run]
+    open: Callable[[], MessageRun]
     read_again: Callable[[], Block] | None = None
 
 
-def merge(pieces: Iterable[Piece], tell_late: Callable[[int], None] | None = None) -> Iterator[Block]:
+def merge(pieces: Iterable[MessagePiece], on_late_messages: Callable[[int], None] | None = None) -> Iterator[Block]:
     """Yield the messages of pieces, given by `first_ns`, as blocks that follow each other in time.
 
     A piece may hold messages that are earlier than its `first_ns`: those that come too late to be in order are left
-    out, and `tell_late` is told of how many so far.
+    out, and `on_late_messages` is reported how many so far.
 
     Raises:
         TooDisordered: more pieces overlap than even shares of them can be held.
         SourceError: as the pieces raise it.
     """
-    merging = _Merging(tell_late)
+    merging = _Merging(on_late_messages)
     waiting = iter(pieces)
     upcoming = next(waiting, None)
     while upcoming is not None:
@@ -129,22 +127,22 @@ def merge(pieces: Iterable[Piece], tell_late: Callable[[int], None] | None = Non
 
 
 class _Merging:
-    def __init__(self, tell_late: Callable[[int], None] | None) -> None:
-        self._tell_late = tell_late
-        self._late = 0
-        self._runs: list[tuple[Piece, Run]] = []
+    def __init__(self, on_late_messages: Callable[[int], None] | None) -> None:
+        self._on_late_messages = on_late_messages
+        self._late_count = 0
+        self._runs: list[tuple[MessagePiece, MessageRun]] = []
         self._latest_ns = 0
 
-    def add(self, piece: Piece) -> None:
+    def add(self, piece: MessagePiece) -> None:
         run = piece.open()
-        self._leave_late(run)
+        self._drop_late_messages(run)
         self._runs.append((piece, run))
         if len(self._runs) > 1:
             self._runs.sort(key=lambda pair: pair[0].order)
             self._bound()
 
     def blocks(self, before_ns: int) -> Iterator[Block]:
-        """Yield what is earlier than a time."""
+        """Yield the messages before a time."""
         while True:
             alone = len(self._runs) == 1
             cut = before_ns if alone else min([before_ns, *(run.ready_ns for _, run in self._runs)])
@@ -163,27 +161,27 @@ class _Merging:
             for run in waiting:
                 if alone or run.ready_ns <= cut:
                     run.refill()
-                    self._leave_late(run)
+                    self._drop_late_messages(run)
             self._check()
 
-    def _leave_late(self, run: Run) -> None:
+    def _drop_late_messages(self, run: MessageRun) -> None:
         late = run.take(self._latest_ns)
         if late:
-            self._late += len(late)
-            if self._tell_late is not None:
-                self._tell_late(self._late)
+            self._late_count += len(late)
+            if self._on_late_messages is not None:
+                self._on_late_messages(self._late_count)
 
     def _bound(self) -> None:
-        if sum(run.held_bytes for _, run in self._runs) <= MAX_HELD:
+        if sum(run.buffered_bytes for _, run in self._runs) <= MAX_BUFFERED_BYTES:
             return
-        share = MAX_HELD // (2 * len(self._runs))
+        share = MAX_BUFFERED_BYTES // (2 * len(self._runs))
         for piece, run in self._runs:
-            if piece.read_again is not None and run.is_whole and run.held_bytes > share:
+            if piece.read_again is not None and run.is_whole and run.buffered_bytes > share:
                 run.keep_share(share, piece.read_again)
         self._check()
 
     def _check(self) -> None:
-        if len(self._runs) > 1 and sum(run.held_bytes for _, run in self._runs) > 2 * MAX_HELD:
+        if len(self._runs) > 1 and sum(run.buffered_bytes for _, run in self._runs) > 2 * MAX_BUFFERED_BYTES:
             raise TooDisordered(
                 f"{len(self._runs)} parts of the recording overlap in time, more than can be put in order; "
                 "read one topic, or a shorter time, at once"
@@ -213,19 +211,19 @@ def weigh(messages: Block) -> int:
 T = TypeVar("T")
 
 
-class Job(NamedTuple, Generic[T]):
-    """Something to do, and the bytes that it will hold."""
+class ReadAheadTask(NamedTuple, Generic[T]):
+    """A task, and the memory that its result takes."""
 
     size_bytes: int
     run: Callable[[], T]
 
 
-def do_ahead(jobs: Iterator[Job[T]], *, workers: int, most_bytes: int) -> Iterator[T]:
-    """Yield what the jobs return, in order; one that raises raises here, in its turn.
+def read_ahead(tasks: Iterator[ReadAheadTask[T]], *, workers: int, most_bytes: int) -> Iterator[T]:
+    """Yield the results of tasks, in order; an exception is raised in its turn.
 
     Closed early, it returns at once: jobs that have begun go on to their end, and nobody hears of them.
     """
-    first = next(jobs, None)
+    first = next(tasks, None)
     if first is None:
         return
     keep_freed_memory()
@@ -233,17 +231,17 @@ def do_ahead(jobs: Iterator[Job[T]], *, workers: int, most_bytes: int) -> Iterat
     pool = ThreadPoolExecutor(workers, thread_name_prefix="read-ahead")
     try:
         under_way: deque[tuple[int, Future[T]]] = deque()
-        allowance, held = max(1, first.size_bytes), 0
-        upcoming = next(jobs, None)
+        allowance, buffered_bytes = max(1, first.size_bytes), 0
+        upcoming = next(tasks, None)
         while upcoming is not None or under_way:
             allowance = min(most_bytes, 2 * allowance)
-            while upcoming is not None and (not under_way or held + upcoming.size_bytes <= allowance):
+            while upcoming is not None and (not under_way or buffered_bytes + upcoming.size_bytes <= allowance):
                 under_way.append((upcoming.size_bytes, pool.submit(upcoming.run)))
-                held += upcoming.size_bytes
-                upcoming = next(jobs, None)
+                buffered_bytes += upcoming.size_bytes
+                upcoming = next(tasks, None)
             size, future = under_way.popleft()
             result = future.result()
-            held -= size
+            buffered_bytes -= size
             yield result
     finally:
         # Nobody waits for the threads here: the garbage collector may close this, in a thread that is being started,

@@ -1,6 +1,6 @@
-"""Messages as a scan finds them -> a timeline by topic; and how much of a file was lost on the way.
+"""Counts the messages that a scan finds, by topic.
 
-A message names its channel by a number, and the definition of that channel may have been lost and stand again only
+A message names its channel by a number, and the definition of that channel may have been lost and are again only
 at the end of the file. So what a number has no topic for yet waits under the number.
 """
 
@@ -36,9 +36,7 @@ class HasTopic(Protocol):
 
 
 class Batch(dict[int, "array[int]"]):
-    """Messages by the number of their channel, `ROW` numbers each. Channels of one topic share one array, so that its
-    messages stand there in the order of the file.
-    """
+    """Messages by channel number, `ROW` numbers each. Channels of one topic share one array, in file order."""
 
     def __init__(self, channels: Mapping[int, HasTopic]) -> None:
         super().__init__()
@@ -55,7 +53,7 @@ class Batch(dict[int, "array[int]"]):
 
 @dataclass
 class Lateness:
-    """Messages of one topic that were logged more than a second away from when they were published.
+    """Messages of one topic whose log and publish times are more than a second apart.
 
     Attributes:
         largest_ns: log time minus publish time, where that is farthest from 0.
@@ -73,7 +71,7 @@ class Lateness:
         self.sample.extend(late[: _SAMPLE - len(self.sample)])
 
 
-class Tally:
+class MessageCounter:
     """All messages that a scan found.
 
     Attributes:
@@ -89,21 +87,19 @@ class Tally:
         self.lateness: dict[str, Lateness] = {}
 
     def learn(self, channels: Mapping[int, HasTopic]) -> None:
-        """State the topics of all channels that are known by now. `channels` may only grow: what it had is not looked
-        at again, so that this costs nothing behind each of many chunks.
-        """
+        """Note the topics of all known channels. `channels` may only grow: known ones are not visited again."""
         for number, channel in islice(channels.items(), len(self._topics), None):
             self.define(number, channel.topic)
 
     def define(self, number: int, topic: str) -> None:
-        """State the topic of a channel; the first one counts."""
+        """Note the topic of a channel; the first one counts."""
         if number not in self._topics:
             self._topics[number] = topic
             self.timeline.rename(_waiting(number), topic)
             self.timeline.topic(topic)
 
     def add(self, batch: Batch, *, stored: int = 1, uncompressed: int = 1) -> int:
-        """Add messages, `stored` / `uncompressed` of whose bytes are in the file; return how many."""
+        """Add messages, with `stored` / `uncompressed` of their bytes in the file; return how many."""
         count = 0
         for key, rows in batch.arrays.items():
             topic = key if isinstance(key, str) else self._topics.get(key)
@@ -120,7 +116,7 @@ class Tally:
         return count
 
     def finish(self) -> int:
-        """End the timeline; return how many messages belong to no topic, and forget them."""
+        """End the timeline; drop the messages that belong to no topic, and return how many."""
         self.timeline.settle(None)
         nameless = [name for name in self.timeline.topics if name.startswith(_WAITING)]
         lost = sum(self.timeline.topics.pop(name).count for name in nameless)
@@ -142,34 +138,34 @@ def _waiting(number: int) -> str:
 
 
 class PlaceKind(IntEnum):
-    """What a place is: a chunk; records outside of chunks; a cut chunk, which is read as far as it goes."""
+    """What a place is: a chunk, records outside of chunks, or a cut chunk, which is read as far as possible."""
 
     chunk = 0
     records = 1
     cut = 2
 
 
-Stretches = tuple[tuple[int, int], ...]
+ReadableRanges = tuple[tuple[int, int], ...]
 
 
-class Place(NamedTuple):
+class MessagePlace(NamedTuple):
     """Bytes of a file that hold messages: [start, start + length).
 
     Attributes:
         kind: see `PlaceKind`.
         uncompressed: bytes of the content.
-        stretches: the parts [start, end) of the content that can be followed; None: all of it.
+        readable_ranges: the parts [start, end) of the content that can be followed; None: all of it.
     """
 
     kind: PlaceKind
     start: int
     length: int
     uncompressed: int
-    stretches: Stretches | None = None
+    readable_ranges: ReadableRanges | None = None
 
 
 class MessageObserver(Protocol):
     """Receives the places of messages in the order in which a scan finds them."""
 
-    def on_messages(self, place: Place, batch: Batch) -> None:
+    def on_messages(self, place: MessagePlace, batch: Batch) -> None:
         """Note messages at a place. May be called several times for one place."""

@@ -1,4 +1,4 @@
-"""The nouns of reading: channels, messages, topics, and what was asked for. Values only."""
+"""Messages, channels, topics and selections."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ END_OF_TIME_NS = 2**64
 
 @dataclass(frozen=True)
 class Schema:
-    """What a message type looks like, as the file says.
+    """A message type, as the file defines it.
 
     Attributes:
         encoding: how `data` is written: "ros1msg", "ros2msg", "ros2idl", "protobuf", "jsonschema"; empty: none.
@@ -29,7 +29,7 @@ class Schema:
 
 @dataclass(frozen=True)
 class Channel:
-    """A topic as one publisher wrote it into one file.
+    """A topic as one publisher wrote it.
 
     Attributes:
         message_encoding: how messages are written: "ros1", "cdr", "json", "protobuf".
@@ -43,7 +43,7 @@ class Channel:
 
 
 class RawMessage(NamedTuple):
-    """One message as its bytes.
+    """An undecoded message.
 
     Attributes:
         log_time_ns: when it was recorded, nanoseconds of the log clock.
@@ -60,7 +60,7 @@ class RawMessage(NamedTuple):
 
     @property
     def schema(self) -> Schema:
-        """What its type looks like."""
+        """The schema of its channel."""
         return self.channel.schema
 
 
@@ -68,7 +68,7 @@ Block = list[RawMessage]
 
 
 class Message(NamedTuple):
-    """One message as values. Times as in `RawMessage`.
+    """A decoded message. Times as in `RawMessage`.
 
     Attributes:
         value: what `kleinkram.recordings.decoding` makes of it; the bytes where its schema cannot be decoded. Its
@@ -84,12 +84,12 @@ class Message(NamedTuple):
 
     @property
     def schema(self) -> Schema:
-        """What its type looks like."""
+        """The schema of its channel."""
         return self.channel.schema
 
     @property
     def stamp_ns(self) -> int | None:
-        """When it was measured, in ns: its header's stamp, or its own, of ROS 1 and ROS 2 alike; None without one."""
+        """When it was measured, in ns: the stamp in its header, or its own; None without one."""
         header = _field(self.value, "header")
         for stamp in (_field(header, "stamp"), _field(self.value, "stamp"), _field(self.value, "timestamp")):
             for seconds, nanoseconds in _STAMPS:
@@ -101,7 +101,7 @@ class Message(NamedTuple):
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic of a recording, over all its files.
+    """A topic of a recording, over all its files.
 
     Attributes:
         message_type: name of its type; of the first channel, should they differ.
@@ -118,7 +118,7 @@ class Topic:
 
 
 class Selection(NamedTuple):
-    """What is wanted: start <= log time < end, and channels by their topics (None: all)."""
+    """start <= log time < end, and topics (None: all)."""
 
     topics: frozenset[str] | None = None
     start_ns: int = 0
@@ -126,7 +126,7 @@ class Selection(NamedTuple):
 
 
 def _field(value: object, name: str) -> object:
-    """Return a field of a decoded message, or of one that JSON made; None where it has none of that name."""
+    """Return a field of a decoded or JSON message; None if it has none of that name."""
     return value.get(name) if isinstance(value, dict) else getattr(value, name, None)
 
 
@@ -160,10 +160,10 @@ def to_ns(time: Time) -> int:
 
 def _read(text: str) -> int:
     wrong = ValueError(f"{text!r} is no time; write it like 2026-05-01T10:00:00Z")
-    if (found := _ISO.fullmatch(text.strip())) is None:
+    if (match := _ISO.fullmatch(text.strip())) is None:
         raise wrong
     try:
-        day, minute, second, fraction, zone = found.groups()
+        day, minute, second, fraction, zone = match.groups()
         offset = "+00:00" if zone in (None, "Z") else zone if ":" in zone else f"{zone[:3]}:{zone[3:]}"
         at = datetime.datetime.fromisoformat(f"{day}T{minute or '00:00'}:{second or '00'}{offset}")
     except ValueError:

@@ -1,4 +1,4 @@
-"""A source: "read these bytes at this offset". Files here; HTTP ranges in `http_source`.
+"""Byte sources: random access (`Source`) and sequential reading (`SequentialReader`).
 
 Sources are safe to share between threads, hold no more than the bytes they return, and never read on their own.
 """
@@ -38,7 +38,7 @@ class Source(Protocol):
 
 
 def check_range(source: Source, offset: int, length: int) -> None:
-    """Refuse what no source may be asked for.
+    """Check a range.
 
     Raises:
         SourceError: outside the file, or more than `MAX_READ` at a time.
@@ -104,7 +104,7 @@ class FileSource:
 
 
 class CountingSource:
-    """Another source that also says what it was asked for.
+    """A source that counts what is read.
 
     Attributes:
         bytes_read: bytes returned so far.
@@ -139,7 +139,7 @@ class CountingSource:
 
 
 def read_short_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
-    """Yield the bytes of each (offset, length), in order; over a network, the next few are already asked for.
+    """Yield the bytes of each (offset, length), in order; over a network, the next ranges are requested meanwhile.
 
     A source that gains from it has a method `read_short`. For ranges of some kB; see `read_ranges` for longer ones.
 
@@ -155,7 +155,7 @@ def read_short_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iter
 
 
 def read_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
-    """Yield the bytes of each (offset, length), in order; over a network, the next few are already under way.
+    """Yield the bytes of each (offset, length), in order; over a network, the next ranges are read meanwhile.
 
     A source that gains from it says so by an attribute `parallel_reads`. At most that many ranges are held.
 
@@ -182,8 +182,8 @@ def read_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[b
         pool.shutdown(wait=False, cancel_futures=True)  # not waited for: as in `do_ahead`
 
 
-class Forward(Protocol):
-    """The bytes of one file in order."""
+class SequentialReader(Protocol):
+    """The bytes of one file from the first to the last, once."""
 
     @property
     def name(self) -> str:
@@ -195,7 +195,7 @@ class Forward(Protocol):
 
     @property
     def path(self) -> Path | None:
-        """Where the same bytes stand on this machine, for formats that need more than one pass; None: nowhere."""
+        """Where the same bytes are on this machine, for formats that need more than one pass; None: nowhere."""
 
     def read(self, length: int) -> bytes:
         """Return the next bytes, at least one and at most `length`; b"" behind the last of `size_bytes`.
@@ -205,8 +205,8 @@ class Forward(Protocol):
         """
 
 
-class SourceForward:
-    """A source read from its start; over a network, the next blocks are already under way."""
+class SourceReader:
+    """Reads a source from its start; over a network, the next blocks are read meanwhile."""
 
     def __init__(self, source: Source, *, path: Path | None = None) -> None:
         self.name = source.name
@@ -235,14 +235,14 @@ class SourceForward:
         return piece
 
     def _read_near(self, length: int) -> bytes:
-        """Read what is asked for and no more, so that it is still in the processor's cache when it is used."""
+        """Read no more than requested, so that it is still in the processor's cache when it is used."""
         piece = self._source.read(self._at, length) if length else b""
         self._at += length
         return piece
 
 
-class FileForward(SourceForward):
-    """A local file. Close it, or use it in a `with`.
+class FileReader(SourceReader):
+    """Reads a local file. Close it, or use it in a `with`.
 
     Raises:
         SourceError: the file cannot be opened.
@@ -256,7 +256,7 @@ class FileForward(SourceForward):
         """Close the file; a second call does nothing."""
         self._file.close()
 
-    def __enter__(self) -> FileForward:
+    def __enter__(self) -> FileReader:
         return self
 
     def __exit__(
@@ -265,8 +265,8 @@ class FileForward(SourceForward):
         self.close()
 
 
-class PipeForward:
-    """The next `size_bytes` bytes of a stream; what follows them stays in it."""
+class PipeReader:
+    """Reads the next `size_bytes` bytes of a stream."""
 
     path = None
 
@@ -292,9 +292,9 @@ class PipeForward:
 
 
 class _Rewound:
-    """A forward whose first bytes were looked at already."""
+    """A reader with its first bytes put back."""
 
-    def __init__(self, head: bytes, rest: Forward) -> None:
+    def __init__(self, head: bytes, rest: SequentialReader) -> None:
         self.name = rest.name
         self.size_bytes = rest.size_bytes
         self.path = rest.path
@@ -309,31 +309,33 @@ class _Rewound:
         return piece
 
 
-def peek(forward: Forward, length: int) -> tuple[bytes, Forward]:
-    """Return the first bytes, at most `length`, and what still begins with them. `forward` itself is used up."""
+def peek(reader: SequentialReader, length: int) -> tuple[bytes, SequentialReader]:
+    """Return the first bytes, at most `length`, and a reader that still begins with them. Do not use `reader`
+    afterwards.
+    """
     pieces: list[bytes] = []
-    have, length = 0, min(length, forward.size_bytes)
-    while have < length and (piece := forward.read(length - have)):
+    have, length = 0, min(length, reader.size_bytes)
+    while have < length and (piece := reader.read(length - have)):
         pieces.append(piece)
         have += len(piece)
     head = b"".join(pieces)
-    return head, _Rewound(head, forward)
+    return head, _Rewound(head, reader)
 
 
-def from_source(source: Source) -> Forward:
-    """Read a source forward."""
-    return SourceForward(source, path=source.path if isinstance(source, FileSource) else None)
+def source_reader(source: Source) -> SequentialReader:
+    """Read a source sequentially."""
+    return SourceReader(source, path=source.path if isinstance(source, FileSource) else None)
 
 
-def from_file(path: str | os.PathLike[str]) -> FileForward:
-    """Read a local file forward; use it in a `with`.
+def file_reader(path: str | os.PathLike[str]) -> FileReader:
+    """Read a local file sequentially; use it in a `with`.
 
     Raises:
         SourceError: the file cannot be opened.
     """
-    return FileForward(path)
+    return FileReader(path)
 
 
-def from_pipe(stream: BinaryIO, size_bytes: int, name: str) -> Forward:
-    """Read exactly `size_bytes` bytes of a stream forward. `name` is the file's own, for messages and extension."""
-    return PipeForward(stream, size_bytes=size_bytes, name=name)
+def pipe_reader(stream: BinaryIO, size_bytes: int, name: str) -> SequentialReader:
+    """Read exactly `size_bytes` bytes of a stream. `name`: of the file, for messages and its extension."""
+    return PipeReader(stream, size_bytes=size_bytes, name=name)

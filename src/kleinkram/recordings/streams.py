@@ -1,7 +1,7 @@
-"""Forward reading of a range or of a decompressor, in windows, with an optional running CRC-32.
+"""Buffered sequential reading, with an optional running CRC-32.
 
 Holds one window, plus what `take` was asked for. Never trusts a length further than the end that it was given.
-`Lookahead` does the same for a scan: it can look at what comes before it passes over it, but never go back.
+`LookaheadStream` does the same for a scan: it can look at what comes before it passes over it, but never go back.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from kleinkram.recordings.errors import Cut, Malformed, SourceError
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_TAKE, WINDOW
-from kleinkram.recordings.sources import Forward, Source
+from kleinkram.recordings.sources import SequentialReader, Source
 
 _STEP = 256 * 2**10
 _FIRST_BUFFER = 2 * 2**20
@@ -19,8 +19,8 @@ _FIRST_BUFFER = 2 * 2**20
 Refill = Callable[[], bytes]
 
 
-class ForwardStream:
-    """Bytes in order: take some, skip some.
+class ByteStream:
+    """Reads or skips bytes in order.
 
     Attributes:
         position: of the next byte, counted from `start`.
@@ -36,15 +36,15 @@ class ForwardStream:
 
     @property
     def crc(self) -> int:
-        """CRC-32 of all that was taken or skipped since the latest `start_crc`; 0 if none runs."""
+        """CRC-32 of what was read or skipped since the latest `start_crc`; 0 if none runs."""
         return self._crcs[-1] if self._crcs else 0
 
     def start_crc(self) -> None:
-        """Keep a CRC-32 from here on, beside those that run already."""
+        """Start a CRC-32, in addition to running ones."""
         self._crcs.append(0)
 
     def stop_crc(self) -> int:
-        """End the CRC that was started last, and return it. Without any, `skip` jumps."""
+        """Stop the latest CRC-32, and return it."""
         return self._crcs.pop()
 
     def take(self, length: int) -> bytes:
@@ -67,13 +67,13 @@ class ForwardStream:
         return data
 
     def take_some(self, most: int = MAX_TAKE) -> bytes:
-        """Return some of the next bytes, those at hand: at least one and at most `most`; b"" at the end."""
+        """Return at least one and at most `most` of the next bytes; b"" at the end."""
         if self.at_end():
             return b""
         return self.take(min(most, len(self._window) - self._at))
 
     def skip(self, length: int) -> None:
-        """Pass over the next `length` bytes; jumps where it can.
+        """Skip the next `length` bytes, by a seek where possible.
 
         Raises:
             Cut: there are fewer.
@@ -97,7 +97,7 @@ class ForwardStream:
                     raise Cut(f"byte {self.position}", f"{length} more bytes are claimed than there are")
 
     def at_end(self) -> bool:
-        """Say whether nothing is left."""
+        """Return whether no bytes remain."""
         if self._at == len(self._window):
             self._window = self._refill()
             self._at = 0
@@ -124,8 +124,8 @@ class ForwardStream:
         self.position += length
 
 
-def open_range(source: Source, start: int, end: int, *, window: int = WINDOW) -> ForwardStream:
-    """Read [start, end) of a source forward. `end` is cut to the size of the source."""
+def open_range(source: Source, start: int, end: int, *, window: int = WINDOW) -> ByteStream:
+    """Read [start, end) of a source; `end` is limited to its size."""
     end = min(end, source.size_bytes)
     offset = start
 
@@ -144,31 +144,30 @@ def open_range(source: Source, start: int, end: int, *, window: int = WINDOW) ->
             raise Cut(f"byte {offset}", f"{length} bytes are claimed, {max(0, end - offset)} are there")
         offset += length
 
-    return ForwardStream(refill, start=start, jump=jump)
+    return ByteStream(refill, start=start, jump=jump)
 
 
-def open_bytes(data: bytes, start: int) -> ForwardStream:
-    """Read bytes that are at hand; `start` is their place in the file."""
+def open_bytes(data: bytes, start: int) -> ByteStream:
+    """Read bytes in memory; `start`: their place in the file."""
     pieces = [data]
-    return ForwardStream(lambda: pieces.pop() if pieces else b"", start=start)
+    return ByteStream(lambda: pieces.pop() if pieces else b"", start=start)
 
 
-class Lookahead:
-    """The bytes of a file in order: look at what comes, then pass over it. Keeps a CRC-32 of all that was passed,
-    if it is asked to.
+class LookaheadStream:
+    """Looks at the next bytes of a file before it skips them; keeps a CRC-32 of skipped bytes if requested.
 
-    The bytes stand in one buffer that is used again and again: what stays in the processor's cache is read about twice
+    The bytes are in one buffer that is used again and again: what stays in the processor's cache is read about twice
     as fast as what comes from memory.
 
     Attributes:
-        window: bytes at hand; those before `at` are passed.
+        window: bytes in memory; those before `at` are passed.
         at: in the window, of the next byte.
     """
 
-    def __init__(self, forward: Forward, *, with_crc: bool = True) -> None:
-        self._forward = forward
+    def __init__(self, reader: SequentialReader, *, with_crc: bool = True) -> None:
+        self._reader = reader
         self._with_crc = with_crc
-        self.size_bytes = forward.size_bytes
+        self.size_bytes = reader.size_bytes
         keep_freed_memory()
         self._buffer = memoryview(bytearray(_FIRST_BUFFER))
         self.window = self._buffer[:0]
@@ -179,7 +178,7 @@ class Lookahead:
 
     @property
     def position(self) -> int:
-        """Of the next byte, in the file."""
+        """Of the next byte in the file."""
         return self._window_start + self.at
 
     @property
@@ -188,7 +187,7 @@ class Lookahead:
         return self.size_bytes - self._window_start - self.at
 
     def ahead(self, length: int) -> int:
-        """Bring the next `length` bytes into the window, or what is left; return how many those are.
+        """Bring up to `length` of the next bytes into the window; return how many there are.
 
         Never more than `MAX_CHUNK_BYTES` and some. What was taken of the window before is overwritten: take it anew.
         """
@@ -198,7 +197,7 @@ class Lookahead:
         return length
 
     def advance(self, length: int) -> None:
-        """Pass over the next `length` bytes, which must be there."""
+        """Skip the next `length` bytes, which must be there."""
         while length > len(self.window) - self.at:
             length -= len(self.window) - self.at
             self.at = len(self.window)
@@ -206,7 +205,7 @@ class Lookahead:
         self.at += length
 
     def digest(self, length: int) -> int:
-        """Pass over the next `length` bytes, and return their CRC-32."""
+        """Skip the next `length` bytes, and return their CRC-32."""
         crc = 0
         while length:
             step = min(length, _STEP)
@@ -217,19 +216,19 @@ class Lookahead:
         return crc
 
     def read_up_to(self, length: int) -> bytes:
-        """Pass over the next bytes, at most `length`, and return them; b"" at the end of the file."""
+        """Return up to `length` of the next bytes; b"" at the end of the file."""
         length = self.ahead(length)
         self.at += length
         return bytes(self.window[self.at - length : self.at])
 
     def crc(self) -> int:
-        """Return the CRC-32 of all that was passed since the beginning, or since `restart_crc`."""
+        """Return the CRC-32 of what was skipped since the beginning, or since `restart_crc`."""
         self._crc = zlib.crc32(self.window[self._hashed : self.at], self._crc)
         self._hashed = self.at
         return self._crc
 
     def restart_crc(self) -> None:
-        """Forget the CRC-32 of what was passed so far."""
+        """Restart the CRC-32."""
         self._crc, self._hashed = 0, self.at
 
     def _refill(self, need: int) -> None:
@@ -242,12 +241,12 @@ class Lookahead:
         self._buffer[:have] = rest
         try:
             while have < need:
-                piece = self._forward.read(_STEP)
+                piece = self._reader.read(_STEP)
                 if not piece:
-                    raise SourceError(f"{self._forward.name}: ended before its {self.size_bytes} bytes")
+                    raise SourceError(f"{self._reader.name}: ended before its {self.size_bytes} bytes")
                 self._buffer[have : have + len(piece)] = piece
                 have += len(piece)
-        finally:  # what came before an error is at hand
+        finally:  # what came before an error is in memory
             self._window_start += self.at
             self.window = self._buffer[:have]
             self.at = self._hashed = 0
@@ -257,7 +256,7 @@ _LARGE = 24 * 2**20
 
 
 def keep_freed_memory() -> None:
-    """Have up to 48 MB of freed memory kept for what is allocated next, in this process, rather than given back.
+    """Make malloc keep up to 48 MB of freed memory for reuse.
 
     Pages that come fresh from the system for each chunk cost as much as decompressing into them. glibc learns from an
     allocation by itself, made and freed without a byte of it being touched; other libraries learn nothing, and no harm.

@@ -1,4 +1,4 @@
-"""A database that is not a local file, brought to one: bounded in size, and never left behind.
+"""Temporary copies of remote or decompressed files: bounded in size, and always removed.
 
 SQLite reads any page at any time, so a database that comes over a network or out of a decompressor is written to a
 temporary file first. The file is locked while it is used; whatever a killed reader left behind is removed by the next.
@@ -17,12 +17,12 @@ from pathlib import Path
 
 from kleinkram.recordings.errors import RecordingError, SourceError
 from kleinkram.recordings.limits import WINDOW
-from kleinkram.recordings.sources import Forward
+from kleinkram.recordings.sources import SequentialReader
 
 MAX_SPOOL_BYTES = 64 * 2**30
 """Bytes of one database that are written to a temporary file."""
 
-KEPT_FREE_BYTES = 2**30
+MIN_FREE_DISK_BYTES = 2**30
 """Bytes of the disk that a temporary file leaves to others."""
 
 _PREFIX = "kleinkram-spool-"
@@ -30,23 +30,23 @@ _NEW_S = 60
 
 
 class TooLarge(RecordingError):
-    """A database does not fit into the temporary folder. Never leaves `recordings`."""
+    """A copy does not fit into the temporary folder. Internal to `recordings`."""
 
 
 @contextmanager
-def database_file(forward: Forward, *, most_bytes: int = MAX_SPOOL_BYTES) -> Iterator[Path]:
-    """Give the path of a database: its own where it is a local file, else that of a temporary copy.
+def database_file(reader: SequentialReader, *, most_bytes: int = MAX_SPOOL_BYTES) -> Iterator[Path]:
+    """Yield the path of a database: its own if it is local, else that of a temporary copy.
 
     Raises:
         TooLarge: it has more than `most_bytes`, or the disk has too little space for it.
         SourceError: it cannot be read, or the copy cannot be written.
     """
-    if forward.path is not None:
-        yield forward.path
+    if reader.path is not None:
+        yield reader.path
         return
-    if forward.size_bytes > most_bytes:
+    if reader.size_bytes > most_bytes:
         raise _too_large(most_bytes, most_bytes)
-    with temporary_copy(forward.read, most_bytes=most_bytes) as path:
+    with temporary_copy(reader.read, most_bytes=most_bytes) as path:
         yield path
 
 
@@ -54,7 +54,7 @@ def database_file(forward: Forward, *, most_bytes: int = MAX_SPOOL_BYTES) -> Ite
 def temporary_database(
     read: Callable[[int], bytes], logs: Mapping[str, Callable[[int], bytes]], *, most_bytes: int = MAX_SPOOL_BYTES
 ) -> Iterator[Path]:
-    """Write a database and, by their suffixes, its log and journal into temporary files; give the database's path.
+    """Write a database and, by their suffixes, its log and journal to temporary files; yield the database's path.
 
     Raises:
         TooLarge: one has more than `most_bytes`, or the disk has too little space for it.
@@ -71,7 +71,7 @@ def temporary_database(
 def temporary_copy(
     read: Callable[[int], bytes], *, most_bytes: int = MAX_SPOOL_BYTES, beside: tuple[Path, str] | None = None
 ) -> Iterator[Path]:
-    """Write all that `read` returns until it returns b"" into a temporary file, which is gone afterwards.
+    """Write what `read` returns to a temporary file, which is removed afterwards.
 
     `beside`: the path of another one, and what is appended to it.
 
@@ -98,7 +98,7 @@ def temporary_copy(
 
 
 def _fill(descriptor: int, read: Callable[[int], bytes], folder: Path, most_bytes: int, *, copies: int) -> None:
-    free = (shutil.disk_usage(folder).free - KEPT_FREE_BYTES) // copies
+    free = (shutil.disk_usage(folder).free - MIN_FREE_DISK_BYTES) // copies
     left = min(most_bytes, free)
     while data := read(WINDOW):
         left -= len(data)
@@ -123,7 +123,7 @@ def _too_large(most_bytes: int, free: int) -> TooLarge:
 
 
 def _sweep(folder: Path) -> None:
-    """Remove copies whose reader is gone: those that nobody holds a lock on.
+    """Remove copies of dead readers: those without a lock.
 
     One that was made just now may not be locked yet.
     """

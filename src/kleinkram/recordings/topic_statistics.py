@@ -1,4 +1,4 @@
-"""From a filled timeline to topic summaries: spans, rates, head and tail gaps, suspect stamps."""
+"""Topic summaries from a timeline, quality warnings, and the wording of problems."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from kleinkram.recordings.model import (
     counted,
     span_text,
 )
-from kleinkram.recordings.timeline import Jump, Run, Timeline, TopicTimes, bulk, within
+from kleinkram.recordings.timeline import Jump, StampRun, Timeline, TopicTimes, bulk, within
 
 _HOUR_NS = 3600 * 10**9
 
 
 class TopicType(NamedTuple):
-    """What a channel or connection says of its topic."""
+    """The type and encodings of a channel or connection."""
 
     message_type: str
     schema_encoding: str
@@ -37,7 +37,7 @@ class TopicType(NamedTuple):
 
 @dataclass(frozen=True)
 class Measured:
-    """The topics of one file, and its span."""
+    """The topics of a file, and its span."""
 
     topics: tuple[TopicSummary, ...]
     message_count: int
@@ -47,7 +47,7 @@ class Measured:
 
 
 def measure(timeline: Timeline, types: Mapping[str, Sequence[TopicType]]) -> Measured:
-    """Turn a settled timeline into topics. `types`: of each topic, the distinct types in the order of the file."""
+    """Return the topics of a settled timeline. `types`: the distinct types of each topic, in file order."""
     island = bulk(run for times in timeline.topics.values() for run in times.runs)
     topics: list[TopicSummary] = []
     problems: list[Problem] = []
@@ -58,7 +58,7 @@ def measure(timeline: Timeline, types: Mapping[str, Sequence[TopicType]]) -> Mea
         topics.append(topic)
         problems += _problems_of_topic(topic, types[name], times)
     jumps = {name: times.jump for name, times in timeline.topics.items() if times.jump is not None}
-    problems += tell_jumps(jumps)
+    problems += clock_jump_problems(jumps)
     # The silence that a jump of the clock leaves is none.
     longest_ns = min((jump.before_ns - jump.after_ns for jump in jumps.values()), default=None)
     longest_ns = longest_ns // 2 if longest_ns is not None else None
@@ -68,12 +68,12 @@ def measure(timeline: Timeline, types: Mapping[str, Sequence[TopicType]]) -> Mea
         message_count=sum(times.count for times in timeline.topics.values()),
         start_ns=island.first_ns if island else None,
         end_ns=island.last_ns if island else None,
-        problems=(*problems, *name_oddities(topics, span_ns, longest_silence_ns=longest_ns)),
+        problems=(*problems, *find_quality_warnings(topics, span_ns, longest_silence_ns=longest_ns)),
     )
 
 
 def _summarise_topic(
-    name: str, kind: TopicType, times: TopicTimes, run: Run | None, island: Run | None, bins: int
+    name: str, kind: TopicType, times: TopicTimes, run: StampRun | None, island: StampRun | None, bins: int
 ) -> TopicSummary:
     return TopicSummary(
         name=name,
@@ -109,9 +109,7 @@ def _problems_of_topic(topic: TopicSummary, types: Sequence[TopicType], times: T
         message = f"{stamped} stamped more than a year away from the rest; left out of the span"
         problems.append(Problem("suspect-stamps", topic.name, message))
     if times.gaps_are_upper_bounds:
-        message = (
-            "its messages are too far out of order to say its longest gap for sure; the one given is the most it can be"
-        )
+        message = "its messages are too far out of order to determine the longest gap; the value is an upper bound"
         problems.append(Problem("gaps-upper-bound", topic.name, message))
     if len(types) > 1:
         names = ", ".join(kind.message_type or "(no type)" for kind in types)
@@ -120,20 +118,20 @@ def _problems_of_topic(topic: TopicSummary, types: Sequence[TopicType], times: T
 
 
 def pending(kind: RecordingFormat, size_bytes: int, why: str, problems: Sequence[Problem] = ()) -> RecordingSummary:
-    """Return the summary of a recording that would have to be read whole, which was not wanted here."""
+    """Return the summary of a recording that would have to be scanned."""
     reason = f"{why}; to know its content, all its {size_bytes} bytes must be read (a scan)"
     return RecordingSummary(kind, Content.pending, reason, problems=bounded(problems))
 
 
-def tell_jumps(jumps: Mapping[str, Jump]) -> list[Problem]:
-    """Say where the clock was set back, by the topic on which it shows most."""
+def clock_jump_problems(jumps: Mapping[str, Jump]) -> list[Problem]:
+    """Report where the clock was set back, by the topic with the largest jump."""
     if not jumps:
         return []
     name, jump = max(jumps.items(), key=lambda item: item[1].before_ns - item[1].after_ns)
     back = f"log times jump back by {_span(jump.before_ns - jump.after_ns)} at {_time(jump.before_ns)}"
-    forward = f", and forward again at {_time(jump.return_ns)}" if jump.return_ns is not None else ""
+    reader = f", and forward again at {_time(jump.return_ns)}" if jump.return_ns is not None else ""
     where = name if len(jumps) == 1 else f"{len(jumps)} topics"
-    message = f"{back}{forward}: the clock was set while it recorded, so order, span and gaps are not to be trusted"
+    message = f"{back}{reader}: the clock was set while it recorded, so order, span and gaps are unreliable"
     return [Problem("clock-jump", where, message)]
 
 
@@ -145,8 +143,8 @@ def _time(stamp_ns: int) -> str:
     return f"{datetime.fromtimestamp(stamp_ns // 10**9, timezone.utc):%Y-%m-%dT%H:%M:%SZ}"
 
 
-def tell_lateness(lateness: Mapping[str, Lateness]) -> list[Problem]:
-    """Say which topics were logged long before or after they were published."""
+def publish_time_problems(lateness: Mapping[str, Lateness]) -> list[Problem]:
+    """Report topics that were logged long before or after they were published."""
     problems = []
     for topic, late in sorted(lateness.items()):
         median_ns = sorted(late.sample)[len(late.sample) // 2]
@@ -155,11 +153,11 @@ def tell_lateness(lateness: Mapping[str, Lateness]) -> list[Problem]:
             f"typically {span_text(median_ns, '+')}, at most {span_text(late.largest_ns, '+')}"
         )
         problems.append(Problem("publish-time-differs", topic, message))
-    return gathered(problems)
+    return merge_similar(problems)
 
 
-def tell_doubled(channels: Iterable[tuple[str, str, str]]) -> list[Problem]:
-    """Say which publishers have several channels of one topic and type; what is not named counts as nobody's.
+def duplicate_channel_problems(channels: Iterable[tuple[str, str, str]]) -> list[Problem]:
+    """Report publishers with several channels of one topic and type.
 
     `channels`: topic, type and publisher of each.
     """
@@ -169,27 +167,27 @@ def tell_doubled(channels: Iterable[tuple[str, str, str]]) -> list[Problem]:
         if count > 1:
             message = f"{publisher} has {count} channels of it with the same type: its messages may be there twice"
             problems.append(Problem("doubled-channel", topic, message))
-    return gathered(problems)
+    return merge_similar(problems)
 
 
-def tell_readable(messages: int, lost: Lost | None) -> str:
-    """Say what can be read of a damaged file, and what is lost."""
+def describe_readable(messages: int, lost: Lost | None) -> str:
+    """Describe what can be read of a damaged file, and what is lost."""
     readable = f"{counted(messages, 'message')} can be read"
     if lost is None:
         return readable
     if lost == Lost(0, 0, 0):
         return f"{readable}; nothing is lost"
     if lost == Lost(0, 0, None):
-        return f"{readable}; whether more was recorded is not known"
+        return f"{readable}; whether more was recorded is unknown"
     parts = [f"{lost.bytes} bytes"]
     if lost.chunks:
         parts.insert(0, counted(lost.chunks, "chunk"))
-    parts.append("how many messages is not known" if lost.messages is None else counted(lost.messages, "message"))
+    parts.append("an unknown number of messages" if lost.messages is None else counted(lost.messages, "message"))
     return f"{readable}; lost: {', '.join(parts)}"
 
 
-def tell_damage(damage: Sequence[Malformed]) -> str:
-    """Say where a file is damaged: "at byte 5: …", "in the chunk at byte 5: …"."""
+def describe_damage(damage: Sequence[Malformed]) -> str:
+    """Describe where a file is damaged: "at byte 5: …", "in the chunk at byte 5: …"."""
     first = damage[0]
     place = f"at {first.where}" if first.where.startswith("byte ") else f"in the {first.where}"
     more = f" (and {counted(len(damage) - 1, 'more damaged place')})" if len(damage) > 1 else ""
@@ -197,7 +195,7 @@ def tell_damage(damage: Sequence[Malformed]) -> str:
 
 
 def bounded(problems: Sequence[Problem]) -> tuple[Problem, ...]:
-    """Cut a list of problems to what a person would read."""
+    """Limit a list of problems to `MAX_PROBLEMS`."""
     if len(problems) <= MAX_PROBLEMS:
         return tuple(problems)
     left_out = len(problems) - MAX_PROBLEMS + 1
@@ -218,10 +216,10 @@ _OF_ROS_ITSELF = frozenset(("/rosout", "/rosout_agg", "/parameter_events", "/eve
 """Topics that speak when something happens, and are silent in the best of recordings."""
 
 
-def name_oddities(
+def find_quality_warnings(
     topics: Iterable[TopicSummary], span_ns: int | None, *, longest_silence_ns: int | None = None
 ) -> list[Problem]:
-    """Return what is odd, of each kind at most a few.
+    """Return warnings about topics: silent, late, early or with long gaps; some of each kind.
 
     `span_ns`: of the whole recording. `longest_silence_ns`: what is longer is the clock's doing; None: nothing is.
     """
@@ -235,11 +233,11 @@ def name_oddities(
             late += _starts_late(topic, topic.rate_hz, span_ns)
             early += _stops_early(topic, topic.rate_hz, span_ns)
             gaps += _has_long_gap(topic, topic.rate_hz, span_ns)
-    return [*gathered(silent), *gathered(late), *gathered(early), *gathered(gaps)]
+    return [*merge_similar(silent), *merge_similar(late), *merge_similar(early), *merge_similar(gaps)]
 
 
 def _credible(topic: TopicSummary, longest_ns: int) -> TopicSummary:
-    """Return a topic without the silences that are too long to be any."""
+    """Return a topic without gaps that the clock caused."""
     head_ns, tail_ns, gap_ns = (
         None if silence_ns is None or silence_ns > longest_ns else silence_ns
         for silence_ns in (topic.head_gap_ns, topic.tail_gap_ns, topic.longest_gap_ns)
@@ -267,8 +265,8 @@ def _has_long_gap(topic: TopicSummary, rate_hz: float, span_ns: int) -> list[Pro
     return [Problem("long-gap", topic.name, message)]
 
 
-def gathered(problems: Sequence[Problem], what: str = "topics") -> list[Problem]:
-    """Put what is said of more than a few topics, or of more than a few of `what`, into one problem."""
+def merge_similar(problems: Sequence[Problem], what: str = "topics") -> list[Problem]:
+    """Merge problems of one kind into one, if there are more than three."""
     if len(problems) <= _MOST_OF_A_KIND:
         return list(problems)
     first = problems[0]

@@ -11,15 +11,14 @@ import kleinkram
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS
 from kleinkram.server.actions.routes import router as actions
 from kleinkram.server.admin.routes import router as admin
-from kleinkram.server.audit.looking import Looks
+from kleinkram.server.audit.admin_access import Looks
 from kleinkram.server.audit.routes import router as audit
-from kleinkram.server.auth.claiming import offer_claim
-from kleinkram.server.auth.login_routes import login_router, me_router, people_router
-from kleinkram.server.auth.page_routes import router as sign_in_pages
-from kleinkram.server.auth.passwords import Passwords
-from kleinkram.server.auth.providers import open_providers
+from kleinkram.server.auth.authorization_request import open_providers
+from kleinkram.server.auth.bootstrap_admin import log_bootstrap_code
+from kleinkram.server.auth.local_accounts import PasswordHasher
+from kleinkram.server.auth.pages import router as sign_in_pages
+from kleinkram.server.auth.routes import me_router, people_router
 from kleinkram.server.auth.routes import router as auth
-from kleinkram.server.cross_origin import open_to_pages
 from kleinkram.server.db import open_database
 from kleinkram.server.events.hub import open_hub
 from kleinkram.server.events.routes import router as events
@@ -39,16 +38,16 @@ from kleinkram.server.missions.routes import router as missions
 from kleinkram.server.overviews.routes import router as overviews
 from kleinkram.server.people.local_owner import let_owner_in
 from kleinkram.server.people.routes import router as people
-from kleinkram.server.probe import probe, record_probe
 from kleinkram.server.projects.routes import router as projects
 from kleinkram.server.recordings.routes import router as recordings
 from kleinkram.server.runners.routes import router as runners
 from kleinkram.server.runs.routes import router as runs
+from kleinkram.server.s3.capabilities import configure_cors, probe, record_capabilities
+from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.search.routes import router as search
 from kleinkram.server.settings import Settings
 from kleinkram.server.shares.page import router as share_page
 from kleinkram.server.shares.routes import router as shares
-from kleinkram.server.storage import open_storage
 from kleinkram.server.tokens.routes import router as tokens
 from kleinkram.server.trash.routes import router as trash
 from kleinkram.server.uploads.routes import router as uploads
@@ -79,7 +78,6 @@ ROUTERS = (
     home_summary,
     admin,
     auth,
-    login_router,
     me_router,
     people_router,
     sign_in_pages,
@@ -110,17 +108,17 @@ def create_app(settings: Settings) -> FastAPI:
             ):
                 abilities = await probe(store)
                 async with database.begin() as db:
-                    await record_probe(db, settings.store_id, abilities)
+                    await record_capabilities(db, settings.store_id, abilities)
                     await ensure_affiliations(db, settings.affiliations)
                     if settings.owner_token_file is None:
-                        await offer_claim(db)
+                        await log_bootstrap_code(db)
                     else:
                         await let_owner_in(db, settings.owner_token_file)
                 app.state.database = database
                 app.state.providers = providers
-                app.state.passwords = Passwords()
-                app.state.storage = store.with_abilities(abilities)
-                app.state.pages_may_send = await open_to_pages(store, settings)
+                app.state.password_hasher = PasswordHasher()
+                app.state.storage = store.with_capabilities(abilities)
+                app.state.pages_may_send = await configure_cors(store, settings)
                 _log.info(
                     "serving",
                     extra={"fields": {"version": kleinkram.__version__, "checksum": abilities.checksum.value}},

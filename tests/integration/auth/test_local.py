@@ -248,8 +248,8 @@ def test_an_account_that_is_tried_from_everywhere_is_tried_in_turns(
 
 def test_without_local_accounts_there_is_no_password_to_sign_in_with(start_api: StartApi) -> None:
     api = start_api(local_accounts=False)
-    ways = Browser(api).get("/api/v1/auth/ways").ok()
-    assert ways == {"password": False, "providers": [], "claim": False}
+    methods = Browser(api).get("/api/v1/auth/methods").ok()
+    assert methods == {"password": False, "providers": [], "bootstrap": False}
     Browser(api).post("/auth/password", {"email": "a@b.example", "password": "x"}).refused(404, "not_found")
     assert 'name="password"' not in Browser(api).get("/sign-in").ok()
     api.post("/people/invitations", {"email": any_email()}).refused(403, "forbidden")
@@ -258,4 +258,4 @@ def test_without_local_accounts_there_is_no_password_to_sign_in_with(start_api: 
 def test_a_session_says_from_where_it_is(api: Api) -> None:
     made = account(api)
     (own,) = made.browser.get("/api/v1/me/sessions").ok()["items"]
-    assert (own["way"], own["address"], own["user_agent"]) == ("password", "127.0.0.1", USER_AGENT)
+    assert (own["method"], own["address"], own["user_agent"]) == ("password", "127.0.0.1", USER_AGENT)

@@ -53,7 +53,7 @@ def _let_runs_run(api: Api) -> None:
     runner.finish(done).ok()
     launch(api, runner, mission)
     held = runner.claim()
-    runner.beat(held)
+    runner.heartbeat(held)
     runner.write(held, 0, b"it says\n")
 
 

@@ -24,7 +24,7 @@ import pytest
 from kleinkram.server.backup import creating
 from kleinkram.server.backup.dumping import Facts, Reading
 from kleinkram.server.backup.dumping import facts as real_facts
-from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.settings import Settings, plain_dsn
 from tests.integration.api_server import Api
 from tests.integration.backup.sites import (
@@ -111,7 +111,7 @@ def at_work(api: Api, mission: str, file_ids: list[str]) -> Iterator[dict[str, i
         "half uploads": half_upload,
         "edits": lambda: api.patch(f"/missions/{mission}", {"notes": uuid.uuid4().hex}).ok(),
         "deletions": lambda: api.delete(f"/files/{next(left)}").ok(),
-        "sweeps": lambda: on_site(api, sweep_once),
+        "sweeps": lambda: on_site(api, collect_garbage),
     }
     failures: list[BaseException] = []
 

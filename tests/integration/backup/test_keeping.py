@@ -22,7 +22,7 @@ from kleinkram.server.backup.forgetting import forget
 from kleinkram.server.backup.hold import holding_back
 from kleinkram.server.backup.locking import at_work
 from kleinkram.server.backup.repository import open_place
-from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.settings import plain_dsn
 from tests.integration.api_server import Api
 from tests.integration.backup.conftest import LARGE
@@ -114,8 +114,8 @@ def test_old_backups_go_with_what_only_they_held(start_api: StartApi, tmp_path: 
     source = settings_of(api)
     first = back_up(source, tmp_path)
     api.delete(f"/files/{gone['id']}").ok()
-    on_site(api, sweep_once)
-    on_site(api, sweep_once)
+    on_site(api, collect_garbage)
+    on_site(api, collect_garbage)
     assert api.sql("SELECT count(*) FROM blob") == [(1,)]
     second = back_up(source, tmp_path)
     assert second.tally.objects == 1
@@ -204,12 +204,12 @@ def test_nothing_is_swept_while_a_backup_copies(start_api: StartApi) -> None:
     async def sweep_beside() -> None:
         async with holding_back(plain_dsn(settings_of(api).database_url)) as hold:
             for _ in range(3):
-                await asyncio.to_thread(on_site, api, sweep_once)
+                await asyncio.to_thread(on_site, api, collect_garbage)
             hold.check()
 
     asyncio.run(sweep_beside())
     assert contents(settings_of(api)) == before
-    on_site(api, sweep_once)
+    on_site(api, collect_garbage)
     assert contents(settings_of(api)) == {}
 
 

@@ -13,8 +13,8 @@ from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.server.backup import loading
 from kleinkram.server.backup.bucket import BucketShelf
 from kleinkram.server.backup.failing import BackupError, InTheWay
+from kleinkram.server.s3.storage import Storage
 from kleinkram.server.settings import plain_dsn
-from kleinkram.server.storage import Storage
 from tests.integration.api_server import Api
 from tests.integration.backup.sites import (
     Sites,

@@ -4,13 +4,13 @@ import asyncio
 
 from sqlalchemy import select
 
-from kleinkram.server.blobs import scrubs
-from kleinkram.server.blobs.scrubbing import scrub_store
+from kleinkram.server.blobs import queries, scrub
+from kleinkram.server.blobs.scrub import scrub_store
 from kleinkram.server.blobs.verification import read_through
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
+from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings
-from kleinkram.server.storage import open_storage
 from kleinkram.server.tables import blob, person
 
 
@@ -32,10 +32,10 @@ def complaints(settings: Settings) -> list[str]:
 async def _scrub(context: AppContext) -> list[str]:
     async with context.database.begin() as db:
         anybody = (await db.execute(select(person.c.id).limit(1))).scalar_one()
-        begun = await scrubs.ask_for_scrub(db, context.settings.store_id, by_id=anybody, believes=False)
+        begun = await scrub.request_scrub(db, context.settings.store_id, by_id=anybody, believes=False)
     await scrub_store(context, begun.id)
     async with context.database.begin() as db:
-        last = await scrubs.last_scrub(db, context.settings.store_id)
+        last = await scrub.last_scrub(db, context.settings.store_id)
     assert last is not None
     assert last.ended_at is not None
     assert last.compared > 0
@@ -45,6 +45,8 @@ async def _scrub(context: AppContext) -> list[str]:
 
 async def _read(context: AppContext) -> list[str]:
     async with context.database.begin() as db:
-        blobs = (await db.execute(select(blob).where(blob.c.doomed_at.is_(None)))).all()
+        ids = (await db.execute(select(blob.c.id).where(blob.c.doomed_at.is_(None)))).scalars().all()
+        rows = await db.execute(queries.blobs_with_path(ids))
+        blobs = [queries.BlobRow._make(row) for row in rows]
     found = [(each.key, (await read_through(context, each.key)).differs_from(each)) for each in blobs]
     return [f"{key}: {difference}" for key, difference in found if difference]

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from kleinkram.recordings.sample import generate_bag, generate_mcap
-from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.blobs.queries import SMALL_BYTES
 from tests.integration import upload_client
 from tests.integration.api_server import Api
@@ -61,7 +61,7 @@ def test_many_small_files_are_examined_by_few_jobs(start_api: Any, tmp_path: Any
     bodies = {f"{number}.bin": os.urandom(100) for number in range(20)}
     files = upload_all(api, mission_id, {**bodies, "run.mcap": recording, "bad.bin": b"bad", "gone.bin": b"gone"})
     (_, bad), (_, gone) = (_blob(api, files[path]["id"]) for path in ("bad.bin", "gone.bin"))
-    on_site(api, lambda site: site.storage.put_small(bad, b"dab"))
+    on_site(api, lambda site: site.storage.put_object(bad, b"dab"))
     on_site(api, lambda site: site.storage.delete(gone))
     waiting = "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'examine_blob' AND status = 'todo'"
     assert api.sql(waiting) == [(23,)]
@@ -119,7 +119,7 @@ def test_an_altered_object_is_corrupt_and_can_be_mended(api: Api, mission_id: st
     file = upload(api, mission_id, "run.bin", body)
     run_jobs(api)
     _, key = _blob(api, file["id"])
-    on_site(api, lambda site: site.storage.put_small(key, body[:-1] + bytes([body[-1] ^ 1])))
+    on_site(api, lambda site: site.storage.put_object(key, body[:-1] + bytes([body[-1] ^ 1])))
     api.post(f"/files/{file['id']}/verify").ok(202)
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
@@ -154,11 +154,11 @@ def test_deleted_files_leave_the_store_only_when_nothing_refers_to_their_bytes(a
     for file in (first, second):
         assert on_site(api, lambda site: site.storage.find(key)) is not None
         api.delete(f"/files/{file['id']}").ok()
-        on_site(api, sweep_once)  # still in the trash: nothing goes
+        on_site(api, collect_garbage)  # still in the trash: nothing goes
         assert on_site(api, lambda site: site.storage.find(key)) is not None
         api.sql("UPDATE file SET deleted_at = now() - interval '31 days' WHERE id = %s", file["id"])
-        on_site(api, sweep_once)
-        on_site(api, sweep_once)
+        on_site(api, collect_garbage)
+        on_site(api, collect_garbage)
     assert on_site(api, lambda site: site.storage.find(key)) is None
     assert api.sql("SELECT count(*) FROM blob WHERE key = %s", key) == [(0,)]
     assert api.events(first["id"])[0]["operation"] == "file.sweep"
@@ -172,7 +172,7 @@ def test_a_project_leaves_the_trash_with_all_that_is_in_it(api: Api) -> None:
     api.delete(f"/projects/{project['id']}").ok()
     api.sql("UPDATE project SET deleted_at = now() - interval '31 days' WHERE id = %s", project["id"])
     for _ in range(3):
-        on_site(api, sweep_once)
+        on_site(api, collect_garbage)
     assert api.sql("SELECT count(*) FROM project WHERE id = %s", project["id"]) == [(0,)]
     assert api.sql("SELECT count(*) FROM mission WHERE id = %s", mission_id) == [(0,)]
 
@@ -192,13 +192,13 @@ def test_blobs_and_missions_whose_jobs_were_given_up_are_taken_up_again(
 ) -> None:
     file = upload(api, mission_id, "run.bag", b"#ROSBAG V2.0\n" + os.urandom(size_bytes))
     api.sql("DELETE FROM procrastinate_jobs")
-    on_site(api, sweep_once)
+    on_site(api, collect_garbage)
     assert api.sql("SELECT count(*) FROM procrastinate_jobs WHERE task_name <> 'group_recordings'") == [(0,)], (
         "too early"
     )
     api.sql("UPDATE blob SET created_at = now() - interval '1 hour' WHERE id = %s", _blob(api, file["id"])[0])
-    on_site(api, sweep_once)
-    on_site(api, sweep_once)  # a second round asks for nothing twice
+    on_site(api, collect_garbage)
+    on_site(api, collect_garbage)  # a second round asks for nothing twice
     jobs = api.sql("SELECT task_name, args ->> 'ref' FROM procrastinate_jobs WHERE status = 'todo'")
     assert {job for job, _ in jobs} == {"group_recordings", *wanted}
     assert len(jobs) == len(set(jobs))

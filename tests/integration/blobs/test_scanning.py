@@ -12,9 +12,9 @@ import zstandard
 from kleinkram.recordings import CountingSource, FileSource, Lost
 from kleinkram.recordings.formats.mcap.index import read_index
 from kleinkram.recordings.sample import generate_mcap
-from kleinkram.recordings.sources import from_file
+from kleinkram.recordings.sources import file_reader
 from kleinkram.recordings.summary import scan
-from kleinkram.server.blobs import reading
+from kleinkram.server.blobs import reader_processes
 from kleinkram.server.settings import Settings
 from tests.integration.api_server import Api
 from tests.integration.corpus import Corpus
@@ -93,7 +93,7 @@ def test_a_reader_that_dies_does_not_stop_the_verification(
     api: Api, mission_id: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     dying = "import sys; sys.stdin.buffer.readline(); sys.exit('no luck today')"
-    monkeypatch.setattr(reading, "CHILD_COMMAND", (sys.executable, "-c", dying))
+    monkeypatch.setattr(reader_processes, "CHILD_COMMAND", (sys.executable, "-c", dying))
     generate_mcap(tmp_path / "run.mcap", size_bytes=2_000_000, seed=12)
     file = upload(api, mission_id, "run.mcap", (tmp_path / "run.mcap").read_bytes())
     run_jobs(api)
@@ -117,7 +117,7 @@ def test_a_reader_that_answers_before_it_was_given_everything_is_not_believed(
     generate_mcap(tmp_path / "run.mcap", size_bytes=2_000_000, seed=14)
     file = upload(api, mission_id, "run.mcap", (tmp_path / "run.mcap").read_bytes())
     api.sql("DELETE FROM procrastinate_jobs WHERE task_name = 'summarise_blob'")
-    monkeypatch.setattr(reading, "CHILD_COMMAND", (sys.executable, "-c", _ANSWERS_EARLY))
+    monkeypatch.setattr(reader_processes, "CHILD_COMMAND", (sys.executable, "-c", _ANSWERS_EARLY))
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
     assert (read["state"], read["content"], read["message_count"]) == ("verified", "error", None)
@@ -158,7 +158,7 @@ def test_bytes_of_another_number_are_no_recording_to_read(
     file = upload(api, mission_id, "run.mcap", body)
     key = _key(api, file["id"])
     api.sql("DELETE FROM procrastinate_jobs WHERE task_name = 'summarise_blob'")
-    on_site(api, lambda site: site.storage.put_small(key, body[:-9] if altered == "shorter" else body + b"more\n"))
+    on_site(api, lambda site: site.storage.put_object(key, body[:-9] if altered == "shorter" else body + b"more\n"))
     began_at = time.monotonic()
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
@@ -175,7 +175,7 @@ def test_every_real_recording_says_the_same_on_the_server(corpus: Corpus) -> Non
         topics.setdefault(topic["file_id"], set()).add((topic["name"], topic["message_type"], topic["count"]))
     assert listed.keys() == corpus.files.keys()
     for name, read in listed.items():
-        with from_file(corpus.folder / name) as forward:
+        with file_reader(corpus.folder / name) as forward:
             here = scan(forward)
         assert read["state"] == "verified", name
         assert (read["content"], read["message_count"]) == (here.content.value, here.message_count), name

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from kleinkram.contract.errors import StoreUnavailable
-from kleinkram.server.blobs import scrubbing, scrubs
-from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.blobs import scrub
+from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.context import AppContext
-from kleinkram.server.storage import Storage
+from kleinkram.server.s3.storage import Storage
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site, run_jobs
@@ -32,7 +32,7 @@ def _key(api: Api, file_id: str) -> str:
 
 def _scrub(api: Api, **wanted: Any) -> Any:
     scrub_id = uuid.UUID(api.post("/admin/scrub", wanted).ok(202)["id"])
-    on_site(api, lambda context: scrubbing.scrub_store(context, scrub_id))
+    on_site(api, lambda context: scrub.scrub_store(context, scrub_id))
     return api.get("/admin/scrub").ok()["last"]
 
 
@@ -43,7 +43,7 @@ def _counts(last: Any) -> tuple[int, int, int]:
 
 
 def _put(api: Api, key: str, body: bytes) -> None:
-    on_site(api, lambda context: context.storage.put_small(key, body))
+    on_site(api, lambda context: context.storage.put_object(key, body))
 
 
 def _remove(api: Api, key: str) -> None:
@@ -120,11 +120,11 @@ def test_the_next_verification_finds_altered_bytes(api: Api, mission_id: str) ->
     _scrub(api)
     assert _read(api, file)["state"] == "verified", "a list shows sizes alone"
     before = _read(api, other)["verified_at"]
-    on_site(api, sweep_once)
+    on_site(api, collect_garbage)
     assert api.sql(_AT_LEISURE) == [], "nothing is old enough"
     old = [api.sql("SELECT blob_id FROM file WHERE id = %s", each["id"])[0][0] for each in (file, other)]
     api.sql("UPDATE blob SET verified_at = now() - interval '91 days' WHERE id = ANY(%s)", old)
-    on_site(api, sweep_once)
+    on_site(api, collect_garbage)
     assert {row[0] for row in api.sql(_AT_LEISURE)} == {str(each) for each in old}
     run_jobs(api)
     assert _read(api, file)["state"] == "corrupt"
@@ -142,8 +142,8 @@ def test_old_verifications_are_repeated_oldest_first_in_batches(
             *(days, file["id"]),
         )
     monkeypatch.setattr("kleinkram.server.blobs.jobs._MAX_REVERIFIED", 2)
-    on_site(api, sweep_once)
-    on_site(api, sweep_once)
+    on_site(api, collect_garbage)
+    on_site(api, collect_garbage)
     waiting = {row[0] for row in api.sql(_AT_LEISURE)}
     oldest = {str(api.sql("SELECT blob_id FROM file WHERE id = %s", file["id"])[0][0]) for file in files[-2:]}
     assert waiting == oldest
@@ -184,7 +184,7 @@ def test_what_comes_and_what_goes_meanwhile_is_not_lost(
     api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (going, _), *_ = _verified(api, mission_id)
-    listed = Storage.pages
+    listed = Storage.size_pages
     came: list[Any] = []
 
     async def pages(self: Storage, prefix: str = "") -> AsyncIterator[dict[str, int]]:
@@ -196,16 +196,16 @@ def test_what_comes_and_what_goes_meanwhile_is_not_lost(
             api.delete(f"/files/{going['id']}").ok()
             api.sql("UPDATE file SET deleted_at = now() - interval '31 days' WHERE id = %s", going["id"])
 
-    monkeypatch.setattr(Storage, "pages", pages)
+    monkeypatch.setattr(Storage, "size_pages", pages)
 
     async def scrub_beside_a_sweep(context: AppContext) -> None:
         async with context.database.begin() as db:
-            await scrubs.begin_due_scrub(db, context.settings.model_copy(update={"scrub_hours": 1e-9}))
-            row = await scrubs.last_scrub(db, context.settings.store_id)
+            await scrub.begin_due_scrub(db, context.settings.model_copy(update={"scrub_hours": 1e-9}))
+            row = await scrub.last_scrub(db, context.settings.store_id)
         assert row is not None
-        await scrubbing.scrub_store(context, row.id)
-        await sweep_once(context)
-        await sweep_once(context)
+        await scrub.scrub_store(context, row.id)
+        await collect_garbage(context)
+        await collect_garbage(context)
 
     on_site(api, scrub_beside_a_sweep)
     last = api.get("/admin/scrub").ok()["last"]
@@ -222,17 +222,17 @@ def test_a_list_that_ends_half_way_judges_nothing(api: Api, mission_id: str, mon
         yield {}
         raise StoreUnavailable(reason="it went away")
 
-    async def scrub(context: AppContext) -> None:
+    async def begin_and_scrub(context: AppContext) -> None:
         async with context.database.begin() as db:
-            await scrubs.begin_due_scrub(db, context.settings.model_copy(update={"scrub_hours": 1e-9}))
-            row = await scrubs.last_scrub(db, context.settings.store_id)
+            await scrub.begin_due_scrub(db, context.settings.model_copy(update={"scrub_hours": 1e-9}))
+            row = await scrub.last_scrub(db, context.settings.store_id)
         assert row is not None
-        monkeypatch.setattr(Storage, "pages", pages)
+        monkeypatch.setattr(Storage, "size_pages", pages)
         with pytest.raises(StoreUnavailable):
-            await scrubbing.scrub_store(context, row.id)
+            await scrub.scrub_store(context, row.id)
         monkeypatch.undo()
 
-    on_site(api, scrub)
+    on_site(api, begin_and_scrub)
     assert {_read(api, file)["state"] for file, _ in files} == {"verified"}
     run_jobs(api)  # the job that waited all the while begins anew
     assert _counts(api.get("/admin/scrub").ok()["last"]) == (1, 0, 0)
@@ -240,8 +240,8 @@ def test_a_list_that_ends_half_way_judges_nothing(api: Api, mission_id: str, mon
 
 def test_many_are_compared_page_by_page(api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
     files = _verified(api, mission_id, 23)
-    monkeypatch.setattr(scrubbing, "_BATCH", 2)
-    listed = Storage.pages
+    monkeypatch.setattr(scrub, "_BATCH", 2)
+    listed = Storage.size_pages
 
     async def small_pages(self: Storage, prefix: str = "") -> AsyncIterator[dict[str, int]]:
         async for page in listed(self, prefix):
@@ -249,7 +249,7 @@ def test_many_are_compared_page_by_page(api: Api, mission_id: str, monkeypatch: 
             for start in range(0, len(keys), 5):
                 yield {key: page[key] for key in keys[start : start + 5]}
 
-    monkeypatch.setattr(Storage, "pages", small_pages)
+    monkeypatch.setattr(Storage, "size_pages", small_pages)
     gone = [files[place][0] for place in (0, 11, 22)]
     for file in gone:
         _remove(api, _key(api, file["id"]))
@@ -265,12 +265,12 @@ def test_one_at_a_time_and_each_when_it_is_due(start_api: StartApi) -> None:
     assert forceful["id"] != first["id"]
     run_jobs(api)
     assert api.get("/admin/scrub").ok()["last"]["id"] == forceful["id"]
-    assert "took its place" in api.sql("SELECT stopped FROM scrub WHERE id = %s", first["id"])[0][0]
+    assert "and replaced it" in api.sql("SELECT stopped FROM scrub WHERE id = %s", first["id"])[0][0]
 
     def due(hours: float) -> int:
         async def look(context: AppContext) -> None:
             async with context.database.begin() as db:
-                await scrubs.begin_due_scrub(db, context.settings.model_copy(update={"scrub_hours": hours}))
+                await scrub.begin_due_scrub(db, context.settings.model_copy(update={"scrub_hours": hours}))
 
         on_site(api, look)
         return int(api.sql("SELECT count(*) FROM scrub")[0][0])

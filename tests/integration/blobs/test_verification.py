@@ -28,7 +28,7 @@ def test_a_reader_that_stops_early_gives_its_connection_back_at_once(api: Api) -
     async def work(context: AppContext) -> None:
         with pytest.raises(RuntimeError, match="enough"):
             await read_through(context, key, stop)
-        connector = context.storage._s3._session.connector
+        connector = context.storage._client._session.connector
         assert connector is not None
         assert len(connector._acquired) == 0
         assert (await read_through(context, key)).size_bytes == len(body)

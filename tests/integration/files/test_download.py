@@ -6,7 +6,7 @@ import uuid
 import pytest
 import urllib3
 
-from kleinkram.server.storage import open_storage
+from kleinkram.server.s3.storage import open_storage
 from tests.integration.api_server import Api
 from tests.integration.sample import Sample
 from tests.integration.upload_client import begin, complete, put, sign
@@ -21,7 +21,7 @@ def _mission(api: Api) -> str:
 def _stored(api: Api, key: str, body: bytes) -> None:
     async def put() -> None:
         async with open_storage(api.app.state.settings) as storage:
-            await storage.put_small(key, body)
+            await storage.put_object(key, body)
 
     asyncio.run(put())
 

@@ -20,8 +20,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from kleinkram.runner.docker.engine import Engine, EngineAway
-from kleinkram.runner.docker.gate import SHELL
+from kleinkram.runner.executors.docker_client import DockerClient, EngineUnavailable
+from kleinkram.runner.executors.docker_container import SHELL
 from tests.requirements import path_of
 
 IMAGE = "kleinkram.test/python"
@@ -69,8 +69,8 @@ class Dockerd:
         return self.folder / "docker.sock"
 
     @property
-    def engine(self) -> Engine:
-        return Engine(self.socket)
+    def engine(self) -> DockerClient:
+        return DockerClient(self.socket)
 
     def start(self) -> None:
         """Start it, again after `kill`, and wait until it answers."""
@@ -106,16 +106,16 @@ class Dockerd:
             time.sleep(0.05)
 
     def _run(self, program: str, *words: str | Path, **settings: str) -> subprocess.Popen[bytes]:
-        found = path_of(program)
-        assert found is not None
+        result = path_of(program)
+        assert result is not None
         environment = {"PATH": f"{os.environ['PATH']}:/usr/sbin", "HOME": str(self.folder), **settings}
         with (self.folder / f"{program}.log").open("ab") as log:
-            return subprocess.Popen([found, *words], stdout=log, stderr=log, env=environment, start_new_session=True)
+            return subprocess.Popen([result, *words], stdout=log, stderr=log, env=environment, start_new_session=True)
 
     def _answers(self) -> bool:
         try:
-            self.engine.facts()
-        except EngineAway:
+            self.engine.info()
+        except EngineUnavailable:
             return False
         return True
 
@@ -127,29 +127,29 @@ class Dockerd:
 
     def end(self) -> None:
         """Remove all containers and end it, with all that it has mounted."""
-        for name, _ in self.engine.labelled("kleinkram.run"):
+        for name, _ in self.engine.list_labelled("kleinkram.run"):
             self.engine.remove(name)
-        for each in (self.process, self.containerd):
-            assert each is not None
-            each.terminate()
-            each.wait(30)
+        for one in (self.process, self.containerd):
+            assert one is not None
+            one.terminate()
+            one.wait(30)
         places = [line.split()[1] for line in Path("/proc/mounts").read_text().splitlines()]
-        for place in reversed([each for each in places if Path(each).is_relative_to(self.folder)]):
+        for place in reversed([one for one in places if Path(one).is_relative_to(self.folder)]):
             subprocess.run(["umount", "--lazy", place], check=False)
 
-    def docker(self, *words: str, given: bytes | None = None) -> str:
+    def docker(self, *words: str, inputs: bytes | None = None) -> str:
         """Run Docker's own command line on it."""
         program = path_of("docker")
         assert program is not None
         environment = {"PATH": os.environ["PATH"], "DOCKER_HOST": f"unix://{self.socket}", "HOME": str(self.folder)}
-        done = subprocess.run([program, *words], input=given, capture_output=True, env=environment, check=False)
+        done = subprocess.run([program, *words], input=inputs, capture_output=True, env=environment, check=False)
         assert done.returncode == 0, f"docker {' '.join(words)}: {done.stderr.decode()}"
         return done.stdout.decode().strip()
 
     def load(self, name: str, *changes: str, root: bytes) -> str:
         """Make an image of the files of a tar, and return its id."""
-        said = [word for change in changes for word in ("--change", change)]
-        return self.docker("import", *said, "-", name, given=root)
+        values = [word for change in changes for word in ("--change", change)]
+        return self.docker("import", *values, "-", name, inputs=root)
 
     def load_foreign(self, name: str, root: bytes, architecture: str) -> None:
         """Make an image for another kind of machine of the files of a tar."""
@@ -157,7 +157,7 @@ class Dockerd:
         facts = {"architecture": architecture, "os": "linux", "rootfs": {"type": "layers", "diff_ids": [layer]}}
         manifest = [{"Config": "config.json", "RepoTags": [name], "Layers": ["layer.tar"]}]
         files = {"config.json": json.dumps(facts), "manifest.json": json.dumps(manifest)}
-        self.docker("load", given=root_of({**{key: text.encode() for key, text in files.items()}, "layer.tar": root}))
+        self.docker("load", inputs=root_of({**{key: text.encode() for key, text in files.items()}, "layer.tar": root}))
 
 
 @functools.cache
@@ -168,11 +168,11 @@ def python_root(*, with_shell: bool = True) -> bytes:
     program = Path(sys.executable).resolve()
     needed = [program, *(libraries / "lib-dynload").glob("*.so"), *shell]
     with io.BytesIO() as stream, tarfile.open(fileobj=stream, mode="w") as tar:
-        for each in sorted({path for file in needed for path in _libraries_of(file)}):
-            tar.add(Path(each).resolve(), each, recursive=False)
+        for one in sorted({path for file in needed for path in _libraries_of(file)}):
+            tar.add(Path(one).resolve(), one, recursive=False)
         for file in (program, *shell):
             tar.add(file.resolve(), file)
-        tar.add(libraries, libraries, filter=_kept)
+        tar.add(libraries, libraries, filter=_is_included)
         _link(tar, "/usr/bin/python3", str(program))
         for folder in ("in", "out", "tmp", "etc"):
             _folder(tar, folder)
@@ -181,11 +181,11 @@ def python_root(*, with_shell: bool = True) -> bytes:
 
 
 def _libraries_of(file: Path) -> list[str]:
-    said = subprocess.run(["ldd", str(file)], capture_output=True, text=True, check=False).stdout
-    return [word for line in said.splitlines() for word in line.split() if word.startswith("/") and ":" not in word]
+    values = subprocess.run(["ldd", str(file)], capture_output=True, text=True, check=False).stdout
+    return [word for line in values.splitlines() for word in line.split() if word.startswith("/") and ":" not in word]
 
 
-def _kept(entry: tarfile.TarInfo) -> tarfile.TarInfo | None:
+def _is_included(entry: tarfile.TarInfo) -> tarfile.TarInfo | None:
     name = Path(entry.name)
     if _LEFT_OUT & set(name.parts) or name.suffix == ".a" or any(part.startswith("config-") for part in name.parts):
         return None

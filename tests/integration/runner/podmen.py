@@ -67,8 +67,8 @@ class Podman(Dockerd):
         words = [unshare, "--mount", "--propagation", "slave", "sh", "-ec", _HOUSE]
         made = subprocess.Popen(words, stdout=subprocess.PIPE, start_new_session=True)
         assert made.stdout is not None
-        with made.stdout as said:
-            assert said.readline() == b"made\n"
+        with made.stdout as values:
+            assert values.readline() == b"made\n"
         return made
 
     def load(self, name: str, *changes: str, root: bytes) -> str:
@@ -78,15 +78,15 @@ class Podman(Dockerd):
 
     def go_down(self) -> None:
         """End all at once, as the machine does that goes down: what is not on a disk is gone."""
-        found = [self.engine.find(name) for name, _ in self.engine.labelled("kleinkram.run")]
+        result = [self.engine.find_container(name) for name, _ in self.engine.list_labelled("kleinkram.run")]
         self.kill()
         assert self.containerd is not None
         mine = _mounts_of(self.containerd.pid)
-        here = [int(each.name) for each in Path("/proc").iterdir() if each.name.isdigit()]
+        here = [int(entry.name) for entry in Path("/proc").iterdir() if entry.name.isdigit()]
         # Monitors first: they would write down how their containers ended.
         for pid in [
-            *(each for each in here if _mounts_of(each) == mine),
-            *(each.pid for each in found if each is not None and each.pid),
+            *(entry for entry in here if _mounts_of(entry) == mine),
+            *(entry.pid for entry in result if entry is not None and entry.pid),
         ]:
             os.kill(pid, signal.SIGKILL)
         self.containerd.wait()

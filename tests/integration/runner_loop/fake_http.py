@@ -64,9 +64,9 @@ class Handler(BaseHTTPRequestHandler):
         self._say(200 if answer else 204, answer.model_dump_json().encode() if answer else b"", {})
 
     def _give(self, data: bytes) -> None:
-        wanted = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers["Range"])
-        assert wanted is not None
-        data = data[int(wanted.group(1)) : int(wanted.group(2)) + 1]
+        expected = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers["Range"])
+        assert expected is not None
+        data = data[int(expected.group(1)) : int(expected.group(2)) + 1]
         self.send_response(206)
         self.send_header("Content-Length", str(len(data)))
         self.end_headers()

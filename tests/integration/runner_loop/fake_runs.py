@@ -40,11 +40,11 @@ class FakeRun:
         return shown
 
 
-def queued(code: str, given: dict[str, bytes], changes: dict[str, Any]) -> FakeRun:
+def queued(code: str, input_bytes: dict[str, bytes], changes: dict[str, Any]) -> FakeRun:
     """Return a run of a script with some inputs that nobody has claimed, unless changes say otherwise."""
     resources = {"cores": 1, "memory_bytes": 200_000_000, "disk_bytes": 50_000_000, "time_s": 60}
     resources |= changes.pop("resources", {})
-    said: dict[str, Any] = {
+    values: dict[str, Any] = {
         "run_id": uuid.uuid4(),
         "attempt": 1,
         "project_id": uuid.uuid4(),
@@ -60,9 +60,9 @@ def queued(code: str, given: dict[str, bytes], changes: dict[str, Any]) -> FakeR
         "network": Network.none,
         "inputs": [
             AssignedInput(path=path, size_bytes=len(data), sha256=hashlib.sha256(data).hexdigest())
-            for path, data in given.items()
+            for path, data in input_bytes.items()
         ],
         "token": None,
         "lease_s": LEASE_S,
     }
-    return FakeRun(RunAssignment.model_validate({**said, **changes}), given)
+    return FakeRun(RunAssignment.model_validate({**values, **changes}), input_bytes)

@@ -52,7 +52,7 @@ class FakeServer:
         self.runs: dict[uuid.UUID, FakeRun] = {}
         self.hellos: list[RunnerRegistration] = []
         self.requests: Counter[str] = Counter()
-        self.asked: list[ClaimRequest] = []
+        self.requested: list[ClaimRequest] = []
         self.lease_s: float = LEASE_S
         self.is_silent = threading.Event()
         self.spoilt: dict[str, bytes] = {}
@@ -116,8 +116,8 @@ class FakeServer:
             raise InternalError(request_id="a-request")
         if self.has_no_store.is_set() and name == "/uploads/complete":
             raise StoreUnavailable(reason="it is away")
-        found = re.search(r"[0-9a-f]{8}-[0-9a-f-]{27}", path)
-        noun = uuid.UUID(found.group()) if found else None
+        result = re.search(r"[0-9a-f]{8}-[0-9a-f-]{27}", path)
+        noun = uuid.UUID(result.group()) if result else None
         if name == "/service":
             return self._service()
         if name == "/runners":
@@ -127,7 +127,7 @@ class FakeServer:
             return self._claim(noun, ClaimRequest.model_validate_json(body))
         if name == "/runners/*/heartbeats":
             assert noun is not None
-            return self._beat(noun, Heartbeats.model_validate_json(body))
+            return self._heartbeat(noun, Heartbeats.model_validate_json(body))
         if name == "/uploads/parts":
             return self.uploads.sign(PartsSign.model_validate_json(body))
         if name == "/uploads/complete":
@@ -151,9 +151,9 @@ class FakeServer:
                 recordings=[],
             )
         if what == "inputs":
-            asked = InputsRequest.model_validate_json(body)
-            self._check(run, asked.attempt)
-            urls = [f"{self.url}/store/in/{run.claim.run_id}/{path}?X-Amz-Signature=abc" for path in asked.paths]
+            requested = InputsRequest.model_validate_json(body)
+            self._check(run, requested.attempt)
+            urls = [f"{self.url}/store/in/{run.claim.run_id}/{path}?X-Amz-Signature=abc" for path in requested.paths]
             return InputUrls(urls=urls, expires_at=LATER)
         if what == "log-chunks":
             piece = LogChunkCreate.model_validate_json(body)
@@ -186,20 +186,20 @@ class FakeServer:
 
     def _hello(self, hello: RunnerRegistration) -> RunnerRead:
         self.hellos.append(hello)
-        said = hello.model_dump(exclude={"labels"})
-        return RunnerRead(**said, labels=hello.labels, last_seen_at=LATER, is_alive=True, active_runs=0)
+        fields = hello.model_dump(exclude={"labels"})
+        return RunnerRead(**fields, labels=hello.labels, last_seen_at=LATER, is_alive=True, active_runs=0)
 
     def _claim(self, runner_id: uuid.UUID, ask: ClaimRequest) -> ClaimReply:
         until = time.monotonic() + ask.wait_s
         with self._changed:
-            self.asked.append(ask)
+            self.requested.append(ask)
             while not self.is_silent.is_set():
                 for run in self.runs.values():
-                    wanted = run.claim.resources
+                    expected = run.claim.resources
                     is_lost = (
                         run.runner_id == runner_id and run.claim.run_id not in ask.active_run_ids and not run.finishes
                     )
-                    fits = wanted.cores <= ask.free.cores and wanted.memory_bytes <= ask.free.memory_bytes
+                    fits = expected.cores <= ask.free.cores and expected.memory_bytes <= ask.free.memory_bytes
                     if (run.state is RunState.queued or is_lost) and fits:
                         run.state, run.runner_id, run.attempt = RunState.preparing, runner_id, run.attempt + 1
                         run.claim = run.claim.model_copy(update={"attempt": run.attempt})
@@ -208,33 +208,33 @@ class FakeServer:
                     break
             return ClaimReply(run=None)
 
-    def _beat(self, runner_id: uuid.UUID, beats: Heartbeats) -> HeartbeatReplies:
+    def _heartbeat(self, runner_id: uuid.UUID, heartbeats: Heartbeats) -> HeartbeatReplies:
         answers = []
-        for beat in beats.runs:
-            run = self.runs.get(beat.run_id)
+        for heartbeat in heartbeats.runs:
+            run = self.runs.get(heartbeat.run_id)
             verdict = LeaseStatus.active
-            if run is None or run.runner_id != runner_id or run.attempt != beat.attempt or run.finishes:
+            if run is None or run.runner_id != runner_id or run.attempt != heartbeat.attempt or run.finishes:
                 verdict = LeaseStatus.lost
             else:
-                if not run.states or run.states[-1] is not beat.state:
-                    run.states.append(beat.state)
-                run.digest = beat.image_digest or run.digest
-                if beat.progress:
-                    run.progress.append(beat.progress)
+                if not run.states or run.states[-1] is not heartbeat.state:
+                    run.states.append(heartbeat.state)
+                run.digest = heartbeat.image_digest or run.digest
+                if heartbeat.progress:
+                    run.progress.append(heartbeat.progress)
                 verdict = LeaseStatus.cancel if run.is_cancelled else verdict
-            answers.append(HeartbeatReply(run_id=beat.run_id, attempt=beat.attempt, status=verdict))
+            answers.append(HeartbeatReply(run_id=heartbeat.run_id, attempt=heartbeat.attempt, status=verdict))
         return HeartbeatReplies(runs=answers, lease_s=self.lease_s)
 
     def _check(self, run: FakeRun, attempt: int) -> None:
         if run.attempt != attempt or run.runner_id is None or run.finishes:
             raise RunGone(run_id=str(run.claim.run_id))
 
-    def _keep(self, run: FakeRun, kept: LogChunkConfirm) -> None:
-        self._check(run, kept.attempt)
-        piece = self._objects[f"log/{run.claim.run_id}/{kept.attempt}/{kept.offset}"]
-        assert len(piece) == kept.size_bytes
-        if (kept.offset, piece) not in run.segments:
-            run.segments.append((kept.offset, piece))
+    def _keep(self, run: FakeRun, stored: LogChunkConfirm) -> None:
+        self._check(run, stored.attempt)
+        piece = self._objects[f"log/{run.claim.run_id}/{stored.attempt}/{stored.offset}"]
+        assert len(piece) == stored.size_bytes
+        if (stored.offset, piece) not in run.segments:
+            run.segments.append((stored.offset, piece))
 
     def _finish(self, run: FakeRun, finish: RunFinish) -> RunFinished:
         if not (run.finishes and run.attempt == finish.attempt):

@@ -11,13 +11,13 @@ from kleinkram.contract.runners import LOG_PATH, ArtifactUploadsCreate
 from kleinkram.contract.uploads import (
     ChecksumKind,
     Completed,
-    HeldPart,
     NotCompleted,
     PartsSign,
     Present,
     Send,
     SignedPart,
     SignedParts,
+    StoredPart,
     UploadDecision,
     UploadDecisions,
     UploadOutcome,
@@ -62,12 +62,12 @@ class FakeUploads:
                 state=UploadState.open,
                 lease_ends_at=LATER,
                 expires_at=LATER,
-                parts=list[HeldPart](),
+                parts=list[StoredPart](),
             )
             decisions.append(Send(upload=upload))
         return UploadDecisions(items=decisions)
 
-    def sign(self, asked: PartsSign) -> SignedParts:
+    def sign(self, requested: PartsSign) -> SignedParts:
         """Say where parts are to be sent."""
         signed = [
             SignedPart(
@@ -77,27 +77,27 @@ class FakeUploads:
                 headers={},
                 expires_at=LATER,
             )
-            for part in asked.parts
+            for part in requested.parts
         ]
         return SignedParts(items=signed)
 
-    def complete(self, asked: UploadsComplete) -> UploadOutcomes:
+    def complete(self, requested: UploadsComplete) -> UploadOutcomes:
         """Give runs what arrived whole."""
         outcomes: list[UploadOutcome] = []
-        for each in asked.uploads:
-            if self.refuses > 0 and self._uploads[each.upload_id][1] != LOG_PATH:
+        for entry in requested.uploads:
+            if self.refuses > 0 and self._uploads[entry.upload_id][1] != LOG_PATH:
                 self.refuses -= 1
-                problem = to_problem(UploadGone(upload_id=str(each.upload_id)), "a request")
-                outcomes.append(NotCompleted(upload_id=each.upload_id, problem=problem))
+                problem = to_problem(UploadGone(upload_id=str(entry.upload_id)), "a request")
+                outcomes.append(NotCompleted(upload_id=entry.upload_id, problem=problem))
                 continue
-            run, path, size = self._uploads[each.upload_id]
+            run, path, size = self._uploads[entry.upload_id]
             parts = sorted(
                 (int(key.rpartition("/")[2]), data)
                 for key, data in self._objects.items()
-                if key.startswith(f"up/{each.upload_id}/")
+                if key.startswith(f"up/{entry.upload_id}/")
             )
             whole = b"".join(data for _, data in parts)
-            assert (len(whole), hashlib.sha256(whole).hexdigest()) == (size, each.sha256)
+            assert (len(whole), hashlib.sha256(whole).hexdigest()) == (size, entry.sha256)
             run.artifacts[path] = whole
-            outcomes.append(Completed(upload_id=each.upload_id, file=None))
+            outcomes.append(Completed(upload_id=entry.upload_id, file=None))
         return UploadOutcomes(items=outcomes)

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import signal
+import sys
 import time
 from pathlib import Path
 
 import pytest
 
 from kleinkram.client import _retry
-from kleinkram.client.transfer import _pipeline, _uploader
+from kleinkram.client.transfer import upload_pipeline
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
-from kleinkram.runner import keeping
-from kleinkram.runner.orders import MARGIN_S
+from kleinkram.runner import artifact_upload
+from kleinkram.runner.cancellation import LEASE_MARGIN_S
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_runs import FakeRun
 from tests.integration.runner_loop.fake_server import FakeServer
@@ -33,30 +34,30 @@ SHORT = (
 )
 
 
-def beat_of(runners: Runners) -> Path | None:
+def heartbeat_of(runners: Runners) -> Path | None:
     return next(iter(runners.folder.glob("runs/*/out/beat")), None)
 
 
-def is_alive(beat: Path) -> bool:
+def is_alive(heartbeat: Path) -> bool:
     """Whether a run goes on."""
-    before = beat.read_text()
+    before = heartbeat.read_text()
     until = time.monotonic() + 0.5
     while time.monotonic() < until:
-        if beat.read_text() != before:
+        if heartbeat.read_text() != before:
             return True
         time.sleep(0.02)
     return False
 
 
 def until_running(runners: Runners, run: FakeRun) -> Path:
-    found: list[Path] = []
+    result: list[Path] = []
 
     def runs() -> bool:
-        found[:] = filter(None, [beat_of(runners)])
-        return RunState.running in run.states and bool(found)
+        result[:] = filter(None, [heartbeat_of(runners)])
+        return RunState.running in run.states and bool(result)
 
     wait_until(runs)
-    return found[0]
+    return result[0]
 
 
 @pytest.mark.slow
@@ -75,44 +76,44 @@ def test_a_runner_that_is_killed_finds_its_run_again(server: FakeServer, runners
     server.holds_uploads.clear()
     runners.spawn()
     finish = ended(run).finishes
-    assert [each.reason for each in finish] == [EndReason.done]
+    assert [entry.reason for entry in finish] == [EndReason.done]
     assert run.attempt == 1
     assert run.artifacts == {"x": b"x", LOG_PATH: b"began\n"}
     wait_until(lambda: not [*runners.folder.glob("runs/*")])
 
 
-@pytest.mark.parametrize(("refusals", "reason"), [(2, EndReason.done), (1000, EndReason.results_not_kept)])
+@pytest.mark.parametrize(("refusals", "reason"), [(2, EndReason.done), (1000, EndReason.results_not_stored)])
 def test_what_is_not_taken_is_sent_again(
     server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch, refusals: int, reason: EndReason
 ) -> None:
     """Its folder goes when it is over: a run is not given up for one upload that was."""
-    monkeypatch.setattr(keeping, "_AGAIN_S", 0.1)
+    monkeypatch.setattr(artifact_upload, "_RETRY_EVERY_S", 0.1)
     server.uploads.refuses = refusals
     runners.start()
     run = server.launch("from kleinkram.action import out\nfor n in 'ab': (out / n).write_text(n)\nprint('began')\n")
     finish = ended(run).finishes[0]
     assert finish.reason is reason
-    kept = {"a": b"a", "b": b"b"} if reason is EndReason.done else {}
-    assert run.artifacts == {**kept, LOG_PATH: b"began\n"}
-    assert len(finish.problems) == 2 - len(kept)
+    stored = {"a": b"a", "b": b"b"} if reason is EndReason.done else {}
+    assert run.artifacts == {**stored, LOG_PATH: b"began\n"}
+    assert len(finish.problems) == 2 - len(stored)
 
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have a runner give up soon, and begin anew at once."""
-    monkeypatch.setattr(keeping, "_AGAIN_S", 0.01)
-    monkeypatch.setattr(_uploader, "PATIENCE_S", 0.1)
-    monkeypatch.setattr(_pipeline, "PATIENCE_S", 0.1)
+    monkeypatch.setattr(artifact_upload, "_RETRY_EVERY_S", 0.01)
+    monkeypatch.setattr(sys.modules["kleinkram.client.transfer.upload"], "PATIENCE_S", 0.1)
+    monkeypatch.setattr(upload_pipeline, "PATIENCE_S", 0.1)
     monkeypatch.setattr(_retry, "LONGEST_WAIT_S", 0.05)
 
 
 @pytest.mark.usefixtures("impatient")
-def test_results_are_kept_until_the_store_is_back(server: FakeServer, runners: Runners) -> None:
+def test_results_are_uploaded_once_the_store_is_back(server: FakeServer, runners: Runners) -> None:
     """However long that takes: more rounds than one that refuses them is given."""
     server.has_no_store.set()
     runners.start()
     run = server.launch("from kleinkram.action import out\n(out / 'x').write_text('x')\nprint('began')\n")
-    wait_until(lambda: server.requests["/uploads/complete"] > 2 * keeping._ROUNDS)
+    wait_until(lambda: server.requests["/uploads/complete"] > 2 * artifact_upload._ROUNDS)
     assert run.finishes == []
     server.has_no_store.clear()
     assert ended(run).finishes[0].reason is EndReason.done
@@ -127,7 +128,7 @@ def test_results_are_kept_until_the_store_is_back(server: FakeServer, runners: R
         (b"<Error><Code>InternalError</Code></Error>", "for minutes, the store answered 503 InternalError"),
     ],
 )
-def test_results_are_kept_while_the_store_is_in_trouble(
+def test_results_stay_on_the_runner_while_the_store_fails(
     server: FakeServer, runners: Runners, store_says: bytes, waits_for: str
 ) -> None:
     """That is no refusal of theirs, and whoever looks at the run sees what it waits for."""
@@ -135,7 +136,7 @@ def test_results_are_kept_while_the_store_is_in_trouble(
     server.store_refuses.set()
     runners.start()
     run = server.launch("from kleinkram.action import out\n(out / 'x').write_text('x')\nprint('began')\n")
-    wait_until(lambda: server.requests["/runner/runs/*/uploads"] > 2 * keeping._ROUNDS)
+    wait_until(lambda: server.requests["/runner/runs/*/uploads"] > 2 * artifact_upload._ROUNDS)
     wait_until(lambda: run.progress and waits_for in run.progress[-1].message)
     assert run.finishes == []
     server.store_refuses.clear()
@@ -144,57 +145,57 @@ def test_results_are_kept_while_the_store_is_in_trouble(
 
 
 @pytest.mark.slow
-def test_a_runner_that_is_asked_to_end_leaves_its_run_or_ends_it_too(server: FakeServer, runners: Runners) -> None:
+def test_sigterm_leaves_jobs_and_sigint_ends_them(server: FakeServer, runners: Runners) -> None:
     first = runners.spawn()
     run = server.launch(LASTING)
-    beat = until_running(runners, run)
+    heartbeat = until_running(runners, run)
     runners.kill(first, signal.SIGTERM)
-    wait_until(lambda: is_alive(beat))
+    wait_until(lambda: is_alive(heartbeat))
     second = runners.spawn()
     wait_until(lambda: len(server.hellos) == 2)
-    wait_until(lambda: is_alive(beat))
+    wait_until(lambda: is_alive(heartbeat))
     runners.kill(second, signal.SIGINT)
-    assert not is_alive(beat)
+    assert not is_alive(heartbeat)
     assert run.finishes == []
     assert run.attempt == 1
 
 
 @pytest.mark.slow
-def test_a_run_that_cannot_be_held_is_ended_and_forgotten(
+def test_a_run_whose_lease_cannot_be_renewed_is_ended(
     server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The machine's clock counts for nothing.
     monkeypatch.setattr(time, "time", lambda: time.time_ns() / 1e9 + 3600)
-    server.lease_s = MARGIN_S + 8
+    server.lease_s = LEASE_MARGIN_S + 8
     runners.start()
-    run = server.launch(LASTING, lease_s=MARGIN_S + 8)
-    beat = until_running(runners, run)
-    wait_until(lambda: is_alive(beat))
+    run = server.launch(LASTING, lease_s=LEASE_MARGIN_S + 8)
+    heartbeat = until_running(runners, run)
+    wait_until(lambda: is_alive(heartbeat))
     server.is_silent.set()
-    wait_until(lambda: not beat.exists(), timeout_s=40)
+    wait_until(lambda: not heartbeat.exists(), timeout_s=40)
     assert run.finishes == []
     server.is_silent.clear()
 
 
 @pytest.mark.slow
 def test_the_run_of_a_runner_that_is_gone_ends_before_another_one_gets_it(server: FakeServer, runners: Runners) -> None:
-    server.lease_s = MARGIN_S + 8
+    server.lease_s = LEASE_MARGIN_S + 8
     first = runners.spawn()
-    run = server.launch(LASTING, lease_s=MARGIN_S + 8)
-    beat = until_running(runners, run)
+    run = server.launch(LASTING, lease_s=LEASE_MARGIN_S + 8)
+    heartbeat = until_running(runners, run)
     runners.kill(first)
     killed_at = time.monotonic()
-    wait_until(lambda: not is_alive(beat), timeout_s=MARGIN_S + 8)
-    assert time.monotonic() - killed_at < MARGIN_S + 8
+    wait_until(lambda: not is_alive(heartbeat), timeout_s=LEASE_MARGIN_S + 8)
+    assert time.monotonic() - killed_at < LEASE_MARGIN_S + 8
 
 
 @pytest.mark.slow
 def test_a_run_of_another_runner_is_killed(server: FakeServer, runners: Runners) -> None:
     runners.start()
     run = server.launch(LASTING)
-    beat = until_running(runners, run)
+    heartbeat = until_running(runners, run)
     run.attempt, run.runner_id = 2, None
-    wait_until(lambda: not beat.exists())
+    wait_until(lambda: not heartbeat.exists())
     assert run.finishes == []
 
 
@@ -229,7 +230,7 @@ def test_a_run_is_cancelled_while_its_files_are_sent(server: FakeServer, runners
     run.is_cancelled = True
     finish = ended(run, timeout_s=15).finishes[0]
     assert finish.reason is EndReason.cancelled
-    assert "none of them are kept" in finish.problems[0]
+    assert "none were stored" in finish.problems[0]
     assert run.artifacts == {}
 
 
@@ -237,7 +238,7 @@ def test_a_claim_whose_answer_was_lost_comes_again(server: FakeServer, runners: 
     run = server.launch("print('done')")
     runner = runners.start()
     # As if it had been given to this runner before, and the answer never came.
-    run.state, run.runner_id = RunState.preparing, runner._home.runner_id
+    run.state, run.runner_id = RunState.preparing, runner._state.runner_id
     server.wake()
     assert ended(run).finishes[0].reason is EndReason.done
 
@@ -271,7 +272,7 @@ def test_a_server_in_trouble_is_waited_for(server: FakeServer, runners: Runners)
     server.fails = {"/runner/runs/*/context": 2, "/runner/runs/*/finish": 2, "/runner/runs/*/uploads": 1}
     runners.start()
     run = server.launch("print('done')")
-    assert [each.reason for each in ended(run).finishes] == [EndReason.done]
+    assert [entry.reason for entry in ended(run).finishes] == [EndReason.done]
     assert run.artifacts == {LOG_PATH: b"done\n"}
     assert set(server.fails.values()) == {0}
 
@@ -282,4 +283,4 @@ def test_a_report_that_the_server_refuses_does_not_hide_the_end(server: FakeServ
     run = server.launch("from kleinkram.action import report\nreport.metric('n', 1)")
     finish = ended(run).finishes[0]
     assert finish.reason is EndReason.done
-    assert "did not take its report" in finish.problems[0]
+    assert "did not accept its report" in finish.problems[0]

@@ -8,7 +8,9 @@ from kleinkram.contract.runs import EndReason
 from tests.integration.runner_loop.conftest import Runners, ended
 from tests.integration.runner_loop.fake_server import FakeServer
 
-READ = "import pathlib\nfrom kleinkram.action import places\nprint(places.given.joinpath('drive.bag').read_text())"
+READ = (
+    "import pathlib\nfrom kleinkram.action import run_files\nprint(run_files.in_dir.joinpath('drive.bag').read_text())"
+)
 
 
 @pytest.mark.slow
@@ -22,7 +24,7 @@ def test_runs_of_one_input_fetch_it_once(server: FakeServer, runners: Runners) -
     assert server.requests["GET store"] == 1
 
 
-def test_an_input_that_is_damaged_is_fetched_once_more_and_never_given(server: FakeServer, runners: Runners) -> None:
+def test_a_damaged_input_is_downloaded_once_more_and_never_used(server: FakeServer, runners: Runners) -> None:
     server.spoilt["drive.bag"] = b"Bytes of a drive"
     runners.start()
     run = server.launch(READ, {"drive.bag": b"bytes of a drive"})
@@ -36,9 +38,9 @@ def test_an_input_that_is_damaged_is_fetched_once_more_and_never_given(server: F
 def test_what_came_is_fetched_anew_once_it_was_changed(server: FakeServer, runners: Runners) -> None:
     runners.start()
     ended(server.launch(READ, {"drive.bag": b"bytes of a drive"}))
-    (kept,) = runners.folder.glob("cache/*.file")
-    kept.chmod(0o644)
-    kept.write_bytes(b"other bytes")
+    (stored,) = runners.folder.glob("cache/*.file")
+    stored.chmod(0o644)
+    stored.write_bytes(b"other bytes")
     run = ended(server.launch(READ, {"drive.bag": b"bytes of a drive"}))
     assert run.artifacts[".kleinkram/log"] == b"bytes of a drive\n"
     assert server.requests["GET store"] == 2

@@ -27,7 +27,7 @@ def test_a_log_is_seen_while_it_grows(server: FakeServer, runners: Runners) -> N
     assert whole.startswith(run.shown_log)
     assert len(run.segments) <= 4
     assert run.progress
-    fractions = [each.fraction for each in run.progress]
+    fractions = [entry.fraction for entry in run.progress]
     assert fractions == sorted(fractions)
 
 

@@ -27,7 +27,7 @@ class Played:
     api: Api
     id: str = field(default_factory=lambda: str(uuid.uuid4()))
     labels: list[str] = field(default_factory=lambda: [f"only-{uuid.uuid4().hex[:8]}"])
-    held: list[str] = field(default_factory=list)
+    active_ids: list[str] = field(default_factory=list)
 
     def hello(self, **abilities: Any) -> Any:
         """Say what it is: an engine of containers, unless said otherwise."""
@@ -40,7 +40,7 @@ class Played:
             "bounds_memory": True,
             "bounds_disk": True,
         }
-        said = {
+        values = {
             "id": self.id,
             "name": f"runner {self.id[:4]}",
             "labels": self.labels,
@@ -49,20 +49,20 @@ class Played:
             "default_image": "sha256:stock",
             "version": "0",
         }
-        return self.api.post("/runners", said).ok()
+        return self.api.post("/runners", values).ok()
 
     def claim(self, wait_s: float = 0, **free: Any) -> Any:
         """Ask for a run; None where there is none."""
         room = {"cores": 4, "memory_bytes": 16 * GB, "disk_bytes": 100 * GB, "gpus": 0} | free
-        asked = {"free": room, "wait_s": wait_s, "active_run_ids": self.held}
-        found = self.api.post(f"/runners/{self.id}/claims", asked).ok()["run"]
-        if found is not None:
-            self.held.append(found["run_id"])
-        return found
+        requested = {"free": room, "wait_s": wait_s, "active_run_ids": self.active_ids}
+        result = self.api.post(f"/runners/{self.id}/claims", requested).ok()["run"]
+        if result is not None:
+            self.active_ids.append(result["run_id"])
+        return result
 
-    def beat(self, claim: Mapping[str, Any], state: str = "running", **said: Any) -> str:
+    def heartbeat(self, claim: Mapping[str, Any], state: str = "running", **values: Any) -> str:
         """Say what a run is at; returns the verdict."""
-        one = {"run_id": claim["run_id"], "attempt": claim["attempt"], "state": state, **said}
+        one = {"run_id": claim["run_id"], "attempt": claim["attempt"], "state": state, **values}
         (answer,) = self.api.post(f"/runners/{self.id}/heartbeats", {"runs": [one]}).ok()["runs"]
         return str(answer["status"])
 
@@ -79,8 +79,8 @@ class Played:
 
     def begin(self, claim: Mapping[str, Any], path: str, data: bytes) -> Any:
         """Open the upload of an artifact."""
-        wanted = {"path": path, "size_bytes": len(data), "sha256": sha256(data)}
-        body = {"attempt": claim["attempt"], "files": [wanted]}
+        expected = {"path": path, "size_bytes": len(data), "sha256": sha256(data)}
+        body = {"attempt": claim["attempt"], "files": [expected]}
         (decision,) = self.api.post(f"/runner/runs/{claim['run_id']}/uploads", body).ok()["items"]
         assert decision["decision"] == "send", decision
         return decision["upload"]
@@ -93,9 +93,9 @@ class Played:
         (outcome,) = self.api.post("/uploads/complete", {"uploads": [finish]}).ok()["items"]
         assert outcome["outcome"] == "completed", outcome
 
-    def finish(self, claim: Mapping[str, Any], reason: str = "done", **said: Any) -> Answer:
+    def finish(self, claim: Mapping[str, Any], reason: str = "done", **values: Any) -> Answer:
         """Say how a run ended."""
-        body = {"attempt": claim["attempt"], "reason": reason, "message": "", "exit_code": 0, **said}
+        body = {"attempt": claim["attempt"], "reason": reason, "message": "", "exit_code": 0, **values}
         return self.api.post(f"/runner/runs/{claim['run_id']}/finish", body)
 
 
@@ -139,16 +139,16 @@ def place(lab: Api) -> Place:
     return Place(project, mission, {path: upload(lab, mission["id"], path, body) for path, body in bodies.items()})
 
 
-def definition(runner: Played, **said: Any) -> dict[str, Any]:
+def definition(runner: Played, **values: Any) -> dict[str, Any]:
     """An action that only this runner does."""
-    resources = {"labels": runner.labels, **said.pop("resources", {})}
-    return {"name": "count", "script": "print('hello')\n", "resources": resources, **said}
+    resources = {"labels": runner.labels, **values.pop("resources", {})}
+    return {"name": "count", "script": "print('hello')\n", "resources": resources, **values}
 
 
-def launch(api: Api, runner: Played, mission: Any, *, force: bool = True, **said: Any) -> Any:
+def launch(api: Api, runner: Played, mission: Any, *, force: bool = True, **values: Any) -> Any:
     """Put a run into the queue; returns it."""
-    parameters = said.pop("given", {})
-    wanted = {"mission_ids": [mission["id"]], "definition": definition(runner, **said), "parameters": parameters}
-    (made,) = api.post("/runs", wanted | {"force": force}).ok()["items"]
+    parameters = values.pop("given", {})
+    expected = {"mission_ids": [mission["id"]], "definition": definition(runner, **values), "parameters": parameters}
+    (made,) = api.post("/runs", expected | {"force": force}).ok()["items"]
     assert made["outcome"] == "created", made
     return made["run"]

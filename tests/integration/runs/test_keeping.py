@@ -6,12 +6,12 @@ import uuid
 import pytest
 
 from kleinkram.contract.rights import Scope, TokenKind
-from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.context import AppContext
 from kleinkram.server.events import hub as hubs
 from kleinkram.server.events.hub import MAX_STREAMS_PER_PERSON
-from kleinkram.server.runs.jobs import tend_once
-from kleinkram.server.storage import Storage
+from kleinkram.server.runs.jobs import maintain_runs_once
+from kleinkram.server.s3.storage import Storage
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.jobs import on_site
@@ -74,15 +74,15 @@ def test_an_artifact_whose_runner_was_killed_while_it_was_completed_is_there(
     begun = runner.begin(claim, "map.ply", data)
     send(runner.api, begun, data)
     marked = "state = 'completing', completing_since = now(), sha256 = %s, crc64nvme = %s"  # and the store was away
-    hashes = (bytes.fromhex(each) for each in (sha256(data), crc64(data)))
+    hashes = (bytes.fromhex(entry) for entry in (sha256(data), crc64(data)))
     lab.sql(f"UPDATE upload SET {marked} WHERE id = %s", *hashes, begun["id"])
-    wanted = {"path": "map.ply", "size_bytes": size_bytes, "sha256": sha256(data)}
-    body = {"attempt": claim["attempt"], "files": [wanted]}
+    expected = {"path": "map.ply", "size_bytes": size_bytes, "sha256": sha256(data)}
+    body = {"attempt": claim["attempt"], "files": [expected]}
     (decision,) = runner.api.post(f"/runner/runs/{claim['run_id']}/uploads", body).ok()["items"]
     assert decision["decision"] == "present"
     runner.finish(claim).ok()
-    (kept,) = lab.all(f"/runs/{claim['run_id']}/artifacts")
-    assert (kept["path"], kept["size_bytes"]) == ("map.ply", size_bytes)
+    (stored,) = lab.all(f"/runs/{claim['run_id']}/artifacts")
+    assert (stored["path"], stored["size_bytes"]) == ("map.ply", size_bytes)
 
 
 def test_deleting_an_input_says_what_came_from_it(lab: Api, runner: Played, place: Place) -> None:
@@ -91,8 +91,8 @@ def test_deleting_an_input_says_what_came_from_it(lab: Api, runner: Played, plac
     runner.leave(claim, "clean", b"cleaned")
     put_back = [{"path": "clean", "to": "clean/drive", "made_from": ["drive.bin"]}]
     runner.finish(claim, report={"put_back": put_back}).ok()
-    told = lab.delete(f"/files/{place.files['drive.bin']['id']}", {"dry_run": "true"}).ok()
-    assert (told["read_by_runs"], told["made_from_it"]) == (1, ["clean/drive"])
+    reported = lab.delete(f"/files/{place.files['drive.bin']['id']}", {"dry_run": "true"}).ok()
+    assert (reported["read_by_runs"], reported["made_from_it"]) == (1, ["clean/drive"])
     other = lab.delete(f"/files/{place.files['notes/day.txt']['id']}").ok()
     assert (other["read_by_runs"], other["made_from_it"]) == (1, []), "it was read, and nothing was made of it"
 
@@ -101,15 +101,15 @@ def test_of_runners_that_ask_at_once_one_gets_a_run(lab: Api, runner: Played, pl
     """Ten at once, forty runs: each is begun once."""
     runs = [launch(lab, runner, place.mission)["id"] for _ in range(40)]
     runners = [another(lab, runner) for _ in range(10)]
-    for each in runners:
-        each.hello()
+    for entry in runners:
+        entry.hello()
     claimed: list[str] = []
 
-    def ask(each: Played) -> None:
-        while (found := each.claim()) is not None:
-            claimed.append(found["run_id"])
+    def ask(entry: Played) -> None:
+        while (result := entry.claim()) is not None:
+            claimed.append(result["run_id"])
 
-    threads = [threading.Thread(target=ask, args=(each,)) for each in runners]
+    threads = [threading.Thread(target=ask, args=(entry,)) for entry in runners]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -117,7 +117,7 @@ def test_of_runners_that_ask_at_once_one_gets_a_run(lab: Api, runner: Played, pl
     assert sorted(claimed) == sorted(runs)
 
 
-def test_whoever_waits_gets_what_comes(lab: Api, runner: Played, place: Place) -> None:
+def test_waiting_readers_get_new_log_chunks(lab: Api, runner: Played, place: Place) -> None:
     got: list[str] = []
     waiting = threading.Thread(target=lambda: got.append(runner.claim(wait_s=20)["run_id"]))
     waiting.start()
@@ -149,7 +149,7 @@ def test_a_log_is_read_while_it_grows(lab: Api, runner: Played, place: Place) ->
     assert "".join(pieces).encode() == text
 
 
-def test_a_piece_of_a_log_that_goes_while_it_is_read_is_looked_for_anew(
+def test_a_chunk_that_is_replaced_during_a_read_is_found_again(
     lab: Api, runner: Played, place: Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = launch(lab, runner, place.mission)
@@ -165,7 +165,7 @@ def test_a_piece_of_a_log_that_goes_while_it_is_read_is_looked_for_anew(
     assert lab.get(f"/runs/{made['id']}/log").ok()["text"] == "a line\n"
 
 
-def test_a_log_that_the_store_has_lost_is_said_to_be_away(lab: Api, runner: Played, place: Place) -> None:
+def test_a_log_missing_from_the_store_is_reported(lab: Api, runner: Played, place: Place) -> None:
     made = launch(lab, runner, place.mission)
     runner.write(runner.claim(), 0, b"a line\n")
     ((key,),) = lab.sql("SELECT key FROM log_chunk WHERE run_id = %s", made["id"])
@@ -173,7 +173,7 @@ def test_a_log_that_the_store_has_lost_is_said_to_be_away(lab: Api, runner: Play
     lab.get(f"/runs/{made['id']}/log").refused(503, "store_unavailable")
 
 
-def test_how_a_run_ended_is_told_to_its_own_runner_only(lab: Api, runner: Played, place: Place) -> None:
+def test_only_the_runner_of_a_run_can_read_how_it_ended(lab: Api, runner: Played, place: Place) -> None:
     launch(lab, runner, place.mission)
     claim = runner.claim()
     runner.finish(claim).ok()
@@ -189,8 +189,8 @@ def _blobs(lab: Api, run_id: str) -> list[uuid.UUID]:
 
 
 async def _sweep(context: AppContext) -> None:
-    await tend_once(context)
-    await sweep_once(context)
+    await maintain_runs_once(context)
+    await collect_garbage(context)
 
 
 def test_runners_that_wait_take_no_streams_from_their_owner(lab: Api) -> None:
@@ -239,4 +239,4 @@ def test_a_log_reader_is_woken_by_its_own_run_alone(lab: Api, runner: Played, pl
             noted = f'["run_log", "changed", "{other["id"]}", null, "{place.mission["id"]}", null]'
             lab.sql("SELECT pg_notify('kleinkram_changes', %s)", noted)
         reader.join()
-    assert len([each for each in statements if "log_chunk" in each]) < 10
+    assert len([entry for entry in statements if "log_chunk" in entry]) < 10

@@ -12,12 +12,12 @@ def test_from_the_queue_to_its_results(lab: Api, runner: Played, place: Place) -
     assert (made["state"], made["input_count"], made["may_cancel"]) == ("queued", 2, True)
     claim = runner.claim()
     assert claim["run_id"] == made["id"]
-    assert {each["path"]: each["sha256"] for each in claim["inputs"]} == {
+    assert {entry["path"]: entry["sha256"] for entry in claim["inputs"]} == {
         path: file["sha256"] for path, file in place.files.items()
     }
     assert runner.claim() is None, "it was given once"
     assert (
-        runner.beat(claim, "running", progress={"fraction": 0.5, "message": "half"}, image_digest="sha256:1")
+        runner.heartbeat(claim, "running", progress={"fraction": 0.5, "message": "half"}, image_digest="sha256:1")
         == "active"
     )
     seen = lab.get(f"/runs/{made['id']}").ok()
@@ -38,7 +38,7 @@ def test_from_the_queue_to_its_results(lab: Api, runner: Played, place: Place) -
     seen = lab.get(f"/runs/{made['id']}").ok()
     assert (seen["state"], seen["reason"], seen["artifact_count"], seen["metric_count"]) == ("done", "done", 1, 1)
     assert (seen["finding_counts"], seen["metadata"]) == ({"warning": 1}, {"distance_m": 12.5})
-    assert [each["path"] for each in seen["previews"]] == ["figures/track.txt"]
+    assert [entry["path"] for entry in seen["previews"]] == ["figures/track.txt"]
     (metric,) = lab.all("/run-metrics", {"run_id": made["id"]})
     assert (metric["metric"]["value"], metric["metric"]["unit"]) == (0.12, "m")
     (listed,) = lab.all("/runs", {"mission_id": place.mission["id"]})
@@ -46,17 +46,17 @@ def test_from_the_queue_to_its_results(lab: Api, runner: Played, place: Place) -
     (finding,) = lab.all("/findings", {"mission_id": place.mission["id"], "code": "imu.*"})
     assert finding["finding"]["file"] == "drive.bin"
     (artifact,) = lab.all(f"/runs/{made['id']}/artifacts")
-    wanted = {"artifact_ids": [artifact["id"]]}
-    (link,) = lab.post(f"/runs/{made['id']}/artifacts/download", wanted).ok()["items"]
+    expected = {"artifact_ids": [artifact["id"]]}
+    (link,) = lab.post(f"/runs/{made['id']}/artifacts/download", expected).ok()["items"]
     assert fetch(link["url"])[1] == b"a track"
     log = lab.get(f"/runs/{made['id']}/log", {"offset": "4"}).ok()
     assert (log["text"], log["is_over"]) == ("two\n", True)
 
 
-def test_an_answer_that_was_lost_is_given_again(lab: Api, runner: Played, place: Place) -> None:
+def test_a_claim_is_answered_again_after_a_lost_answer(lab: Api, runner: Played, place: Place) -> None:
     made = launch(lab, runner, place.mission)
     first = runner.claim()
-    runner.held.clear()
+    runner.active_ids.clear()
     again = runner.claim()
     assert (again["run_id"], again["attempt"]) == (made["id"], first["attempt"])
 
@@ -66,12 +66,12 @@ def test_a_runner_that_was_lost_with_a_run(lab: Api, runner: Played, place: Plac
     made = launch(lab, runner, place.mission)
     first = runner.claim()
     runner.leave(first, "half", b"half a result")
-    _let_lapse(lab, made["id"])
+    _expire_lease(lab, made["id"])
     other = another(lab, runner)
     other.hello()
     second = other.claim()
     assert (second["run_id"], second["attempt"]) == (made["id"], 2)
-    assert runner.beat(first) == "lost"
+    assert runner.heartbeat(first) == "lost"
     runner.finish(first).refused(409, "run_gone")
     assert lab.all(f"/runs/{made['id']}/artifacts") == []
     other.finish(second).ok()
@@ -81,10 +81,10 @@ def test_a_runner_that_was_lost_with_a_run(lab: Api, runner: Played, place: Plac
 def test_a_run_that_loses_runner_after_runner_fails_with_the_reason(lab: Api, runner: Played, place: Place) -> None:
     made = launch(lab, runner, place.mission)
     for attempt in (1, 2, 3):
-        runner.held.clear()
+        runner.active_ids.clear()
         assert runner.claim()["attempt"] == attempt
-        _let_lapse(lab, made["id"])
-    runner.held.clear()
+        _expire_lease(lab, made["id"])
+    runner.active_ids.clear()
     assert runner.claim() is None
     seen = lab.get(f"/runs/{made['id']}").ok()
     assert (seen["state"], seen["reason"]) == ("failed", "lost")
@@ -96,7 +96,7 @@ def test_what_has_run_is_its_runners_to_keep_for_longer(lab: Api, runner: Played
     claim = runner.claim()
     lasting = []
     for state in ("running", "collecting"):
-        assert runner.beat(claim, state) == "active"
+        assert runner.heartbeat(claim, state) == "active"
         (lasts,) = lab.sql("SELECT lease_ends_at - now() FROM run WHERE id = %s", uuid.UUID(claim["run_id"]))
         lasting.append(lasts[0].total_seconds())
     assert 50 < lasting[0] <= 60 < 800 < lasting[1] <= 900
@@ -104,7 +104,7 @@ def test_what_has_run_is_its_runners_to_keep_for_longer(lab: Api, runner: Played
 
 def test_what_a_silent_runner_holds_for_long_can_be_cancelled(lab: Api, runner: Played, place: Place) -> None:
     made = launch(lab, runner, place.mission)
-    runner.beat(runner.claim(), "collecting")
+    runner.heartbeat(runner.claim(), "collecting")
     assert lab.post(f"/runs/{made['id']}/cancel").ok()["state"] == "collecting"
     other = another(lab, runner)
     other.hello()
@@ -115,7 +115,7 @@ def test_what_a_silent_runner_holds_for_long_can_be_cancelled(lab: Api, runner: 
     assert lab.get(f"/runs/{made['id']}").ok()["state"] == "cancelled"
 
 
-def _let_lapse(lab: Api, run_id: str) -> None:
+def _expire_lease(lab: Api, run_id: str) -> None:
     lab.sql("UPDATE run SET lease_ends_at = now() - interval '1 second' WHERE id = %s", uuid.UUID(run_id))
 
 
@@ -129,7 +129,7 @@ def test_what_is_put_back_is_a_file_with_its_lineage(lab: Api, runner: Played, p
         {"path": "second.bin", "to": "drive.bin"},
     ]
     runner.finish(claim, report={"put_back": put_back}).ok()
-    files = {each["path"]: each for each in lab.all("/files", {"mission_id": place.mission["id"]})}
+    files = {entry["path"]: entry for entry in lab.all("/files", {"mission_id": place.mission["id"]})}
     assert files["clean/drive.bin"]["origin"] == "run"
     assert files["clean/drive.bin"]["sha256"] == sha256(b"cleaned")
     (problem,) = lab.get(f"/runs/{made['id']}").ok()["problems"]
@@ -137,9 +137,9 @@ def test_what_is_put_back_is_a_file_with_its_lineage(lab: Api, runner: Played, p
     assert files["drive.bin"]["sha256"] == place.files["drive.bin"]["sha256"], "nothing was replaced"
     origin = lab.get(f"/files/{files['clean/drive.bin']['id']}/lineage").ok()["made_by"]
     assert origin["run"]["id"] == made["id"]
-    assert [each["path"] for each in origin["inputs"]] == ["drive.bin"]
+    assert [entry["path"] for entry in origin["inputs"]] == ["drive.bin"]
     (reader,) = lab.get(f"/files/{files['drive.bin']['id']}/lineage").ok()["read_by"]
-    assert [each["path"] for each in reader["files"]] == ["clean/drive.bin"]
+    assert [entry["path"] for entry in reader["files"]] == ["clean/drive.bin"]
 
 
 def test_an_action_that_may_only_read_puts_nothing_back(lab: Api, runner: Played, place: Place) -> None:
@@ -154,7 +154,7 @@ def test_an_action_that_may_only_read_puts_nothing_back(lab: Api, runner: Played
 def test_the_very_same_is_not_run_twice_unless_it_must_be(lab: Api, runner: Played, place: Place) -> None:
     first = launch(lab, runner, place.mission)
     claim = runner.claim()
-    runner.beat(claim, image_digest="sha256:stock")
+    runner.heartbeat(claim, image_digest="sha256:stock")
     runner.leave(claim, "made", b"made")
     of_file = [{"name": f"of_file_{number}", "value": number, "file": "drive.bin"} for number in range(20)]
     report = {
@@ -166,13 +166,13 @@ def test_the_very_same_is_not_run_twice_unless_it_must_be(lab: Api, runner: Play
     second = launch(lab, runner, place.mission, force=False)
     assert (second["state"], second["reuses_id"]) == ("done", first["id"])
     assert second["artifact_count"] == 1
-    shown = [lab.get(f"/runs/{each['id']}").ok() for each in (first, second)]
-    for said in ("previews", "metadata", "problems", "finding_counts", "metric_count", "metrics"):
-        assert shown[0][said] == shown[1][said]
-    assert [each["name"] for each in shown[1]["metrics"][:2]] == ["of_run", "of_file_0"]
+    shown = [lab.get(f"/runs/{entry['id']}").ok() for entry in (first, second)]
+    for values in ("previews", "metadata", "problems", "finding_counts", "metric_count", "metrics"):
+        assert shown[0][values] == shown[1][values]
+    assert [entry["name"] for entry in shown[1]["metrics"][:2]] == ["of_run", "of_file_0"]
     assert len(shown[1]["metrics"]) == 12
     assert shown[1]["previews"] != []
-    assert [each["path"] for each in lab.all(f"/runs/{second['id']}/artifacts")] == ["made"]
+    assert [entry["path"] for entry in lab.all(f"/runs/{second['id']}/artifacts")] == ["made"]
     changed = {"parameters": [{"name": "rate", "type": "number", "default": 1.0}]}
     assert launch(lab, runner, place.mission, force=False, **changed)["state"] == "queued"
     assert launch(lab, runner, place.mission, force=True)["state"] == "queued"
@@ -182,12 +182,12 @@ def test_cancelling(lab: Api, runner: Played, place: Place) -> None:
     queued = launch(lab, runner, place.mission)
     assert lab.post(f"/runs/{queued['id']}/cancel").ok()["state"] == "cancelled"
     assert runner.claim() is None
-    held = launch(lab, runner, place.mission)
+    active_ids = launch(lab, runner, place.mission)
     claim = runner.claim()
-    assert lab.post(f"/runs/{held['id']}/cancel").ok()["cancel_requested_at"] is not None
-    assert runner.beat(claim) == "cancel"
+    assert lab.post(f"/runs/{active_ids['id']}/cancel").ok()["cancel_requested_at"] is not None
+    assert runner.heartbeat(claim) == "cancel"
     assert runner.finish(claim, "cancelled").ok() == {"state": "cancelled"}
-    assert lab.post(f"/runs/{held['id']}/cancel").ok()["state"] == "cancelled", "said again"
+    assert lab.post(f"/runs/{active_ids['id']}/cancel").ok()["state"] == "cancelled", "said again"
 
 
 def test_a_mission_that_is_deleted_ends_its_runs(lab: Api, runner: Played, place: Place) -> None:
@@ -195,7 +195,7 @@ def test_a_mission_that_is_deleted_ends_its_runs(lab: Api, runner: Played, place
     claim = runner.claim()
     launch(lab, runner, place.mission)
     lab.delete(f"/missions/{place.mission['id']}").ok()
-    assert runner.beat(claim) == "cancel"
+    assert runner.heartbeat(claim) == "cancel"
     assert runner.claim() is None, "what waits is not begun"
     runner.finish(claim, "cancelled").ok()
 
@@ -208,14 +208,14 @@ def test_no_file_fits(lab: Api, runner: Played, place: Place) -> None:
     assert "*.bag" in refused["problem"]["detail"]
 
 
-def test_why_a_run_waits_is_said(lab: Api, runner: Played, place: Place) -> None:
+def test_a_queued_run_says_what_it_waits_for(lab: Api, runner: Played, place: Place) -> None:
     made = launch(lab, runner, place.mission, resources={"cores": 4})
     lab.sql("UPDATE runner SET capacity = capacity || '{\"cores\": 2}' WHERE id = %s", runner.id)
     assert "it has 2 cores and 4 are asked for" in lab.get(f"/runs/{made['id']}").ok()["waits_for"]
     assert "its turn" in launch(lab, runner, place.mission)["waits_for"]
 
 
-def test_what_a_runner_has_free_is_kept_to(lab: Api, runner: Played, place: Place) -> None:
+def test_claims_respect_free_resources(lab: Api, runner: Played, place: Place) -> None:
     launch(lab, runner, place.mission, resources={"cores": 3, "memory": "8GB"})
     assert runner.claim(cores=2) is None
     assert runner.claim(memory_bytes=7 * 10**9) is None
@@ -225,6 +225,6 @@ def test_what_a_runner_has_free_is_kept_to(lab: Api, runner: Played, place: Plac
 def test_each_wrong_parameter_is_named(lab: Api, runner: Played, place: Place) -> None:
     parameters = [{"name": "rate", "type": "number", "minimum": 0}, {"name": "topic", "type": "topic"}]
     action = {"name": "count", "script": "x", "parameters": parameters}
-    wanted = {"mission_ids": [place.mission["id"]], "definition": action, "parameters": {"rate": -1, "speed": 2}}
-    problems = lab.post("/runs", wanted).refused(422, "invalid_request")["problems"]
-    assert {each["field"] for each in problems} == {"parameters.rate", "parameters.topic", "parameters.speed"}
+    expected = {"mission_ids": [place.mission["id"]], "definition": action, "parameters": {"rate": -1, "speed": 2}}
+    problems = lab.post("/runs", expected).refused(422, "invalid_request")["problems"]
+    assert {entry["field"] for entry in problems} == {"parameters.rate", "parameters.topic", "parameters.speed"}

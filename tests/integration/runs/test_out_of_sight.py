@@ -26,7 +26,7 @@ class World(NamedTuple):
     secrets: list[str]
     elsewhere: list[str]
     run_id: str
-    kept_file_id: str
+    visible_file_id: str
 
 
 @pytest.fixture(name="world")
@@ -39,12 +39,12 @@ def _world(lab: Api, runner: Played, place: Place) -> World:
     claim = runner.claim()
     runner.leave(claim, "result.bin", _OUTPUT)
     runner.leave(claim, ".kleinkram/log", b"a line\n")
-    said = {"file": "wexford-input.bin", "message": "odd", "code": "odd", "severity": "warning"}
+    values = {"file": "wexford-input.bin", "message": "odd", "code": "odd", "severity": "warning"}
     metric = {"name": "rate", "value": 1, "unit": None, "file": "wexford-input.bin"}
     put_back = [{"path": "result.bin", "to": "wexford-output.bin", "made_from": ["drive.bin", "wexford-input.bin"]}]
-    report = {"put_back": put_back, "findings": [said], "metrics": [metric]}
+    report = {"put_back": put_back, "findings": [values], "metrics": [metric]}
     runner.finish(claim, report=report).ok()
-    made = {each["path"]: each["id"] for each in lab.all("/files", {"mission_id": mission})}["wexford-output.bin"]
+    made = {entry["path"]: entry["id"] for entry in lab.all("/files", {"mission_id": mission})}["wexford-output.bin"]
     for file_id, path in ((moving["id"], "wexford-input.bin"), (made, "renamed-zanzibar.bin")):
         lab.patch(f"/files/{file_id}", {"mission_id": vault["id"], "path": path}).ok()
     member, outsider = people.person(lab), people.person(lab, email=f"{uuid.uuid4().hex}@elsewhere.test")
@@ -58,66 +58,66 @@ def _world(lab: Api, runner: Played, place: Place) -> World:
     }
     elsewhere = ["renamed-zanzibar", "vault mission", hidden["name"], vault["id"], hidden["id"]]
     secrets = [*elsewhere, "wexford-output", "wexford-input", moving["id"], made, sha256(_INPUT)]
-    kept = place.files["drive.bin"]["id"]
-    return World(lab.as_(member.token), lab.as_(outsider.token), ids, secrets, elsewhere, claim["run_id"], kept)
+    stored = place.files["drive.bin"]["id"]
+    return World(lab.as_(member.token), lab.as_(outsider.token), ids, secrets, elsewhere, claim["run_id"], stored)
 
 
-def _said(answer: Any, asked: str) -> str:
+def _reported(answer: Any, requested: str) -> str:
     """Return what an answer says besides what was asked for."""
-    kept = {**answer.body, "detail": "", "ref": ""} if isinstance(answer.body, dict) else answer.body
-    return json.dumps(kept).replace(asked, "")
+    stored = {**answer.body, "detail": "", "ref": ""} if isinstance(answer.body, dict) else answer.body
+    return json.dumps(stored).replace(requested, "")
 
 
 def _addresses(ids: dict[str, list[str]]) -> list[tuple[str, str, dict[str, str]]]:
     """Return every GET route with every id that fits, as path, the id and the query."""
-    found: list[tuple[str, str, dict[str, str]]] = []
+    match: list[tuple[str, str, dict[str, str]]] = []
     for path, operations in json.loads(_OPENAPI.read_text())["paths"].items():
         if "get" not in operations or path.endswith("/events"):
             continue
-        names = [each["name"] for each in operations["get"].get("parameters", []) if each["in"] == "path"]
+        names = [entry["name"] for entry in operations["get"].get("parameters", []) if entry["in"] == "path"]
         if len(names) == 1 and names[0] in ids:
-            found += [(path.replace(f"{{{names[0]}}}", each), each, {}) for each in ids[names[0]]]
+            match += [(path.replace(f"{{{names[0]}}}", entry), entry, {}) for entry in ids[names[0]]]
         elif not names:
-            found.append((path, "-", {}))
-            queries = [each["name"] for each in operations["get"].get("parameters", []) if each["in"] == "query"]
-            found += [(path, each, {name: each}) for name in queries if name in ids for each in ids[name]]
-    return found
+            match.append((path, "-", {}))
+            queries = [entry["name"] for entry in operations["get"].get("parameters", []) if entry["in"] == "query"]
+            match += [(path, entry, {name: entry}) for name in queries if name in ids for entry in ids[name]]
+    return match
 
 
 def test_no_route_tells_of_files_that_moved_out_of_sight(world: World) -> None:
     seen = 0
     for api in (world.reader, world.outsider):
-        for path, asked, query in _addresses(world.ids):
+        for path, requested, query in _addresses(world.ids):
             answer = api.get(path.removeprefix("/api/v1"), query)
             seen += answer.status == 200
-            told = _said(answer, asked)
+            reported = _reported(answer, requested)
             # To its owners, the audit log of a project keeps what happened to the file while it was there.
             secrets = world.elsewhere if "/audit" in path else world.secrets
-            leaked = [secret for secret in secrets if secret in told]
-            assert not leaked, (path, query, leaked, told[:2000])
+            leaked = [secret for secret in secrets if secret in reported]
+            assert not leaked, (path, query, leaked, reported[:2000])
     assert seen > 50, "the sweep met too few answers to be one"
 
 
 def test_lineage_still_tells_of_what_is_in_sight(world: World) -> None:
-    (reader,) = world.reader.get(f"/files/{world.kept_file_id}/lineage").ok()["read_by"]
+    (reader,) = world.reader.get(f"/files/{world.visible_file_id}/lineage").ok()["read_by"]
     assert (reader["run"]["id"], reader["artifact_count"]) == (world.run_id, 1)
-    assert [each["path"] for each in reader["inputs"]] == ["drive.bin", "notes/day.txt"]
+    assert [entry["path"] for entry in reader["inputs"]] == ["drive.bin", "notes/day.txt"]
     assert reader["files"] == []
     (artifact,) = world.reader.all(f"/runs/{world.run_id}/artifacts")
     assert (artifact["path"], artifact["file_id"]) == ("result.bin", None)
     (finding,) = world.reader.get("/findings", {"run_id": world.run_id}).ok()["items"]
     assert (finding["finding"]["message"], finding["finding"]["file"]) == ("odd", None)
-    deleted = world.reader.delete(f"/files/{world.kept_file_id}", {"dry_run": "true"}).ok()
+    deleted = world.reader.delete(f"/files/{world.visible_file_id}", {"dry_run": "true"}).ok()
     assert (deleted["read_by_runs"], deleted["made_from_it"]) == (1, [])
 
 
 def test_owners_of_both_places_see_both(world: World, lab: Api) -> None:
     inputs = lab.all(f"/runs/{world.run_id}/inputs")
-    assert "wexford-input.bin" in [each["path"] for each in inputs]
+    assert "wexford-input.bin" in [entry["path"] for entry in inputs]
     (artifact,) = lab.all(f"/runs/{world.run_id}/artifacts")
     assert artifact["file_id"] == world.ids["file_id"][2]
-    (reader,) = lab.get(f"/files/{world.kept_file_id}/lineage").ok()["read_by"]
-    assert [each["path"] for each in reader["files"]] == ["renamed-zanzibar.bin"]
+    (reader,) = lab.get(f"/files/{world.visible_file_id}/lineage").ok()["read_by"]
+    assert [entry["path"] for entry in reader["files"]] == ["renamed-zanzibar.bin"]
     (metric,) = lab.get("/run-metrics", {"run_id": world.run_id}).ok()["items"]
     assert metric["metric"]["file"] == "wexford-input.bin"
 
@@ -125,13 +125,13 @@ def test_owners_of_both_places_see_both(world: World, lab: Api) -> None:
 def test_an_input_in_the_trash_of_its_own_mission_is_still_named(world: World, lab: Api, runner: Played) -> None:
     # Another mission with a run: where a file lies is compared with the mission of its own run, not of any.
     mission = lab.mission(lab.project()["id"])
-    kept = upload(lab, mission["id"], "trashed.bin", b"an input that goes to the trash")
+    stored = upload(lab, mission["id"], "trashed.bin", b"an input that goes to the trash")
     launch(lab, runner, mission, right="READ")
     claim = runner.claim()
     finding = {"file": "trashed.bin", "message": "odd", "code": "odd", "severity": "warning"}
     metric = {"name": "rate", "value": 1, "unit": None, "file": "trashed.bin"}
     runner.finish(claim, report={"findings": [finding], "metrics": [metric]}).ok()
-    lab.delete(f"/files/{kept['id']}").ok()
-    (told,) = lab.get("/findings", {"run_id": claim["run_id"]}).ok()["items"]
-    assert told["finding"]["file"] == "trashed.bin"
-    assert [each["file"] for each in lab.get(f"/runs/{claim['run_id']}").ok()["metrics"]] == ["trashed.bin"]
+    lab.delete(f"/files/{stored['id']}").ok()
+    (reported,) = lab.get("/findings", {"run_id": claim["run_id"]}).ok()["items"]
+    assert reported["finding"]["file"] == "trashed.bin"
+    assert [entry["file"] for entry in lab.get(f"/runs/{claim['run_id']}").ok()["metrics"]] == ["trashed.bin"]

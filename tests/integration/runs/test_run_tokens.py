@@ -9,11 +9,11 @@ from tests.integration.runs.conftest import Place, Played, launch
 from tests.integration.upload_client import upload
 
 
-def _begun(lab: Api, runner: Played, place: Place, **said: Any) -> tuple[Any, Api]:
+def _begun(lab: Api, runner: Played, place: Place, **values: Any) -> tuple[Any, Api]:
     """Start a run that may speak to the API; returns what its runner claimed, and the API as the run sees it."""
-    launch(lab, runner, place.mission, network="api", **said)
+    launch(lab, runner, place.mission, network="api", **values)
     claim = runner.claim()
-    runner.beat(claim)
+    runner.heartbeat(claim)
     return claim, lab.as_(claim["token"])
 
 
@@ -25,7 +25,7 @@ def test_a_run_without_network_has_no_token(lab: Api, runner: Played, place: Pla
 def test_it_sees_its_mission_and_no_other(lab: Api, runner: Played, place: Place) -> None:
     other = lab.mission(place.project["id"])
     _, run = _begun(lab, runner, place)
-    assert [each["id"] for each in run.all("/missions")] == [place.mission["id"]]
+    assert [entry["id"] for entry in run.all("/missions")] == [place.mission["id"]]
     run.get(f"/missions/{place.mission['id']}").ok()
     run.get(f"/missions/{other['id']}").refused(404, "not_found")
     run.get(f"/projects/{place.project['id']}").refused(404, "not_found")
@@ -36,7 +36,7 @@ def test_it_sees_no_other_run(lab: Api, runner: Played, place: Place) -> None:
     earlier = launch(lab, runner, place.mission)
     runner.finish(runner.claim()).ok()
     claim, run = _begun(lab, runner, place)
-    assert [each["id"] for each in run.all("/runs")] == [claim["run_id"]]
+    assert [entry["id"] for entry in run.all("/runs")] == [claim["run_id"]]
     run.get(f"/runs/{earlier['id']}").refused(404, "not_found")
 
 
@@ -67,7 +67,7 @@ def test_it_is_never_an_admin_nor_anybodys_account(lab: Api, runner: Played, pla
     )
 
 
-def test_it_is_told_what_it_is(lab: Api, runner: Played, place: Place) -> None:
+def test_the_token_of_a_run_identifies_it(lab: Api, runner: Played, place: Place) -> None:
     _, run = _begun(lab, runner, place)
     me = run.get("/me").ok()
     assert (me["credential"]["kind"], me["credential"]["is_limited"]) == ("run", True)
@@ -83,14 +83,14 @@ def test_it_ends_with_the_run(lab: Api, runner: Played, place: Place) -> None:
 def test_it_outlives_a_request_that_its_runner_gave_up(lab: Api, runner: Played, place: Place) -> None:
     """A request whose line was cut waits on, and gets the run once more: it does not know that the next one got it."""
     claim, run = _begun(lab, runner, place)
-    runner.held.clear()
+    runner.active_ids.clear()
     again = runner.claim()
     assert again["run_id"] == claim["run_id"]
-    for each in (run, lab.as_(again["token"])):
-        each.get("/me").ok()
+    for entry in (run, lab.as_(again["token"])):
+        entry.get("/me").ok()
     runner.finish(claim).ok()
-    for each in (run, lab.as_(again["token"])):
-        each.get("/me").refused(401, "not_authenticated")
+    for entry in (run, lab.as_(again["token"])):
+        entry.get("/me").refused(401, "not_authenticated")
 
 
 def test_it_ends_when_the_run_goes_to_another_runner(lab: Api, runner: Played, place: Place) -> None:
@@ -113,7 +113,7 @@ def test_a_run_holds_what_its_starter_holds_now(lab: Api, runner: Played, place:
     run.get(f"/missions/{place.mission['id']}").refused(404, "not_found")
 
 
-def test_whoever_lost_the_right_has_their_waiting_runs_cancelled(lab: Api, runner: Played, place: Place) -> None:
+def test_losing_the_right_cancels_queued_runs(lab: Api, runner: Played, place: Place) -> None:
     starter = people.person(lab)
     grant = people.grant(lab, starter, Right.create, mission_id=place.mission["id"])
     made = launch(lab.as_(people.token(lab, starter).secret), runner, place.mission)
@@ -129,8 +129,8 @@ def test_starting_takes_what_the_action_takes(lab: Api, runner: Played, place: P
     people.grant(lab, starter, Right.create, mission_id=place.mission["id"])
     mine = lab.as_(people.token(lab, starter).secret)
     launch(mine, runner, place.mission)
-    wanted = {"mission_ids": [place.mission["id"]], "definition": {"name": "a", "script": "x", "right": "WRITE"}}
-    (refused,) = mine.post("/runs", wanted).ok()["items"]
+    expected = {"mission_ids": [place.mission["id"]], "definition": {"name": "a", "script": "x", "right": "WRITE"}}
+    (refused,) = mine.post("/runs", expected).ok()["items"]
     assert (refused["outcome"], refused["problem"]["code"]) == ("refused", "forbidden")
 
 
@@ -141,6 +141,6 @@ def test_a_runners_token_claims_and_reports_and_nothing_else(lab: Api, runner: P
     claim = runner.claim()
     runner.api.get(f"/runs/{claim['run_id']}").refused(403, "scope_missing")
     other = launch(lab, runner, place.mission)
-    asked = {"attempt": 1, "paths": ["drive.bin"]}
-    runner.api.post(f"/runner/runs/{other['id']}/inputs", asked).refused(409, "run_gone")
-    assert len(runner.api.post(f"/runner/runs/{claim['run_id']}/inputs", asked).ok()["urls"]) == 1
+    requested = {"attempt": 1, "paths": ["drive.bin"]}
+    runner.api.post(f"/runner/runs/{other['id']}/inputs", requested).refused(409, "run_gone")
+    assert len(runner.api.post(f"/runner/runs/{claim['run_id']}/inputs", requested).ok()["urls"]) == 1

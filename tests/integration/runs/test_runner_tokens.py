@@ -9,12 +9,12 @@ from tests.integration.api_server import Api
 from tests.integration.runs.conftest import Place, Played, definition, launch
 
 
-def _token(lab: Api, **wanted: Any) -> Any:
-    return lab.post("/tokens", {"name": "for a runner", "kind": "runner", **wanted}).ok(201)
+def _token(lab: Api, **expected: Any) -> Any:
+    return lab.post("/tokens", {"name": "for a runner", "kind": "runner", **expected}).ok(201)
 
 
-def _runner(lab: Api, made: Any, **said: Any) -> Played:
-    return Played(lab.as_(made["secret"]), **said)
+def _runner(lab: Api, made: Any, **values: Any) -> Played:
+    return Played(lab.as_(made["secret"]), **values)
 
 
 def test_the_first_runner_that_uses_a_token_is_the_only_one(lab: Api) -> None:
@@ -24,9 +24,9 @@ def test_the_first_runner_that_uses_a_token_is_the_only_one(lab: Api) -> None:
     refused = second.api.post("/runners", {**_hello(second)}).refused(403, "forbidden")
     assert "klein token create" in refused["detail"]
     first.hello()
-    (listed,) = [each for each in lab.all("/tokens") if each["id"] == made["token"]["id"]]
+    (listed,) = [entry for entry in lab.all("/tokens") if entry["id"] == made["token"]["id"]]
     assert listed["runner"] == {"id": first.id, "name": f"runner {first.id[:4]}"}
-    (shown,) = [each for each in lab.all("/runners") if each["id"] == first.id]
+    (shown,) = [entry for entry in lab.all("/runners") if entry["id"] == first.id]
     assert shown["token"]["id"] == made["token"]["id"]
     assert "token.bind" in [event["operation"] for event in lab.events(made["token"]["id"])]
 
@@ -42,7 +42,7 @@ def test_a_token_of_the_same_person_reaches_no_runs_of_another_runner(lab: Api, 
     other.finish(claim).refused(409, "run_gone")
     other.api.post(f"/runners/{runner.id}/claims", {"free": _hello(other)["capacity"]}).refused(403, "forbidden")
     other.api.post(f"/runners/{runner.id}/heartbeats", {"runs": []}).refused(403, "forbidden")
-    assert runner.beat(claim) == "active"
+    assert runner.heartbeat(claim) == "active"
 
 
 def test_a_token_that_names_its_runner_is_for_no_other(lab: Api) -> None:
@@ -65,8 +65,8 @@ def test_a_token_of_some_projects_gets_only_runs_on_these(lab: Api, place: Place
     elsewhere = lab.project()
     runner = _runner(lab, _token(lab, project_ids=[elsewhere["id"]]))
     runner.hello()
-    wanted = {"mission_ids": [place.mission["id"]], "definition": definition(runner), "force": True}
-    (refused,) = lab.post("/runs", wanted).ok()["items"]
+    expected = {"mission_ids": [place.mission["id"]], "definition": definition(runner), "force": True}
+    (refused,) = lab.post("/runs", expected).ok()["items"]
     assert refused["problem"]["code"] == "no_runner"
     assert f"{_hello(runner)['name']}: its token is limited to other projects" in refused["problem"]["detail"]
     allowed = _runner(lab, _token(lab, project_ids=[place.project["id"]]), labels=runner.labels)
@@ -82,8 +82,8 @@ def test_a_token_of_some_labels_gets_only_runs_that_ask_for_one(lab: Api, place:
     runner.hello()
     plain = lab.post("/runs", _run(place, [])).ok()["items"][0]["run"]
     assert runner.claim() is None
-    asked = lab.post("/runs", _run(place, [label])).ok()["items"][0]["run"]
-    assert runner.claim()["run_id"] == asked["id"]
+    requested = lab.post("/runs", _run(place, [label])).ok()["items"][0]["run"]
+    assert runner.claim()["run_id"] == requested["id"]
     lab.post(f"/runs/{plain['id']}/cancel").ok()
     greedy = Played(runner.api, id=runner.id, labels=[label, "another"])
     refused = greedy.api.post("/runners", _hello(greedy)).refused(403, "forbidden")
@@ -91,7 +91,7 @@ def test_a_token_of_some_labels_gets_only_runs_that_ask_for_one(lab: Api, place:
 
 
 @pytest.mark.parametrize(
-    "wanted",
+    "expected",
     [
         {"kind": "runner", "mission_ids": [str(uuid.uuid4())]},
         {"kind": "runner", "scopes": ["read"]},
@@ -99,19 +99,19 @@ def test_a_token_of_some_labels_gets_only_runs_that_ask_for_one(lab: Api, place:
         {"kind": "personal", "runner_labels": ["gpu"]},
     ],
 )
-def test_limits_that_make_no_sense_are_refused(lab: Api, wanted: dict[str, Any]) -> None:
-    lab.post("/tokens", {"name": "odd", **wanted}).refused(422, "invalid_request")
+def test_limits_that_make_no_sense_are_refused(lab: Api, expected: dict[str, Any]) -> None:
+    lab.post("/tokens", {"name": "odd", **expected}).refused(422, "invalid_request")
 
 
 def test_a_runner_from_before_keeps_its_runs_and_its_token(lab: Api, runner: Played, place: Place) -> None:
     launch(lab, runner, place.mission)
     claim = runner.claim()
     lab.sql("UPDATE token SET runner_id = NULL WHERE runner_id = %s", uuid.UUID(runner.id))
-    assert runner.beat(claim) == "active"
+    assert runner.heartbeat(claim) == "active"
     runner.finish(claim).ok()
 
 
-def test_a_runner_from_before_may_say_how_its_run_ended_before_it_beats(lab: Api, runner: Played, place: Place) -> None:
+def test_a_runner_from_before_tokens_were_bound_may_report_an_end(lab: Api, runner: Played, place: Place) -> None:
     launch(lab, runner, place.mission)
     claim = runner.claim()
     fresh = lab.as_(_token(lab)["secret"])
@@ -123,15 +123,15 @@ def test_a_runner_from_before_may_say_how_its_run_ended_before_it_beats(lab: Api
 
 def _hello(played: Played) -> dict[str, Any]:
     """Return what a runner says of itself."""
-    said: dict[str, Any] = {}
+    values: dict[str, Any] = {}
 
     class Listening:
         def post(self, _path: str, body: dict[str, Any]) -> Any:
-            said.update(body)
+            values.update(body)
             return type("Answered", (), {"ok": lambda _self: None})()
 
     Played(Listening(), id=played.id, labels=played.labels).hello()  # type: ignore[arg-type]  # hears, and asks nobody
-    return said
+    return values
 
 
 def _run(place: Place, labels: list[str]) -> dict[str, Any]:

@@ -46,8 +46,8 @@ def test_a_second_account_makes_script_runs_refused_with_the_remedy(
     assert "Docker or Podman" in single.get("/admin/health").ok()["invitation_warning"]
 
     people.person(single)
-    wanted = {"mission_ids": [mission["id"]], "definition": definition(own_runner), "force": True}
-    (item,) = single.post("/runs", wanted).ok()["items"]
+    expected = {"mission_ids": [mission["id"]], "definition": definition(own_runner), "force": True}
+    (item,) = single.post("/runs", expected).ok()["items"]
     assert (item["outcome"], item["problem"]["code"]) == ("refused", "no_runner")
     assert "only while one person alone has an account" in item["problem"]["detail"]
     assert "Install Docker or Podman" in item["problem"]["detail"]
@@ -59,7 +59,7 @@ def test_a_second_account_makes_script_runs_refused_with_the_remedy(
     health = single.get("/admin/health").ok()
     assert health["runs_problem"].startswith("1 queued run can never start.")
     assert health["invitation_warning"] is None, "it has happened"
-    needs = [(each["need"], each["count"], each["mission"]["id"]) for each in single.get("/home").ok()["attention"]]
+    needs = [(entry["need"], entry["count"], entry["mission"]["id"]) for entry in single.get("/home").ok()["attention"]]
     assert needs == [("runs_cannot_start", 1, mission["id"])]
 
     single.post(f"/runs/{queued['id']}/cancel").ok()
@@ -84,7 +84,7 @@ def test_a_runner_that_is_switched_off_for_now_is_waited_for(single: Api, own_ru
 
 
 @pytest.mark.parametrize(
-    ("wanted", "why"),
+    ("expected", "why"),
     [
         ({"resources": {"cores": 64}}, "it has 4 cores and 64 are asked for"),
         ({"resources": {"gpus": 1}}, "it gives no GPUs"),
@@ -93,9 +93,9 @@ def test_a_runner_that_is_switched_off_for_now_is_waited_for(single: Api, own_ru
     ],
 )
 def test_what_no_runner_has_is_refused(
-    single: Api, own_runner: Played, mission: Any, wanted: dict[str, Any], why: str
+    single: Api, own_runner: Played, mission: Any, expected: dict[str, Any], why: str
 ) -> None:
-    action = {key: value for key, value in (definition(own_runner) | wanted).items() if value is not None}
+    action = {key: value for key, value in (definition(own_runner) | expected).items() if value is not None}
     (item,) = single.post("/runs", {"mission_ids": [mission["id"]], "definition": action}).ok()["items"]
     assert item["problem"]["code"] == "no_runner"
     assert why in item["problem"]["detail"]
@@ -105,7 +105,7 @@ def test_what_no_runner_has_is_refused(
 def test_results_that_are_there_already_need_no_runner(single: Api, own_runner: Played, mission: Any) -> None:
     launch(single, own_runner, mission)
     claim = own_runner.claim()
-    own_runner.beat(claim, image_digest="sha256:stock")
+    own_runner.heartbeat(claim, image_digest="sha256:stock")
     own_runner.finish(claim).ok()
     people.person(single)
     assert launch(single, own_runner, mission, force=False)["state"] == "done"
@@ -117,8 +117,8 @@ def test_failed_runs_need_attention_until_the_same_action_succeeds(lab: Api, run
     stranger = lab.as_(people.person(lab).token)
 
     def needs() -> list[tuple[str, int]]:
-        told = lab.as_(member.token).get("/home").ok()["attention"]
-        return [(each["need"], each["count"]) for each in told]
+        reported = lab.as_(member.token).get("/home").ok()["attention"]
+        return [(entry["need"], entry["count"]) for entry in reported]
 
     def ended(reason: str, **action: Any) -> Any:
         launch(lab, runner, place.mission, **action)

@@ -125,7 +125,7 @@ def test_other_bytes_are_refused(api: Api, mission_id: str, size_bytes: int) -> 
     # A store that says of an upload of several parts, none of which came, that it knows none, is believed.
     (multipart_id,) = api.sql("SELECT multipart_id FROM upload WHERE id = %s", started["id"])[0]
     key = api.sql("SELECT key FROM upload WHERE id = %s", started["id"])[0][0]
-    is_known = multipart_id is None or on_site(api, lambda site: site.storage.held_parts(key, multipart_id)) == []
+    is_known = multipart_id is None or on_site(api, lambda site: site.storage.list_parts(key, multipart_id)) == []
     expected = "upload_incomplete" if is_known else "upload_gone"
     assert complete(api, started, body)["problem"]["code"] == expected
 

@@ -23,7 +23,7 @@ raise SystemExit(3)
 """
 
 
-def test_what_it_says_and_leaves_is_told(tmp_path: Path) -> None:
+def test_report_and_artifacts_are_returned(tmp_path: Path) -> None:
     script, folder = tmp_path / "look.py", tmp_path / "run"
     script.write_text(SCRIPT)
     folder.mkdir()

@@ -12,7 +12,7 @@ import urllib3
 
 from kleinkram.client.config import Endpoint, EndpointSource
 from kleinkram.client.errors import AnswerNotUnderstood, ServerUnreachable
-from kleinkram.client.signing_in import begin_browser, begin_device, end_token, see_server, wait_for_device, who_has
+from kleinkram.client.sign_in import begin_browser, begin_device, end_token, see_server, wait_for_device, who_has
 from kleinkram.contract.errors import (
     KleinkramError,
     NotAuthenticated,

@@ -79,7 +79,7 @@ def test_a_summary_of_any_size_costs_its_index(size_bytes: int, chunk_bytes: int
     assert peak < 16_000_000
 
 
-def test_a_scan_holds_one_chunk() -> None:
+def test_a_scan_needs_memory_for_one_chunk() -> None:
     """Of a chunk of 64 MB without any index, only the stored bytes and the content are held."""
     out = BytesIO()
     writer = McapWriter(out, compression=Compression.zstd, chunk_bytes=2**40)

@@ -13,34 +13,34 @@ import lz4.frame
 import pytest
 import zstandard
 
-from kleinkram.recordings import Content, Lost, RecordingSummary
-from kleinkram.recordings import damage_report as losses_module
+from kleinkram.recordings import Content, Lost, Recording, RecordingSummary
+from kleinkram.recordings import damage_report as damage_report_module
 from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
 from kleinkram.recordings.formats.rosbag1.writer import BagCompression, BagWriter
-from kleinkram.recordings.reading import Recording
-from kleinkram.recordings.sources import from_source
+from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
 
 from .agreement import accounts_of, disagreements
 from .memory_source import MemorySource
-from .reading import making
+from .reading import builders
 from .test_hostile import chunk, mcap_of, record
 
 T0 = 1_700_000_000_000_000_000
 PACK = {b"": bytes, b"zstd": zstandard.compress, b"lz4": lz4.frame.compress}
-INDEX_OF_1000 = records.RECORD_HEAD.pack(records.MESSAGE_INDEX, 2 + 4 + 16 * 1_000)
+INDEX_OF_1000 = records.RECORD_HEAD.pack(Opcode.MESSAGE_INDEX, 2 + 4 + 16 * 1_000)
 
 
 def channel_record(number: int, topic: bytes) -> bytes:
     return record(
-        records.CHANNEL, struct.pack("<HHI", number, 0, len(topic)) + topic + struct.pack("<I3sI", 3, b"cdr", 0)
+        Opcode.CHANNEL, struct.pack("<HHI", number, 0, len(topic)) + topic + struct.pack("<I3sI", 3, b"cdr", 0)
     )
 
 
 def messages(count: int, first: int = 0, channel: int = 0) -> bytes:
     return b"".join(
-        record(records.MESSAGE, struct.pack("<HIQQ", channel, 0, T0 + first + n, T0 + first + n) + bytes(range(200)))
+        record(Opcode.MESSAGE, struct.pack("<HIQQ", channel, 0, T0 + first + n, T0 + first + n) + bytes(range(200)))
         for n in range(count)
     )
 
@@ -51,7 +51,7 @@ def packed(compression: bytes, content: bytes, *, crc: int | None = None) -> byt
 
 
 def scan_bytes(data: bytes, name: str = "a.mcap") -> RecordingSummary:
-    return scan(from_source(MemorySource(data, name)))
+    return scan(source_reader(MemorySource(data, name)))
 
 
 @pytest.mark.parametrize("compression", PACK)
@@ -110,9 +110,9 @@ def test_a_cut_chunk_is_saved_and_measured(compression: Compression) -> None:
 
 def test_a_large_message_that_is_cut_is_not_counted() -> None:
     body = struct.pack("<HIQQ", 0, 0, T0, T0) + bytes(20 * 2**20)
-    content = channel_record(0, b"/a") + messages(1) + record(records.MESSAGE, body)
+    content = channel_record(0, b"/a") + messages(1) + record(Opcode.MESSAGE, body)
     data = mcap_of(chunk(b"", content, len(content)))[: 5 * 2**20]
-    summary = scan(from_source(MemorySource(data)))
+    summary = scan(source_reader(MemorySource(data)))
     assert summary.message_count == 1
     assert summary.lost is not None
     assert summary.lost.bytes > 4 * 2**20
@@ -137,7 +137,7 @@ def test_the_beginning_of_a_chunk_with_a_tail_of_zeros(compression: Compression,
     end = whole.index(INDEX_OF_1000)
     at = end * 6 // 10
     data = whole[:at] + bytes(len(whole) - at if to_the_end else end - at) + (b"" if to_the_end else whole[end:])
-    summary = scan(from_source(MemorySource(data, "a.mcap")))
+    summary = scan(source_reader(MemorySource(data, "a.mcap")))
     assert summary.message_count is not None
     assert summary.lost is not None
     assert 400 < summary.message_count < 600
@@ -158,7 +158,7 @@ def test_the_beginning_of_a_chunk_of_a_bag_with_a_tail_of_zeros(
     data = whole[:at] + bytes(len(whole) - at if to_the_end else end - at) + (b"" if to_the_end else whole[end:])
     path = tmp_path / "a.bag"
     path.write_bytes(data)
-    summary = scan(from_source(MemorySource(data, "a.bag")))
+    summary = scan(source_reader(MemorySource(data, "a.bag")))
     assert summary.content is Content.recovered
     assert summary.message_count is not None
     assert summary.lost is not None
@@ -221,16 +221,16 @@ def test_a_file_of_bombs_is_unpacked_up_to_a_bound(
     make: Callable[[], bytes], name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data = make()
-    monkeypatch.setattr(losses_module, "FREE_UNPACKED", 10 * 2**20)
-    monkeypatch.setattr(losses_module, "MAX_EXPANSION", 2)
+    monkeypatch.setattr(damage_report_module, "FREE_UNPACKED", 10 * 2**20)
+    monkeypatch.setattr(damage_report_module, "MAX_EXPANSION", 2)
     summary = scan_bytes(data, name)
     assert summary.content is Content.recovered
     assert summary.message_count == 10
     assert summary.lost is not None
     assert (summary.lost.chunks, summary.lost.messages) == (30, 30)
-    assert "would unpack to more than" in (summary.reason or "")
+    assert "would expand to more than" in (summary.reason or "")
     monkeypatch.undo()
-    assert scan(from_source(MemorySource(data, name))).content is Content.indexed
+    assert scan(source_reader(MemorySource(data, name))).content is Content.indexed
 
 
 @pytest.mark.parametrize("kind", ["mcap", "bag"])
@@ -239,7 +239,7 @@ def test_a_chunk_above_the_limit_is_left_out_by_all_readers(
 ) -> None:
     monkeypatch.setattr("kleinkram.recordings.compression.MAX_CHUNK_BYTES", 50_000)
     small, large = [("/t", T0 + n, b"x" * 10) for n in range(5)], [("/t", T0 + 10 + n, b"x" * 1000) for n in range(100)]
-    source = (making.mcap_of if kind == "mcap" else making.bag_of)([small, large, [("/t", T0 + 1000, b"x")]])
+    source = (builders.mcap_of if kind == "mcap" else builders.bag_of)([small, large, [("/t", T0 + 1000, b"x")]])
     path = tmp_path / f"a.{kind}"
     path.write_bytes(source.read(0, source.size_bytes))
     (accounts,) = accounts_of(tmp_path)

@@ -11,9 +11,9 @@ from typing import ClassVar
 import pytest
 
 from kleinkram.contract.actions import Network, Resources
-from kleinkram.runner.docker.container import RUN_LABEL
-from kleinkram.runner.docker.executor import DockerExecutor
-from kleinkram.runner.work import CannotStart, Work
+from kleinkram.runner.executors.base import CannotStart, RunJob
+from kleinkram.runner.executors.docker import DockerExecutor
+from kleinkram.runner.executors.docker_container import JOB_LABEL
 from tests.unit.runner.engines import with_engine
 
 STATE = {"Status": "running", "Pid": 1, "ExitCode": 0, "StartedAt": "2026", "FinishedAt": "0001-", "OOMKilled": False}
@@ -22,11 +22,11 @@ STATE = {"Status": "running", "Pid": 1, "ExitCode": 0, "StartedAt": "2026", "Fin
 class Refusing(BaseHTTPRequestHandler):
     """Has two containers of runs, and removes none."""
 
-    asked_to_remove: ClassVar[list[str]] = []
+    removal_requests: ClassVar[list[str]] = []
     answers: ClassVar[dict[str, object]] = {
         "/version": {"Arch": "amd64"},
         "/info": {},
-        "/containers/json": [{"Id": name, "Labels": {RUN_LABEL: name}} for name in ("one", "other")],
+        "/containers/json": [{"Id": name, "Labels": {JOB_LABEL: name}} for name in ("one", "other")],
         "/containers/kleinkram-a-run/json": {"Id": "one", "State": STATE},
         "/images/an-image/json": {"Id": "sha256:1", "RepoDigests": [], "Architecture": "amd64"},
     }
@@ -38,45 +38,45 @@ class Refusing(BaseHTTPRequestHandler):
 
     def do_DELETE(self) -> None:
         """Refuse."""
-        self.asked_to_remove.append(self.path.partition("?")[0])
+        self.removal_requests.append(self.path.partition("?")[0])
         self._say(500, {"message": "device or resource busy"})
 
     def log_message(self, *_: object) -> None:
         """Say nothing."""
 
-    def _say(self, status: int, said: object) -> None:
+    def _say(self, status: int, values: object) -> None:
         self.send_response(status)
         self.end_headers()
-        self.wfile.write(json.dumps(said).encode())
+        self.wfile.write(json.dumps(values).encode())
 
 
 @pytest.fixture
 def executor(tmp_path: Path) -> Iterator[DockerExecutor]:
     """One with such an engine."""
-    Refusing.asked_to_remove.clear()
+    Refusing.removal_requests.clear()
     with with_engine(Refusing, tmp_path) as played:
         yield played
 
 
-def a_run(folder: Path) -> Work:
-    return Work("a-run", folder, [], "an-image", Resources(), Network.none)
+def a_run(folder: Path) -> RunJob:
+    return RunJob("a-run", folder, [], "an-image", Resources(), Network.none)
 
 
 def test_sweeping_goes_on_after_a_container_that_stays(
     executor: DockerExecutor, caplog: pytest.LogCaptureFixture
 ) -> None:
-    executor.sweep([])
-    assert Refusing.asked_to_remove == ["/containers/one", "/containers/other"]
-    assert caplog.text.count("stays for now: device or resource busy") == 2
+    executor.remove_others([])
+    assert Refusing.removal_requests == ["/containers/one", "/containers/other"]
+    assert caplog.text.count("was not removed: device or resource busy") == 2
 
 
 def test_a_run_is_removed_though_its_container_stays(
     executor: DockerExecutor, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     executor.remove(a_run(tmp_path))
-    assert "kleinkram-a-run stays for now: device or resource busy" in caplog.text
+    assert "kleinkram-a-run was not removed: device or resource busy" in caplog.text
 
 
 def test_what_an_earlier_start_left_is_not_taken_for_the_run(executor: DockerExecutor, tmp_path: Path) -> None:
-    with pytest.raises(CannotStart, match="does not remove what an earlier start left"):
-        executor.start(a_run(tmp_path))
+    with pytest.raises(CannotStart, match="does not remove the container of an earlier start"):
+        executor.submit(a_run(tmp_path))

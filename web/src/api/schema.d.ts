@@ -10,13 +10,13 @@ export interface paths {
         };
         /**
          * List Actions
-         * @description List the actions that match, by name: of projects that you may read, and of the whole lab.
+         * @description List actions by name: those of projects that you may read, and those of the whole lab.
          */
         get: operations["list_actions"];
         put?: never;
         /**
          * Create Action
-         * @description Publish an action, as its first version.
+         * @description Publish an action.
          */
         post: operations["create_action"];
         delete?: never;
@@ -44,7 +44,7 @@ export interface paths {
         head?: never;
         /**
          * Update Action
-         * @description Archive an action, or take it back. With If-Match, only where it is still of that ETag.
+         * @description Archive or restore an action. With If-Match, only if its ETag still matches.
          */
         patch: operations["update_action"];
         trace?: never;
@@ -64,7 +64,7 @@ export interface paths {
         put?: never;
         /**
          * Publish Action Version
-         * @description Publish a further version of an action. With If-Match, only where it is still of that ETag.
+         * @description Publish a further version of an action. With If-Match, only if its ETag still matches.
          */
         post: operations["publish_action_version"];
         delete?: never;
@@ -257,7 +257,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/auth/claim": {
+    "/api/v1/auth/bootstrap": {
         parameters: {
             query?: never;
             header?: never;
@@ -267,10 +267,10 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Claim Server
-         * @description Become the first admin of a fresh server, by the code from its log.
+         * Create First Admin
+         * @description Become the first admin of a new server with the code from its log.
          */
-        post: operations["claim_server"];
+        post: operations["bootstrap_admin"];
         delete?: never;
         options?: never;
         head?: never;
@@ -288,7 +288,7 @@ export interface paths {
         put?: never;
         /**
          * Approve Cli Login
-         * @description Agree that a program on the browser's machine gets a token.
+         * @description Approve a program on the machine of this browser.
          */
         post: operations["approve_cli_login"];
         delete?: never;
@@ -308,7 +308,7 @@ export interface paths {
         put?: never;
         /**
          * Exchange Cli Code
-         * @description Exchange what the browser brought to the loopback for a token.
+         * @description Exchange the code that the browser delivered to the loopback for a token.
          */
         post: operations["exchange_cli_code"];
         delete?: never;
@@ -327,10 +327,10 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Look At Code
-         * @description Say for whom a link is; it stays good.
+         * Get Code
+         * @description Return the purpose and recipient of a one-time link without using it.
          */
-        post: operations["look_at_code"];
+        post: operations["get_code"];
         delete?: never;
         options?: never;
         head?: never;
@@ -348,7 +348,7 @@ export interface paths {
         put?: never;
         /**
          * Begin Device Login
-         * @description Begin a login by a code that is typed on another machine.
+         * @description Start a login with a code that is typed on another machine.
          */
         post: operations["begin_device_login"];
         delete?: never;
@@ -368,7 +368,7 @@ export interface paths {
         put?: never;
         /**
          * Approve Device Login
-         * @description Agree that the program that shows a code gets a token.
+         * @description Approve the program that shows a code.
          */
         post: operations["approve_device_login"];
         delete?: never;
@@ -388,7 +388,7 @@ export interface paths {
         put?: never;
         /**
          * Deny Device Login
-         * @description Disagree.
+         * @description Deny the program that shows a code.
          */
         post: operations["deny_device_login"];
         delete?: never;
@@ -397,7 +397,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/auth/device/look": {
+    "/api/v1/auth/device/status": {
         parameters: {
             query?: never;
             header?: never;
@@ -407,10 +407,10 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Look At Device Login
-         * @description Say who shows a code.
+         * Get Device Login
+         * @description Return the program that shows a code.
          */
-        post: operations["look_at_device_login"];
+        post: operations["get_device_login"];
         delete?: never;
         options?: never;
         head?: never;
@@ -428,7 +428,7 @@ export interface paths {
         put?: never;
         /**
          * Exchange Device Code
-         * @description Exchange a device's secret for a token, once its code was typed.
+         * @description Exchange a device code for a token, once it is approved.
          */
         post: operations["exchange_device_code"];
         delete?: never;
@@ -448,7 +448,7 @@ export interface paths {
         put?: never;
         /**
          * Accept Invitation
-         * @description Get the account that one is invited to, and sign in.
+         * @description Create the account that an invitation is for, and sign in.
          */
         post: operations["accept_invitation"];
         delete?: never;
@@ -468,9 +468,29 @@ export interface paths {
         put?: never;
         /**
          * Sign In By Link
-         * @description Sign a browser in by a link that is good once.
+         * @description Sign a browser in with a one-time link.
          */
         post: operations["sign_in_by_link"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/auth/methods": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Sign In Methods
+         * @description List the methods with which people sign in to this server.
+         */
+        get: operations["list_sign_in_methods"];
+        put?: never;
+        post?: never;
         delete?: never;
         options?: never;
         head?: never;
@@ -488,7 +508,7 @@ export interface paths {
         put?: never;
         /**
          * Create Owner Link
-         * @description Make a link by which the owner of `klein up` signs a browser in.
+         * @description Create a link with which the owner of `klein up` signs in.
          */
         post: operations["create_owner_link"];
         delete?: never;
@@ -517,26 +537,6 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/auth/password/again": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Prove Password Again
-         * @description Prove once more who one is, so that this browser may do what takes a fresh sign-in.
-         */
-        post: operations["prove_password_again"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
     "/api/v1/auth/password/change": {
         parameters: {
             query?: never;
@@ -548,9 +548,29 @@ export interface paths {
         put?: never;
         /**
          * Change Password
-         * @description Choose a new password; one's other browsers are signed out.
+         * @description Change your password; your other browsers are signed out.
          */
         post: operations["change_password"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/auth/password/reauthenticate": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Reauthenticate By Password
+         * @description Enter your password again, for operations that require a recent sign-in.
+         */
+        post: operations["reauthenticate_by_password"];
         delete?: never;
         options?: never;
         head?: never;
@@ -568,29 +588,9 @@ export interface paths {
         put?: never;
         /**
          * Begin Provider Sign In
-         * @description Begin to sign in by a provider: the browser goes where this says.
+         * @description Start to sign in with a provider: the browser goes to the returned URL.
          */
         post: operations["begin_provider_sign_in"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/auth/providers/{name}/again": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Begin Provider Sign In Again
-         * @description Begin to prove once more who one is, by a provider, which is asked to ask for the password anew.
-         */
-        post: operations["begin_provider_sign_in_again"];
         delete?: never;
         options?: never;
         head?: never;
@@ -608,9 +608,29 @@ export interface paths {
         put?: never;
         /**
          * Link Provider
-         * @description Begin to add a provider to one's account, as another way to sign in.
+         * @description Start to link an identity of a provider to your account.
          */
         post: operations["link_provider"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/auth/providers/{name}/reauthenticate": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Begin Provider Reauthentication
+         * @description Start to reauthenticate with a provider, which is asked to require the password.
+         */
+        post: operations["begin_provider_reauthentication"];
         delete?: never;
         options?: never;
         head?: never;
@@ -628,9 +648,9 @@ export interface paths {
         put?: never;
         /**
          * Reset Password
-         * @description Choose a new password by an admin's link; all other browsers are signed out, and all personal tokens end.
+         * @description Choose a new password with an admin's link; your browsers are signed out and your personal tokens revoked.
          *
-         *     Those of robots and runners stay.
+         *     Tokens of robots and runners stay valid.
          */
         post: operations["reset_password"];
         delete?: never;
@@ -653,26 +673,6 @@ export interface paths {
          * @description Sign this browser out.
          */
         post: operations["sign_out"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/auth/ways": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /**
-         * List Sign In Ways
-         * @description Say how one may sign in here.
-         */
-        get: operations["list_sign_in_ways"];
-        put?: never;
-        post?: never;
         delete?: never;
         options?: never;
         head?: never;
@@ -759,7 +759,7 @@ export interface paths {
         };
         /**
          * Get Lineage
-         * @description Say which run made a file, and which runs read it, with what came of that.
+         * @description Get the run that produced a file and the runs that read it.
          */
         get: operations["get_lineage"];
         put?: never;
@@ -859,7 +859,7 @@ export interface paths {
         };
         /**
          * List Findings
-         * @description List what runs noticed, latest first.
+         * @description List findings, latest first.
          */
         get: operations["list_findings"];
         put?: never;
@@ -1017,7 +1017,7 @@ export interface paths {
         };
         /**
          * Get Me
-         * @description Say who asks, and what their credential is good for.
+         * @description Return who you are, and your credential.
          */
         get: operations["get_me"];
         put?: never;
@@ -1037,7 +1037,7 @@ export interface paths {
         };
         /**
          * Get Account
-         * @description Return one's own account: name, addresses, affiliations, and whether there is a password.
+         * @description Return your account: name, addresses, affiliations, and whether it has a password.
          */
         get: operations["get_account"];
         put?: never;
@@ -1057,7 +1057,7 @@ export interface paths {
         };
         /**
          * List Identities
-         * @description List under whose word one signs in.
+         * @description List the identities that are linked to your account.
          */
         get: operations["list_identities"];
         put?: never;
@@ -1080,7 +1080,7 @@ export interface paths {
         post?: never;
         /**
          * Unlink Identity
-         * @description Take a provider's word for oneself no more. The last way to sign in stays; nothing else ends.
+         * @description Unlink an identity from your account, unless it is your last sign-in method. Sessions and tokens stay valid.
          */
         delete: operations["unlink_identity"];
         options?: never;
@@ -1097,14 +1097,14 @@ export interface paths {
         };
         /**
          * List Sessions
-         * @description List the browsers that one is signed in with, latest first.
+         * @description List the browsers you are signed in with, latest first.
          */
         get: operations["list_sessions"];
         put?: never;
         post?: never;
         /**
          * End All Sessions
-         * @description Sign all of one's browsers out, this one too. Tokens stay as they are.
+         * @description Sign all your browsers out, including this one. Tokens stay valid.
          */
         delete: operations["end_all_sessions"];
         options?: never;
@@ -1124,7 +1124,7 @@ export interface paths {
         post?: never;
         /**
          * End Session
-         * @description Sign one of one's browsers out.
+         * @description Sign one of your browsers out.
          */
         delete: operations["end_session"];
         options?: never;
@@ -1143,12 +1143,12 @@ export interface paths {
         put?: never;
         /**
          * Begin Totp
-         * @description Make a secret for an authenticator app; it is in use once a code of it was confirmed.
+         * @description Create a secret for an authenticator app; it takes effect once one of its codes is confirmed.
          */
         post: operations["begin_totp"];
         /**
          * Disable Totp
-         * @description Sign in with the password alone from now on.
+         * @description Remove your second factor.
          */
         delete: operations["disable_totp"];
         options?: never;
@@ -1167,7 +1167,7 @@ export interface paths {
         put?: never;
         /**
          * Confirm Totp
-         * @description Take a second factor into use; one's other browsers are signed out. The recovery codes are shown this once.
+         * @description Confirm your second factor; your other browsers are signed out. The recovery codes are shown only once.
          */
         post: operations["confirm_totp"];
         delete?: never;
@@ -1187,7 +1187,7 @@ export interface paths {
         put?: never;
         /**
          * Renew Recovery Codes
-         * @description Make new recovery codes in place of those from before.
+         * @description Replace your recovery codes.
          */
         post: operations["renew_recovery_codes"];
         delete?: never;
@@ -1401,13 +1401,13 @@ export interface paths {
         };
         /**
          * List Open
-         * @description List your uploads under way into a mission.
+         * @description List your open uploads into a mission.
          */
         get: operations["list_uploads"];
         put?: never;
         /**
          * Begin
-         * @description Say what you want to upload, and hear what to send.
+         * @description Announce files to upload and learn what to send.
          */
         post: operations["begin_uploads"];
         delete?: never;
@@ -1553,7 +1553,7 @@ export interface paths {
         put?: never;
         /**
          * Create Reset Link
-         * @description Make a link by which somebody chooses a new password; whoever asks gives it to them.
+         * @description Create a password reset link, which you pass on to the person.
          */
         post: operations["create_reset_link"];
         delete?: never;
@@ -1574,7 +1574,7 @@ export interface paths {
         post?: never;
         /**
          * Reset Totp
-         * @description Take somebody's second factor away, who lost their device and their recovery codes.
+         * @description Remove the second factor of a person who lost their device and recovery codes.
          */
         delete: operations["reset_totp"];
         options?: never;
@@ -1593,7 +1593,7 @@ export interface paths {
         put?: never;
         /**
          * Invite Person
-         * @description Make a link by which somebody gets an account; whoever asks gives it to them.
+         * @description Create an invitation link, which you pass on to the person.
          */
         post: operations["invite_person"];
         delete?: never;
@@ -1811,7 +1811,7 @@ export interface paths {
         };
         /**
          * List Run Metrics
-         * @description List the numbers that runs found, latest first.
+         * @description List metrics, latest first.
          */
         get: operations["list_run_metrics"];
         put?: never;
@@ -1831,7 +1831,7 @@ export interface paths {
         };
         /**
          * Get Run Context
-         * @description Get what a run is told of itself, its mission and its files.
+         * @description Get the content of `/in/mission.json`.
          */
         get: operations["get_run_context"];
         put?: never;
@@ -1853,7 +1853,7 @@ export interface paths {
         put?: never;
         /**
          * Finish Run
-         * @description Say how a run ended, once all that it left is uploaded.
+         * @description Report the end of a run, once its artifacts are uploaded.
          */
         post: operations["finish_run"];
         delete?: never;
@@ -1873,7 +1873,7 @@ export interface paths {
         put?: never;
         /**
          * Sign Inputs
-         * @description Get where to read inputs.
+         * @description Get URLs of inputs.
          */
         post: operations["sign_inputs"];
         delete?: never;
@@ -1893,7 +1893,7 @@ export interface paths {
         put?: never;
         /**
          * Create Log Chunk
-         * @description Get where to store a piece of a log.
+         * @description Get a URL to upload a chunk of the log to.
          */
         post: operations["create_log_chunk"];
         delete?: never;
@@ -1913,7 +1913,7 @@ export interface paths {
         put?: never;
         /**
          * Confirm Log Chunk
-         * @description Say that a piece of a log was stored: people see it from then on.
+         * @description Confirm that a chunk of the log was uploaded; it becomes visible.
          */
         post: operations["confirm_log_chunk"];
         delete?: never;
@@ -1932,8 +1932,8 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Begin Uploads Of Run
-         * @description Say what a run left, and hear what to send: by the same protocol as files of a mission.
+         * Create Artifact Uploads
+         * @description Start uploads of artifacts, by the same protocol as files of a mission.
          */
         post: operations["create_artifact_uploads"];
         delete?: never;
@@ -1951,13 +1951,13 @@ export interface paths {
         };
         /**
          * List Runners
-         * @description List the runners, by name.
+         * @description List runners by name.
          */
         get: operations["list_runners"];
         put?: never;
         /**
          * Register Runner
-         * @description Say what a runner is, whenever it starts.
+         * @description Register a runner, or update its description.
          */
         post: operations["register_runner"];
         delete?: never;
@@ -1977,7 +1977,7 @@ export interface paths {
         put?: never;
         /**
          * Claim Run
-         * @description Ask for a run that fits what is free, and wait for one.
+         * @description Claim a run that fits the free resources; wait for one.
          */
         post: operations["claim_run"];
         delete?: never;
@@ -1996,8 +1996,8 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Beat
-         * @description Say what all runs are at, and hear which are to end.
+         * Send Heartbeats
+         * @description Report the states of all runs, and renew their leases.
          */
         post: operations["send_heartbeats"];
         delete?: never;
@@ -2015,13 +2015,13 @@ export interface paths {
         };
         /**
          * List Runs
-         * @description List the runs that match, latest first.
+         * @description List runs, latest first.
          */
         get: operations["list_runs"];
         put?: never;
         /**
          * Create Runs
-         * @description Run an action on each of some missions; says for each mission whether there is a run.
+         * @description Run an action on each of some missions, with an outcome for each.
          */
         post: operations["create_runs"];
         delete?: never;
@@ -2039,7 +2039,7 @@ export interface paths {
         };
         /**
          * Get Run
-         * @description Get a run with all that fits one answer.
+         * @description Get a run with its details.
          */
         get: operations["get_run"];
         put?: never;
@@ -2059,7 +2059,7 @@ export interface paths {
         };
         /**
          * List Artifacts
-         * @description List what a run left, by path.
+         * @description List the artifacts of a run by path.
          */
         get: operations["list_artifacts"];
         put?: never;
@@ -2081,7 +2081,7 @@ export interface paths {
         put?: never;
         /**
          * Download Artifacts
-         * @description Return where to read artifacts; who asked is noted.
+         * @description Return URLs of artifacts, and record the download in the audit log.
          */
         post: operations["download_artifacts"];
         delete?: never;
@@ -2101,7 +2101,7 @@ export interface paths {
         put?: never;
         /**
          * Cancel Run
-         * @description Cancel a run; one that a runner has ends within seconds.
+         * @description Cancel a run; a running one ends within seconds.
          */
         post: operations["cancel_run"];
         delete?: never;
@@ -2119,7 +2119,7 @@ export interface paths {
         };
         /**
          * List Run Inputs
-         * @description List what a run was given, by path.
+         * @description List the inputs of a run by path.
          */
         get: operations["list_run_inputs"];
         put?: never;
@@ -2139,7 +2139,7 @@ export interface paths {
         };
         /**
          * Get Run Log
-         * @description Get a piece of what a run wrote. Ask from `next_offset` on for the next one, until `is_over`.
+         * @description Get a chunk of the log of a run. The next one starts at `next_offset`, until `is_over`.
          */
         get: operations["get_run_log"];
         put?: never;
@@ -2161,7 +2161,7 @@ export interface paths {
         put?: never;
         /**
          * Retry Run
-         * @description Run the same once more, on the files as they are now; with `force` though a good run of it is there.
+         * @description Launch the same action again, on the current files; with `force`, without reusing results.
          */
         post: operations["retry_run"];
         delete?: never;
@@ -2423,14 +2423,14 @@ export interface paths {
         };
         /**
          * Get
-         * @description Get one of your uploads, with the parts that the store holds.
+         * @description Get one of your uploads, with the parts that the store has.
          */
         get: operations["get_upload"];
         put?: never;
         post?: never;
         /**
          * Abort
-         * @description Give up an upload.
+         * @description Abort an upload.
          */
         delete: operations["abort_upload"];
         options?: never;
@@ -2469,7 +2469,7 @@ export interface paths {
         put?: never;
         /**
          * Sign
-         * @description Get the addresses to send parts to; this also renews the leases of their uploads.
+         * @description Get the URLs to send parts to; this also renews the leases of their uploads.
          */
         post: operations["sign_parts"];
         delete?: never;
@@ -2687,6 +2687,20 @@ export interface components {
             verified_at: string;
             /** Verified By */
             verified_by: string;
+        };
+        /**
+         * AdminBootstrap
+         * @description Become the first admin of a new server: `POST /auth/bootstrap`. A signed-in person sends only the code.
+         */
+        AdminBootstrap: {
+            /** Code */
+            code: string;
+            /** Email */
+            email?: string | null;
+            /** Name */
+            name?: string | null;
+            /** Password */
+            password?: string | null;
         };
         /**
          * AdminHealth
@@ -2964,20 +2978,6 @@ export interface components {
          */
         ChecksumKind: "crc64nvme" | "sha256" | "md5";
         /**
-         * Claim
-         * @description Become the first admin of a fresh server: `POST /auth/claim`. Who is signed in gives the code alone.
-         */
-        Claim: {
-            /** Code */
-            code: string;
-            /** Email */
-            email?: string | null;
-            /** Name */
-            name?: string | null;
-            /** Password */
-            password?: string | null;
-        };
-        /**
          * ClaimReply
          * @description The answer to a claim; `run` is null where no run fits.
          */
@@ -3198,7 +3198,7 @@ export interface components {
         };
         /**
          * DeviceRead
-         * @description Who asks by a code: `POST /auth/device/look`.
+         * @description Who asks by a code: `POST /auth/device/status`.
          */
         DeviceRead: {
             /** Address */
@@ -3266,7 +3266,7 @@ export interface components {
          * @description Why a run ended. `done` and `exit_code` come from the command itself.
          * @enum {string}
          */
-        EndReason: "done" | "exit_code" | "signal" | "memory" | "time" | "disk" | "cancelled" | "command_not_found" | "image_unavailable" | "not_possible" | "inputs_unavailable" | "broken_report" | "results_not_kept" | "lost";
+        EndReason: "done" | "exit_code" | "signal" | "memory" | "time" | "disk" | "cancelled" | "command_not_found" | "image_unavailable" | "not_possible" | "inputs_unavailable" | "broken_report" | "results_not_stored" | "lost";
         /**
          * ErrorCode
          * @description The closed set of failures.
@@ -3863,18 +3863,6 @@ export interface components {
         Heartbeats: {
             /** Runs */
             runs: components["schemas"]["Heartbeat"][];
-        };
-        /**
-         * HeldPart
-         * @description A part that the store already holds.
-         */
-        HeldPart: {
-            /** Etag */
-            etag: string;
-            /** Number */
-            number: number;
-            /** Size Bytes */
-            size_bytes: number;
         };
         /**
          * HomeRead
@@ -4889,16 +4877,6 @@ export interface components {
             upload_id: string;
         };
         /**
-         * PasswordAgain
-         * @description Prove once more who one is, in a browser that is signed in: `POST /auth/password/again`.
-         */
-        PasswordAgain: {
-            /** Password */
-            password: string;
-            /** Second Factor */
-            second_factor?: string | null;
-        };
-        /**
          * PasswordChange
          * @description Choose a new password: `POST /auth/password/change`. Other browsers are signed out.
          */
@@ -4907,6 +4885,16 @@ export interface components {
             new_password: string;
             /** Old Password */
             old_password: string;
+        };
+        /**
+         * PasswordReauthenticate
+         * @description Enter the password again in a signed-in browser: `POST /auth/password/reauthenticate`.
+         */
+        PasswordReauthenticate: {
+            /** Password */
+            password: string;
+            /** Second Factor */
+            second_factor?: string | null;
         };
         /**
          * PasswordReset
@@ -6029,10 +6017,10 @@ export interface components {
              * Format: date-time
              */
             last_used_at: string;
+            /** Method */
+            method: string;
             /** User Agent */
             user_agent: string | null;
-            /** Way */
-            way: string;
         };
         /**
          * SettingRead
@@ -6183,12 +6171,12 @@ export interface components {
             items: components["schemas"]["SignedPart"][];
         };
         /**
-         * SignInWays
-         * @description How one may sign in here: `GET /auth/ways`. `claim`: nobody is admin yet, and a code from the log makes one.
+         * SignInMethods
+         * @description The sign-in methods of a server: `GET /auth/methods`. `bootstrap`: it has no admin yet.
          */
-        SignInWays: {
-            /** Claim */
-            claim: boolean;
+        SignInMethods: {
+            /** Bootstrap */
+            bootstrap: boolean;
             /** Password */
             password: boolean;
             /** Providers */
@@ -6236,6 +6224,18 @@ export interface components {
             missions: number;
             /** Recordings */
             recordings: number;
+            /** Size Bytes */
+            size_bytes: number;
+        };
+        /**
+         * StoredPart
+         * @description A part that the store already holds.
+         */
+        StoredPart: {
+            /** Etag */
+            etag: string;
+            /** Number */
+            number: number;
             /** Size Bytes */
             size_bytes: number;
         };
@@ -6662,7 +6662,7 @@ export interface components {
              * Parts
              * @default []
              */
-            parts: components["schemas"]["HeldPart"][];
+            parts: components["schemas"]["StoredPart"][];
             /** Path */
             path: string;
             /** Size Bytes */
@@ -7271,7 +7271,7 @@ export interface operations {
             };
         };
     };
-    claim_server: {
+    bootstrap_admin: {
         parameters: {
             query?: never;
             header?: never;
@@ -7280,7 +7280,7 @@ export interface operations {
         };
         requestBody: {
             content: {
-                "application/json": components["schemas"]["Claim"];
+                "application/json": components["schemas"]["AdminBootstrap"];
             };
         };
         responses: {
@@ -7370,7 +7370,7 @@ export interface operations {
             };
         };
     };
-    look_at_code: {
+    get_code: {
         parameters: {
             query?: never;
             header?: never;
@@ -7502,7 +7502,7 @@ export interface operations {
             };
         };
     };
-    look_at_device_login: {
+    get_device_login: {
         parameters: {
             query?: never;
             header?: never;
@@ -7634,6 +7634,35 @@ export interface operations {
             };
         };
     };
+    list_sign_in_methods: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["SignInMethods"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
     create_owner_link: {
         parameters: {
             query?: never;
@@ -7696,7 +7725,7 @@ export interface operations {
             };
         };
     };
-    prove_password_again: {
+    change_password: {
         parameters: {
             query?: never;
             header?: never;
@@ -7705,7 +7734,7 @@ export interface operations {
         };
         requestBody: {
             content: {
-                "application/json": components["schemas"]["PasswordAgain"];
+                "application/json": components["schemas"]["PasswordChange"];
             };
         };
         responses: {
@@ -7727,7 +7756,7 @@ export interface operations {
             };
         };
     };
-    change_password: {
+    reauthenticate_by_password: {
         parameters: {
             query?: never;
             header?: never;
@@ -7736,7 +7765,7 @@ export interface operations {
         };
         requestBody: {
             content: {
-                "application/json": components["schemas"]["PasswordChange"];
+                "application/json": components["schemas"]["PasswordReauthenticate"];
             };
         };
         responses: {
@@ -7793,7 +7822,7 @@ export interface operations {
             };
         };
     };
-    begin_provider_sign_in_again: {
+    link_provider: {
         parameters: {
             query?: never;
             header?: never;
@@ -7828,7 +7857,7 @@ export interface operations {
             };
         };
     };
-    link_provider: {
+    begin_provider_reauthentication: {
         parameters: {
             query?: never;
             header?: never;
@@ -7911,35 +7940,6 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content?: never;
-            };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
-            default: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["ProblemDocument"];
-                };
-            };
-        };
-    };
-    list_sign_in_ways: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["SignInWays"];
-                };
             };
             /** @description A failure as a problem document (RFC 9457); `code` says which. */
             default: {

@@ -64,7 +64,7 @@ const operations: Readonly<Record<string, string>> = {
   "run.download": "downloaded artifacts of the run of",
   "run.end": "finished the run of",
   "runner.arrive": "registered the runner",
-  "server.claim": "set up the server",
+  "server.bootstrap": "set up the server",
   "session.create": "signed in",
   "session.renew": "signed in again",
   "session.revoke": "signed out",

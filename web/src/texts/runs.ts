@@ -34,7 +34,7 @@ export const reasonTexts: Readonly<Record<EndReason, string>> = {
   not_possible: "The runner does not have the required resources.",
   inputs_unavailable: "The runner could not get the input files.",
   broken_report: "The report of the run is not readable.",
-  results_not_kept: "The runner could not upload the results.",
+  results_not_stored: "The runner could not upload the results.",
   lost: "Contact with the runner was lost.",
 };
 

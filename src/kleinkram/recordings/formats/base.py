@@ -1,166 +1,218 @@
-"""What a file is, by a look at its content: never by its name.
-
-Reads at most 64 KB at the start of the file and decompresses at most 64 KB; only recognises, never judges.
-"""
+"""The interface of a file format: how it is recognised, and what can be read of it."""
 
 from __future__ import annotations
 
-import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
+from typing import NamedTuple, Protocol
 
-import zstandard
-
-from kleinkram.recordings.formats.mcap import records as mcap_records
-from kleinkram.recordings.formats.rosbag1 import records as bag_records
-from kleinkram.recordings.formats.svo2 import LIBRARY_WORD
-from kleinkram.recordings.limits import MAX_ZSTD_WINDOW
-from kleinkram.recordings.model import Problem, RecordingFormat
-from kleinkram.recordings.sources import Source
+from kleinkram.recordings.chunk_reader import ChunkedFile, ChunkFormat, pieces_of
+from kleinkram.recordings.chunk_table import ChunkTable
+from kleinkram.recordings.damage_report import ProblemLog
+from kleinkram.recordings.errors import SourceError, TooCostly
+from kleinkram.recordings.index_check import IndexCheck, contradicts_itself
+from kleinkram.recordings.merge import MessagePiece
+from kleinkram.recordings.messages import Channel, Selection
+from kleinkram.recordings.model import RecordingFormat, RecordingSummary
+from kleinkram.recordings.sources import FileSource, SequentialReader, Source, SourceReader
+from kleinkram.recordings.temporary_files import TooLarge, temporary_database
 
 HEAD_BYTES = 4096
+"""Bytes at the start of a file by which it is recognised."""
+
 LONG_HEAD_BYTES = 65536
-RECORDINGS = frozenset(
-    (RecordingFormat.mcap, RecordingFormat.svo2, RecordingFormat.rosbag1, RecordingFormat.rosbag2_db3)
-)
-"""Formats whose messages are read."""
+"""Likewise of a database, whose schema is at its start."""
 
-_MCAP_HEADER_BYTES = 64
-_SQLITE_MAGIC = b"SQLite format 3\0"
-_MAGICS = (
-    (mcap_records.MAGIC, RecordingFormat.mcap),
-    (bag_records.MAGIC, RecordingFormat.rosbag1),
-    (b"#ROSBAG V1", RecordingFormat.rosbag1_old),
-    (b"#ROSRECORD V1", RecordingFormat.rosbag1_old),
-    (b"ULog\x01\x12\x35", RecordingFormat.ulog),
-    (b"\x28\xb5\x2f\xfd", RecordingFormat.zstd),
-)
-_BINARY = frozenset(
-    (
-        RecordingFormat.mcap,
-        RecordingFormat.svo2,
-        RecordingFormat.rosbag1,
-        RecordingFormat.rosbag1_old,
-        RecordingFormat.rosbag2_db3,
-        RecordingFormat.zstd,
-        RecordingFormat.ulog,
-    )
-)
-_TEXT_EXTENSIONS = frozenset((".yaml", ".yml", ".csv", ".tum", ".txt", ".json"))
-_CLAIMS = {
-    ".mcap": {RecordingFormat.mcap, RecordingFormat.svo2},
-    ".bag": {RecordingFormat.rosbag1, RecordingFormat.rosbag1_old},
-    ".db3": {RecordingFormat.rosbag2_db3},
-    ".zstd": {RecordingFormat.zstd},
-    ".zst": {RecordingFormat.zstd},
-    ".ulg": {RecordingFormat.ulog},
-    ".svo2": {RecordingFormat.svo2, RecordingFormat.mcap},
-}
-_ROSBAG2_TABLES = (re.compile(rb"TABLE\s+[\"'`\[]?messages\b", re.I), re.compile(rb"TABLE\s+[\"'`\[]?topics\b", re.I))
-_YAML_KEY = re.compile(r"""(- |)["']?[\w./ -]+["']?\s*:(\s|$)|---(\s|$)|%YAML""")
-_JSON = re.compile(r"""\s*(\{\s*("|\})|\[\s*(["\[{\]\d-]|true|false|null))""")
-_TUM_COLUMNS, _KITTI_COLUMNS = 8, 12
+MAX_UNASKED_BYTES = 2**30
+"""Bytes of a file without index that are read over a network unless more is allowed."""
 
 
-def sniff(source: Source) -> RecordingFormat:
-    """Say what a file is by its content.
+class Head(NamedTuple):
+    """The first bytes of a file. `path`: where it is on this machine, or None."""
+
+    data: bytes
+    path: Path | None = None
+
+
+class Summarise(Protocol):
+    """Summarises a file by reading as little as possible; `pending` if it must be read whole and is larger than
+    `most_bytes`.
+    """
+
+    def __call__(self, source: Source, /, *, most_bytes: int) -> RecordingSummary:
+        """Raise `SourceError` where bytes cannot be read, and nothing else."""
+
+
+@dataclass
+class RecordingFile:
+    """A file to be opened.
+
+    Attributes:
+        path: where it is on this machine.
+        database: where a database is that SQLite reads: the file itself, or a copy that was made to open it.
+        unpacked: what is inside, where the file is compressed as a whole.
+    """
+
+    source: Source
+    path: Path | None = None
+    database: Path | None = None
+    unpacked: RecordingFile | None = None
+
+    @property
+    def base_name(self) -> str:
+        """Its name without folder."""
+        return PurePosixPath(self.source.name).name
+
+
+@dataclass(frozen=True)
+class OpenContext:
+    """Limits for opening a file, and what is known of its recording.
+
+    Attributes:
+        stack: closes what is opened here, with the recording.
+        most_bytes: a file with more bytes is not read whole to open it; None: as `limit_of` says.
+        message_compression: of each message by itself, as metadata.yaml says.
+        logs: logs and journals of databases, by their names.
+    """
+
+    problem_log: ProblemLog
+    stack: ExitStack
+    most_bytes: int | None = None
+    message_compression: str = ""
+    logs: Mapping[str, Source] = field(default_factory=dict)
+
+    def limit_of(self, source: Source) -> int | None:
+        """Return how many bytes of a file may be read only to open it; None: all."""
+        if self.most_bytes is not None:
+            return self.most_bytes
+        return None if isinstance(source, FileSource) else MAX_UNASKED_BYTES
+
+    def copy(self, read: Callable[[int], bytes], name: str, logs: Mapping[str, Source] | None = None) -> Path:
+        """Write a file, and a database's logs by their suffixes, to temporary files until the recording is closed.
+
+        Raises:
+            SourceError: it cannot be read, or there is no room for it.
+        """
+        reads = {suffix: SourceReader(log).read for suffix, log in (logs or {}).items()}
+        try:
+            return self.stack.enter_context(temporary_database(read, reads))
+        except TooLarge as error:
+            raise SourceError(f"{name}: {error}") from error
+
+
+@dataclass(frozen=True)
+class Format:
+    """One file format.
+
+    Attributes:
+        matches: whether a file is of this format; the formats are asked in the order of the registry.
+        extensions: those that promise this format, or one that is as good.
+        description: what such a file is, for people.
+        scan: reads a whole file; None: such a file is only recognised.
+        summarise: None: a small file is scanned, a larger one only recognised.
+        open: opens its messages; None: it holds none that are read.
+        refusal: why its messages are not read.
+    """
+
+    kind: RecordingFormat
+    matches: Callable[[Head], bool]
+    description: str
+    extensions: tuple[str, ...] = ()
+    is_text: bool = False
+    scan: Callable[[SequentialReader], RecordingSummary] | None = None
+    summarise: Summarise | None = None
+    open: Callable[[RecordingFile, OpenContext], Member] | None = None
+    refusal: str = ""
+
+
+@dataclass(frozen=True)
+class MemberContents:
+    """What a file's index says; None: unknown.
+
+    Attributes:
+        channels: by their number in the file.
+        counts: messages by channel; a channel that is not among them has none.
+        start_ns: earliest log time, inclusive.
+        end_ns: latest log time, inclusive.
+    """
+
+    channels: Mapping[int, Channel]
+    counts: Mapping[int, int] | None
+    message_count: int | None
+    start_ns: int | None
+    end_ns: int | None
+
+
+class Member(Protocol):
+    """One file of a recording."""
+
+    @property
+    def contents(self) -> MemberContents:
+        """What the file's index says."""
+
+    @property
+    def summary(self) -> RecordingSummary | None:
+        """The summary, if the file was scanned to be opened."""
+
+    def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[MessagePiece]:
+        """Yield the parts that may hold selected messages, by first time."""
+
+
+class ChunkedMember:
+    """A file made of chunks.
+
+    Args of `__init__`:
+        table: its chunks.
+        summary: what is in it, if it was scanned to be opened.
+        with_index_check: whether the table comes from the file's own index, which may be wrong.
+        claimed_span: first and last time of all messages, as the statistics say.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        chunk_format: ChunkFormat,
+        table: ChunkTable,
+        contents: MemberContents,
+        problem_log: ProblemLog,
+        *,
+        summary: RecordingSummary | None = None,
+        with_index_check: bool = False,
+        claimed_span: tuple[int | None, int | None] = (None, None),
+    ) -> None:
+        check = IndexCheck(source, table, problem_log, chunk_format.read_message_index) if with_index_check else None
+        if check is not None and contradicts_itself(table, claimed_span):
+            check.doubt()
+            check.settle()
+        self._contents = contents
+        self._file = ChunkedFile(source, chunk_format, table, contents.channels, problem_log, check=check)
+        self.summary = summary
+
+    @property
+    def contents(self) -> MemberContents:
+        """What the index says; once the index turned out wrong, the span by its message indexes."""
+        check = self._file.check
+        if check is None or check.span is None:
+            return self._contents
+        return replace(self._contents, start_ns=check.span[0], end_ns=check.span[1])
+
+    def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[MessagePiece]:
+        """Yield the chunks that may hold selected messages, by first time."""
+        return pieces_of(self._file, selection, order)
+
+    def doubt_index(self) -> None:
+        """Note that the file's index is wrong."""
+        if self._file.check is not None:
+            self._file.check.doubt()
+
+
+def check_cost(source: Source, most_bytes: int | None, why: str) -> None:
+    """Check that a file may be read whole; `most_bytes` None: whatever its size.
 
     Raises:
-        SourceError: as `Source.read`.
+        TooCostly: it has more bytes.
     """
-    if source.size_bytes == 0:
-        return RecordingFormat.empty
-    head = source.read(0, min(HEAD_BYTES, source.size_bytes))
-    if head.startswith(_SQLITE_MAGIC):
-        head = source.read(0, min(LONG_HEAD_BYTES, source.size_bytes))
-    return sniff_head(head, path=getattr(source, "path", None))
-
-
-def sniff_head(head: bytes, *, path: Path | None = None) -> RecordingFormat:
-    """Say what a file is by its first bytes: up to `LONG_HEAD_BYTES` of a database, `HEAD_BYTES` of all else.
-
-    `path`: where it is on this machine, so that the log beside a database can be found; None where it is nowhere.
-    """
-    if head.startswith(mcap_records.MAGIC) and LIBRARY_WORD in head[len(mcap_records.MAGIC) :][:_MCAP_HEADER_BYTES]:
-        return RecordingFormat.svo2
-    for magic, kind in _MAGICS:
-        if head.startswith(magic):
-            return kind
-    if head.startswith(_SQLITE_MAGIC):
-        # The schema of a database stands in its first page, as the text of the statements that made it.
-        is_rosbag2 = all(table.search(head) for table in _ROSBAG2_TABLES) or is_database_in_log(head, path)
-        return RecordingFormat.rosbag2_db3 if is_rosbag2 else RecordingFormat.unknown
-    return _sniff_text(head[:HEAD_BYTES])
-
-
-def is_database(head: bytes) -> bool:
-    """Say by its first bytes whether a file is an SQLite database, of whatever content."""
-    return head.startswith(_SQLITE_MAGIC)
-
-
-def is_database_in_log(head: bytes, path: Path | None) -> bool:
-    """Say whether a file is a database whose tables may all be in the log beside it: its recorder was killed early.
-
-    `head`: its first bytes, in which there are no tables. `path`: where it is on this machine, None where nowhere.
-    """
-    if path is None or not head.startswith(_SQLITE_MAGIC) or path.suffix.lower() != ".db3":
-        return False
-    return any(Path(f"{path}{suffix}").is_file() for suffix in ("-wal", "-journal"))
-
-
-def sniff_inside_zstd(source: Source) -> RecordingFormat:
-    """Say what is in a file that is compressed as a whole; unknown if its beginning cannot be decompressed."""
-    compressed = source.read(0, min(LONG_HEAD_BYTES, source.size_bytes))
-    decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_ZSTD_WINDOW)
-    try:
-        with decompressor.stream_reader(compressed) as reader:
-            return sniff_head(reader.read(LONG_HEAD_BYTES))
-    except zstandard.ZstdError:
-        return RecordingFormat.unknown
-
-
-def extension_lies(name: str, kind: RecordingFormat) -> Problem | None:
-    """Return a problem if the extension of the name promises another content than there is."""
-    extension = PurePosixPath(name).suffix.lower()
-    claims = _CLAIMS.get(extension)
-    honest = kind in claims if claims else not (extension in _TEXT_EXTENSIONS and kind in _BINARY)
-    if honest or kind is RecordingFormat.empty:
-        return None
-    what = "of no kind that we know" if kind is RecordingFormat.unknown else f"that of {kind.value}"
-    return Problem("extension-lies", name, f"it is named '{extension}', but its content is {what}")
-
-
-def _sniff_text(head: bytes) -> RecordingFormat:
-    if b"\0" in head:
-        return RecordingFormat.unknown
-    text = head.decode("utf-8", "ignore")
-    if len(text.encode()) < len(head) - 3:
-        return RecordingFormat.unknown
-    if _JSON.match(text):
-        return RecordingFormat.json
-    whole_lines = text.splitlines()[: -1 if len(head) == HEAD_BYTES else None]
-    lines = [line.strip() for line in whole_lines if line.strip() and not line.lstrip().startswith("#")]
-    if not lines:
-        return RecordingFormat.unknown
-    if any(line.startswith("rosbag2_bagfile_information:") for line in lines):
-        return RecordingFormat.rosbag2_metadata
-    if _are_numbers(lines, _TUM_COLUMNS):
-        return RecordingFormat.tum
-    if _are_numbers(lines, _KITTI_COLUMNS):
-        return RecordingFormat.kitti
-    if len(lines) > 1 and "," in lines[0] and len({line.count(",") for line in lines}) == 1:
-        return RecordingFormat.csv
-    if _YAML_KEY.match(lines[0]):
-        return RecordingFormat.yaml
-    return RecordingFormat.unknown
-
-
-def _are_numbers(lines: list[str], columns: int) -> bool:
-    for line in lines:
-        cells = line.split()
-        if len(cells) != columns:
-            return False
-        try:
-            [float(cell) for cell in cells]
-        except ValueError:
-            return False
-    return True
+    if most_bytes is not None and source.size_bytes > most_bytes:
+        raise TooCostly(source.name, source.size_bytes, why)

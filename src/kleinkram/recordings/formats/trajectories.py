@@ -1,4 +1,4 @@
-"""Trajectories of TUM, KITTI and EuRoC: how many poses, from when to when, how long a way. One pass, nothing kept.
+"""Trajectories (TUM, KITTI, EuRoC) and tables (CSV): poses, times and path length, in one pass.
 
 TUM's stamps are seconds; many tools write milliseconds, microseconds or nanoseconds instead. The first stamp that
 is not 0 tells: the largest unit counts in which it lies before 2262, the last year that int64 nanoseconds hold.
@@ -16,9 +16,9 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from math import hypot, isfinite
 
-from kleinkram.recordings.formats.documents import read_lines
+from kleinkram.recordings.formats.documents import read_lines, text_format
 from kleinkram.recordings.model import Content, Fact, Problem, RecordingFormat, RecordingSummary, counted
-from kleinkram.recordings.sources import Forward
+from kleinkram.recordings.sources import SequentialReader
 
 _UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 _UNIT_NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
@@ -54,81 +54,81 @@ class Trajectory:
     last_ns: int = -1
 
 
-def describe_trajectory(kind: RecordingFormat, forward: Forward) -> RecordingSummary:
+def describe_trajectory(kind: RecordingFormat, reader: SequentialReader) -> RecordingSummary:
     """Read a whole trajectory. Its times are those of its poses, as integer nanoseconds; KITTI has none.
 
     Raises:
-        SourceError: as `Forward.read`.
+        SourceError: as `SequentialReader.read`.
     """
-    found = Trajectory()
-    for number, line in enumerate(read_lines(forward), 1):
+    trajectory = Trajectory()
+    for number, line in enumerate(read_lines(reader), 1):
         text = line.strip()
-        if text and not text.startswith(b"#") and not _add(found, kind, text):
-            found.bad_lines += 1
-            found.first_bad_line = found.first_bad_line or number
+        if text and not text.startswith(b"#") and not _add(trajectory, kind, text):
+            trajectory.bad_lines += 1
+            trajectory.first_bad_line = trajectory.first_bad_line or number
     return RecordingSummary(
         kind,
         Content.opaque,
         _REASONS[kind],
-        start_ns=found.start_ns,
-        end_ns=found.end_ns,
-        problems=(*_unit_problems(found), *trajectory_problems(found)),
-        facts=tuple(trajectory_facts(found)),
+        start_ns=trajectory.start_ns,
+        end_ns=trajectory.end_ns,
+        problems=(*_unit_problems(trajectory), *trajectory_problems(trajectory)),
+        facts=tuple(trajectory_facts(trajectory)),
     )
 
 
-def trajectory_facts(found: Trajectory) -> list[Fact]:
-    """Return how many poses there are, how long the way is, and from when to when."""
-    facts = [Fact("poses", found.poses), Fact("path_length", round(found.length_m, 3), "m")]
-    if found.start_ns is not None and found.end_ns is not None:
-        facts.append(Fact("duration", round((found.end_ns - found.start_ns) / 1e9, 6), "s"))
-    if found.unit not in ("", "s"):
-        facts.append(Fact("stamp_unit", found.unit))
+def trajectory_facts(trajectory: Trajectory) -> list[Fact]:
+    """Return number of poses, path length and duration."""
+    facts = [Fact("poses", trajectory.poses), Fact("path_length", round(trajectory.length_m, 3), "m")]
+    if trajectory.start_ns is not None and trajectory.end_ns is not None:
+        facts.append(Fact("duration", round((trajectory.end_ns - trajectory.start_ns) / 1e9, 6), "s"))
+    if trajectory.unit not in ("", "s"):
+        facts.append(Fact("stamp_unit", trajectory.unit))
     return facts
 
 
-def _add(found: Trajectory, kind: RecordingFormat, text: bytes) -> bool:
-    """Add a pose; False if the line is none."""
+def _add(trajectory: Trajectory, kind: RecordingFormat, text: bytes) -> bool:
+    """Add a pose; return whether the line is one."""
     cells = text.split()
     if len(cells) != _COLUMNS[kind]:
         return False
     if kind is RecordingFormat.tum:
-        return add_stamped_pose(found, cells)
+        return add_stamped_pose(trajectory, cells)
     try:
         numbers = [float(cell) for cell in cells]
     except ValueError:
         return False
     if not all(map(isfinite, numbers)):
         return False
-    _add_place(found, tuple(numbers[column] for column in _PLACES_OF_KITTI))
+    _add_place(trajectory, tuple(numbers[column] for column in _PLACES_OF_KITTI))
     return True
 
 
-def add_stamped_pose(found: Trajectory, cells: list[bytes]) -> bool:
-    """Add a pose of 8 cells: stamp, place, quaternion; False if they are none."""
+def add_stamped_pose(trajectory: Trajectory, cells: list[bytes]) -> bool:
+    """Add a pose of 8 cells (stamp, position, quaternion); return whether they are one."""
     try:
         numbers = [float(cell) for cell in cells]
-        if not found.unit and numbers[0]:
-            found.unit = unit_of(cells[0].decode())
-        stamp = parse_stamp(cells[0].decode(), found.unit or "s")
+        if not trajectory.unit and numbers[0]:
+            trajectory.unit = unit_of(cells[0].decode())
+        stamp = parse_stamp(cells[0].decode(), trajectory.unit or "s")
     except (ValueError, UnicodeDecodeError):
         return False
     if not all(map(isfinite, numbers)):
         return False
-    found.backward += stamp < found.last_ns
-    found.last_ns = stamp
-    found.start_ns = stamp if found.start_ns is None else min(found.start_ns, stamp)
-    found.end_ns = stamp if found.end_ns is None else max(found.end_ns, stamp)
-    found.not_unit += abs(hypot(*numbers[4:]) - 1) > _UNIT_TOLERANCE
-    _add_place(found, tuple(numbers[1:4]))
+    trajectory.backward += stamp < trajectory.last_ns
+    trajectory.last_ns = stamp
+    trajectory.start_ns = stamp if trajectory.start_ns is None else min(trajectory.start_ns, stamp)
+    trajectory.end_ns = stamp if trajectory.end_ns is None else max(trajectory.end_ns, stamp)
+    trajectory.not_unit += abs(hypot(*numbers[4:]) - 1) > _UNIT_TOLERANCE
+    _add_place(trajectory, tuple(numbers[1:4]))
     return True
 
 
-def _add_place(found: Trajectory, place: tuple[float, ...]) -> None:
-    if found.last_place:
-        found.length_m += hypot(*(a - b for a, b in zip(place, found.last_place, strict=True)))
-    found.last_place = place
-    found.poses += 1
+def _add_place(trajectory: Trajectory, place: tuple[float, ...]) -> None:
+    if trajectory.last_place:
+        trajectory.length_m += hypot(*(a - b for a, b in zip(place, trajectory.last_place, strict=True)))
+    trajectory.last_place = place
+    trajectory.poses += 1
 
 
 def unit_of(text: str) -> str:
@@ -163,24 +163,24 @@ def parse_stamp(text: str, unit: str = "s") -> int:
     return stamp
 
 
-def _unit_problems(found: Trajectory) -> list[Problem]:
-    if found.unit in ("", "s"):
+def _unit_problems(trajectory: Trajectory) -> list[Problem]:
+    if trajectory.unit in ("", "s"):
         return []
-    message = f"the stamps are in {_UNIT_NAMES[found.unit]}, where TUM has seconds; they are read as such"
+    message = f"the stamps are in {_UNIT_NAMES[trajectory.unit]}, where TUM has seconds; they are read as such"
     return [Problem("stamp-unit", "file", message)]
 
 
-def trajectory_problems(found: Trajectory) -> list[Problem]:
+def trajectory_problems(trajectory: Trajectory) -> list[Problem]:
     """Return what is wrong with a trajectory."""
     problems: list[Problem] = []
-    if found.bad_lines:
-        message = f"{counted(found.bad_lines, 'line is no pose', 'lines are no poses')}"
-        problems.append(Problem("lines-damaged", f"line {found.first_bad_line}", message))
-    if found.backward:
-        message = f"{counted(found.backward, 'pose is', 'poses are')} stamped earlier than the one before"
+    if trajectory.bad_lines:
+        message = f"{counted(trajectory.bad_lines, 'line is no pose', 'lines are no poses')}"
+        problems.append(Problem("lines-damaged", f"line {trajectory.first_bad_line}", message))
+    if trajectory.backward:
+        message = f"{counted(trajectory.backward, 'pose is', 'poses are')} stamped earlier than the one before"
         problems.append(Problem("out-of-order", "file", message))
-    if found.not_unit:
-        message = f"{found.not_unit} rotations are no unit quaternions"
+    if trajectory.not_unit:
+        message = f"{trajectory.not_unit} rotations are no unit quaternions"
         problems.append(Problem("rotation-not-unit", "file", message))
     return problems
 
@@ -192,20 +192,20 @@ _EUROC_COLUMNS = (8, 17)
 _STAMP = re.compile(r"time|stamp|\bt\b", re.I)
 
 
-def describe_table(forward: Forward) -> RecordingSummary:
+def describe_table(reader: SequentialReader) -> RecordingSummary:
     """Read a whole table. Its first line is a header if no cell of it is a number.
 
     Raises:
-        SourceError: as `Forward.read`.
+        SourceError: as `SequentialReader.read`.
     """
     names: list[str] = []
     columns = rows = 0
     trajectory: Trajectory | None = None
-    for number, line in enumerate(read_lines(forward), 1):
+    for number, line in enumerate(read_lines(reader), 1):
         if not line.strip():
             continue
         if columns == 0:
-            # The names of EuRoC's tables stand behind a comment sign.
+            # The names of EuRoC's tables are behind a comment sign.
             cells = _cells(line.lstrip(b"#"))
             columns = len(cells)
             if line.startswith(b"#") or not any(map(_is_number, cells)):
@@ -237,7 +237,7 @@ def describe_table(forward: Forward) -> RecordingSummary:
 
 
 def _are_poses(names: list[str], columns: int, pose: list[bytes]) -> bool:
-    """Say whether a table is one of poses: by the names of its columns, or without them by a quaternion of length 1."""
+    """Return whether a table holds poses, by its column names, or by a unit quaternion."""
     if columns < _POSE_COLUMNS:
         return False
     if names:
@@ -250,27 +250,27 @@ def _are_poses(names: list[str], columns: int, pose: list[bytes]) -> bool:
 
 
 def _has(name: str, axis: str) -> bool:
-    """Say whether a column is a place along an axis: "p_RS_R_x [m]", "tx", "position.x"."""
+    """Return whether a column is a position along an axis: "p_RS_R_x [m]", "tx", "position.x"."""
     return bool(re.match(rf"(p|t|pos|position|translation|)([_.]\w+)?[_.]?{axis}\b", name, re.I))
 
 
 def _is_turn(name: str) -> bool:
-    """Say whether a column is a part of a quaternion: "q_RS_w []", "qx", "orientation.x"."""
+    """Return whether a column is part of a quaternion: "q_RS_w []", "qx", "orientation.x"."""
     return bool(re.match(r"(q|quat|quaternion|rot|rotation|orientation)([_.]\w+)?[_.]?[wxyz]\b", name, re.I))
 
 
 def _unit_in(names: list[str]) -> str:
-    """Return the unit that the first column's name gives; empty: the first stamp tells."""
+    """Return the unit in the first column's name; empty if there is none."""
     match = re.search(r"\[\s*(s|ms|us|ns)\s*\]", names[0]) if names else None
     return match[1] if match else ""
 
 
 def _cells(line: bytes) -> list[str]:
     try:
-        found = next(csv.reader([line.decode("utf-8", "replace")]), [])
+        cells = next(csv.reader([line.decode("utf-8", "replace")]), [])
     except csv.Error:
-        found = line.decode("utf-8", "replace").split(",")
-    return [cell.strip() for cell in found]
+        cells = line.decode("utf-8", "replace").split(",")
+    return [cell.strip() for cell in cells]
 
 
 def _is_number(cell: str) -> bool:
@@ -279,3 +279,25 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+_NO_MESSAGES = "which holds no messages: use `klein inspect` or `kleinkram.recordings.inspect` for its"
+_TRAJECTORY_FACTS = "number of poses, path length and time span, and `numpy.loadtxt` or evo for the poses"
+TUM = text_format(
+    RecordingFormat.tum,
+    _REASONS[RecordingFormat.tum],
+    lambda reader: describe_trajectory(RecordingFormat.tum, reader),
+    f"it is a trajectory (TUM), {_NO_MESSAGES} {_TRAJECTORY_FACTS}",
+)
+KITTI = text_format(
+    RecordingFormat.kitti,
+    _REASONS[RecordingFormat.kitti],
+    lambda reader: describe_trajectory(RecordingFormat.kitti, reader),
+    f"it is a trajectory (KITTI), {_NO_MESSAGES} {_TRAJECTORY_FACTS}",
+)
+CSV = text_format(
+    RecordingFormat.csv,
+    "a table (CSV), not a recording",
+    describe_table,
+    f"it is a table (CSV), {_NO_MESSAGES} columns, rows and poses, and `pandas.read_csv` for the rows",
+)

@@ -1,4 +1,4 @@
-"""What is asked of actions. Functions return selects; they touch no connection."""
+"""Selects of actions. Functions do not execute them."""
 
 import uuid
 from typing import Any
@@ -22,9 +22,9 @@ _maker = person.alias("version_maker")
 
 
 def visible_actions(actor: Actor) -> Select[Any]:
-    """Return the actions that `actor` sees: those of projects that they may read, and of the whole lab with an account.
+    """Return the actions visible to `actor`: of projects that they may read, and with an account, the whole lab's.
 
-    Joined with their projects, where they have one.
+    Joined with their projects, if any.
     """
     of_lab: ColumnElement[bool] = action.c.project_id.is_(None)
     if actor.kind is not ActorKind.person or actor.limits is not None:
@@ -55,7 +55,7 @@ def action_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
 
 
 def version_columns() -> list[ColumnElement[Any]]:
-    """Return what `to_version` reads of a version and its maker."""
+    """Return the columns of a version that `to_version` reads."""
     return [
         action_version.c.id.label("version_id"),
         action_version.c.number,
@@ -88,7 +88,7 @@ def versions_of(action_id: uuid.UUID) -> Select[Any]:
 
 
 def to_version(row: Row[Any]) -> ActionVersionRead:
-    """Return the version that a row with `version_columns` stands for."""
+    """Convert a row with `version_columns`."""
     return ActionVersionRead(
         id=row.version_id,
         number=row.number,
@@ -100,7 +100,7 @@ def to_version(row: Row[Any]) -> ActionVersionRead:
 
 
 def to_action(row: Row[Any]) -> ActionRead:
-    """Return the action that a row of `action_rows` stands for."""
+    """Convert a row of `action_rows`."""
     latest = to_version(row)
     return ActionRead(
         id=row.id,

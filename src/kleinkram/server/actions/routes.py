@@ -33,16 +33,16 @@ class ActionListQuery(ActionFilter):
 async def list_actions(
     query: Annotated[ActionListQuery, Query()], db: Reading, actor: CurrentActor
 ) -> Page[ActionRead]:
-    """List the actions that match, by name: of projects that you may read, and of the whole lab."""
+    """List actions by name: those of projects that you may read, and those of the whole lab."""
     return await service.list_actions(db, actor, matching=query, page=PageRequest(query.limit, query.cursor))
 
 
 @router.post("", operation_id="create_action", status_code=201)
 async def create_action(
-    wanted: ActionCreate, db: Transaction, actor: CurrentActor, settings: CurrentSettings
+    requested: ActionCreate, db: Transaction, actor: CurrentActor, settings: CurrentSettings
 ) -> ActionRead:
-    """Publish an action, as its first version."""
-    return await service.create_action(db, actor, wanted=wanted, creators=settings.creators)
+    """Publish an action."""
+    return await service.create_action(db, actor, requested=requested, creators=settings.creators)
 
 
 @router.get("/{action_id}", operation_id="get_action")
@@ -55,7 +55,7 @@ async def get_action(action_id: uuid.UUID, db: Reading, actor: CurrentActor) -> 
 async def update_action(
     action_id: uuid.UUID, changes: ActionUpdate, db: Transaction, actor: CurrentActor, if_match: IfMatch = None
 ) -> ActionRead:
-    """Archive an action, or take it back. With If-Match, only where it is still of that ETag."""
+    """Archive or restore an action. With If-Match, only if its ETag still matches."""
     return await service.set_archived(db, actor, action_id=action_id, archived=changes.archived, if_match=if_match)
 
 
@@ -73,7 +73,7 @@ async def list_action_versions(
 
 @router.post("/{action_id}/versions", operation_id="publish_action_version", status_code=201)
 async def publish_action_version(
-    action_id: uuid.UUID, wanted: VersionCreate, db: Transaction, actor: CurrentActor, if_match: IfMatch = None
+    action_id: uuid.UUID, requested: VersionCreate, db: Transaction, actor: CurrentActor, if_match: IfMatch = None
 ) -> ActionRead:
-    """Publish a further version of an action. With If-Match, only where it is still of that ETag."""
-    return await service.add_version(db, actor, action_id=action_id, definition=wanted.definition, if_match=if_match)
+    """Publish a further version of an action. With If-Match, only if its ETag still matches."""
+    return await service.add_version(db, actor, action_id=action_id, definition=requested.definition, if_match=if_match)

@@ -1,4 +1,4 @@
-"""What may be done with actions. A version, once made, stays as it is."""
+"""Operations on actions. Versions are immutable."""
 
 import hashlib
 import json
@@ -21,7 +21,7 @@ from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
 from kleinkram.contract.paging import Page
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.creating import require_creator
+from kleinkram.server.access.creation import require_creator
 from kleinkram.server.access.rights import require_project
 from kleinkram.server.actions import queries
 from kleinkram.server.audit.service import Event, record
@@ -38,8 +38,8 @@ async def list_actions(db: Connection, actor: Actor, *, matching: ActionFilter, 
     Raises:
         InvalidCursor: the cursor is not of this list.
     """
-    found = queries.action_rows(actor, queries.narrow(queries.visible_actions(actor), matching))
-    rows = await fetch_page(db, found, queries.ACTION_ORDER, page)
+    row = queries.action_rows(actor, queries.narrow(queries.visible_actions(actor), matching))
+    rows = await fetch_page(db, row, queries.ACTION_ORDER, page)
     return Page(items=[queries.to_action(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
@@ -52,28 +52,28 @@ async def get_action(db: Connection, actor: Actor, action_id: uuid.UUID) -> Acti
     return queries.to_action(await _row(db, actor, action_id))
 
 
-async def create_action(db: Connection, actor: Actor, *, wanted: ActionCreate, creators: Creators) -> ActionRead:
-    """Publish an action in its first version and return it.
+async def create_action(db: Connection, actor: Actor, *, requested: ActionCreate, creators: Creators) -> ActionRead:
+    """Publish the first version of an action and return the action.
 
     Raises:
         NotFound: the project is not there, or not for this actor.
-        Forbidden: they may see it, but publish nothing there; for the whole lab, the settings let others make projects.
-        NameTaken: there is such an action already.
+        Forbidden: this actor may not publish there; for the whole lab, the settings reserve that to others.
+        NameTaken: an action of this name exists.
     """
     by_power = False
-    if wanted.project_id is None:
+    if requested.project_id is None:
         by_power = await require_creator(db, actor, creators, noun="action")
     else:
-        await require_project(db, actor, "create_action", wanted.project_id)
-    action_id, name = uuid.uuid4(), wanted.definition.name
-    values = {"project_id": wanted.project_id, "name": name, "name_key": name_key(name)}
+        await require_project(db, actor, "create_action", requested.project_id)
+    action_id, name = uuid.uuid4(), requested.definition.name
+    values = {"project_id": requested.project_id, "name": name, "name_key": name_key(name)}
     try:
         await db.execute(insert(action).values(id=action_id, created_by_id=actor.person_id, **values))
     except IntegrityError as error:
         if violated_constraint(error) != "uq_action_name_key_live":
             raise
         raise NameTaken(noun="action", name=name) from error
-    await _add_version(db, actor, action_id, 1, wanted.definition)
+    await _add_version(db, actor, action_id, 1, requested.definition)
     made = await get_action(db, actor, action_id)
     await record(db, actor, _event("action.create", made, by_power=by_power))
     return made
@@ -82,13 +82,13 @@ async def create_action(db: Connection, actor: Actor, *, wanted: ActionCreate, c
 async def add_version(
     db: Connection, actor: Actor, *, action_id: uuid.UUID, definition: ActionDefinition, if_match: str | None = None
 ) -> ActionRead:
-    """Publish a further version of an action and return it; the very same as the latest one changes nothing.
+    """Publish a further version of an action and return the action; unchanged where it equals the latest version.
 
     Raises:
         NotFound: it is not there, or not for this actor.
-        Forbidden: they may see it, but not change it.
+        Forbidden: this actor may not change it.
         InvalidRequest: it has another name.
-        EditConflict: it is not of the ETag in `if_match` any more: somebody published one, or archived it.
+        EditConflict: its ETag is no longer `if_match`: another person published a version, or archived it.
     """
     old = await _changeable(db, actor, action_id)
     if name_key(definition.name) != name_key(old.name):
@@ -106,13 +106,13 @@ async def add_version(
 async def set_archived(
     db: Connection, actor: Actor, *, action_id: uuid.UUID, archived: bool, if_match: str | None = None
 ) -> ActionRead:
-    """Archive an action, or take it back; where it is so already, nothing is asked of its ETag.
+    """Archive or restore an action; where nothing changes, its ETag is not checked.
 
     Raises:
         NotFound: it is not there, or not for this actor.
-        Forbidden: they may see it, but not change it.
-        NameTaken: another one has its name by now.
-        EditConflict: it is not of the ETag in `if_match` any more.
+        Forbidden: this actor may not change it.
+        NameTaken: another action has its name.
+        EditConflict: its ETag is no longer `if_match`.
     """
     old = await _changeable(db, actor, action_id)
     if old.archived is archived:
@@ -143,7 +143,7 @@ async def list_versions(
 
 
 async def get_version(db: Connection, actor: Actor, *, action_id: uuid.UUID, number: int | None) -> ActionVersionRead:
-    """Return a version of an action that may be run: the latest, where none is named.
+    """Return a version of an action that may be run; by default the latest.
 
     Raises:
         NotFound: the action, or that version, is not there, or not for this actor.
@@ -151,19 +151,19 @@ async def get_version(db: Connection, actor: Actor, *, action_id: uuid.UUID, num
     """
     row = await _row(db, actor, action_id)
     if row.archived_at is not None:
-        problem = FieldProblem(field="action_id", message=f"{row.name} is archived; take it back, or choose another")
+        problem = FieldProblem(field="action_id", message=f"{row.name} is archived; restore it, or choose another")
         raise InvalidRequest(problems=[problem])
     if number is None:
         return queries.to_version(row)
     stmt = queries.versions_of(action_id).where(action_version.c.number == number)
-    found = (await db.execute(stmt)).one_or_none()
-    if found is None:
+    version = (await db.execute(stmt)).one_or_none()
+    if version is None:
         raise NotFound(noun="version", ref=f"{row.name}@{number}")
-    return queries.to_version(found)
+    return queries.to_version(version)
 
 
-async def keep_unpublished(db: Connection, actor: Actor, definition: ActionDefinition) -> tuple[uuid.UUID, str | None]:
-    """Keep a definition that is run without being published, once; return its version's id, and its image's digest."""
+async def store_unpublished(db: Connection, actor: Actor, definition: ActionDefinition) -> tuple[uuid.UUID, str | None]:
+    """Store a definition that is not published, once; return the id of its version, and the digest of its image."""
     values = _stored(definition)
     stmt = upsert(action_version).values(id=uuid.uuid4(), created_by_id=actor.person_id, **values)
     await db.execute(stmt.on_conflict_do_nothing())
@@ -175,11 +175,11 @@ async def keep_unpublished(db: Connection, actor: Actor, definition: ActionDefin
 async def _changeable(db: Connection, actor: Actor, action_id: uuid.UUID) -> ActionRead:
     locked = select(action.c.id).where(action.c.id == action_id).with_for_update()
     await db.execute(locked)
-    found = await get_action(db, actor, action_id)
-    if not found.may_change:
-        needs = "WRITE on its project" if found.project else "admin rights, or to be the person who created it"
+    row = await get_action(db, actor, action_id)
+    if not row.may_change:
+        needs = "WRITE on its project" if row.project else "admin rights, or to be the person who created it"
         raise Forbidden(noun="action", operation="change the action", needs=needs)
-    return found
+    return row
 
 
 async def _row(db: Connection, actor: Actor, action_id: uuid.UUID) -> Row[Any]:

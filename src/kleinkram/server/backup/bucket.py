@@ -19,9 +19,16 @@ from kleinkram.contract.uploads import part_size_bytes
 from kleinkram.server.backup.failing import CannotBeMeant, CannotWrite, Unreachable
 from kleinkram.server.backup.shelf import Item
 from kleinkram.server.environment import SettingsInvalid, secret_from_file
-from kleinkram.server.s3 import LOST, S3, Question, S3Error, open_s3, why
+from kleinkram.server.s3.client import (
+    CONNECTION_ERRORS,
+    S3Client,
+    S3Error,
+    S3Request,
+    describe_connection_error,
+    open_s3,
+)
+from kleinkram.server.s3.signing import Presigner
 from kleinkram.server.settings import Settings
-from kleinkram.server.signing import Presigner
 
 _NAMESPACE = "http://s3.amazonaws.com/doc/2006-03-01/"
 _REFUSED = frozenset({"AccessDenied", "QuotaExceeded", "EntityTooLarge", "InvalidRequest", "XMinioStorageFull"})
@@ -44,7 +51,7 @@ class BucketSettings(BaseSettings):
 class BucketShelf:
     """Objects of one bucket whose keys begin with a prefix."""
 
-    def __init__(self, s3: S3, name: str, prefix: str = "") -> None:
+    def __init__(self, s3: S3Client, name: str, prefix: str = "") -> None:
         self._s3 = s3
         self._name = name
         self._prefix = prefix
@@ -61,12 +68,12 @@ class BucketShelf:
         first = await anext(parts)
         with self._explained("write"):
             if len(first) < part_bytes:
-                await self._s3.ask(Question("PUT", self._prefix + path, {}, _digest(first), first))
+                await self._s3.request(S3Request("PUT", self._prefix + path, {}, _digest(first), first))
             else:
                 await self._put_parts(self._prefix + path, first, parts)
 
     async def _put_parts(self, key: str, first: bytes, parts: AsyncIterator[bytes]) -> None:
-        multipart_id = (await self._s3.ask(Question("POST", key, {"uploads": ""}))).text("UploadId")
+        multipart_id = (await self._s3.request(S3Request("POST", key, {"uploads": ""}))).text("UploadId")
         if not multipart_id:
             raise CannotWrite(f"{self._name} begins no multipart upload: it gave no id.")
         try:
@@ -79,21 +86,21 @@ class BucketShelf:
                 for number, tag in enumerate(tags, 1)
             )
             body = f'<CompleteMultipartUpload xmlns="{_NAMESPACE}">{listing}</CompleteMultipartUpload>'.encode()
-            await self._s3.ask(Question("POST", key, {"uploadId": multipart_id}, {}, body))
+            await self._s3.request(S3Request("POST", key, {"uploadId": multipart_id}, {}, body))
         except BaseException:
             # Nothing is to be read of it, and nobody else would remove its parts.
-            with contextlib.suppress(S3Error, *LOST):
-                await self._s3.ask(Question("DELETE", key, {"uploadId": multipart_id}))
+            with contextlib.suppress(S3Error, *CONNECTION_ERRORS):
+                await self._s3.request(S3Request("DELETE", key, {"uploadId": multipart_id}))
             raise
 
     async def _put_part(self, key: str, multipart_id: str, number: int, part: bytes) -> str:
         query = {"uploadId": multipart_id, "partNumber": str(number)}
-        return (await self._s3.ask(Question("PUT", key, query, _digest(part), part))).headers["etag"]
+        return (await self._s3.request(S3Request("PUT", key, query, _digest(part), part))).headers["etag"]
 
     async def read(self, path: str) -> AsyncGenerator[bytes, None]:
         """Yield an object's bytes."""
         with self._explained("read"):
-            async with aclosing(self._s3.stream(Question("GET", self._prefix + path))) as pieces:
+            async with aclosing(self._s3.stream(S3Request("GET", self._prefix + path))) as pieces:
                 async for piece in pieces:
                     yield piece
 
@@ -104,7 +111,7 @@ class BucketShelf:
         while True:
             with self._explained("list"):
                 page = {**query, "continuation-token": token} if token else query
-                answer = await self._s3.ask(Question("GET", query=page))
+                answer = await self._s3.request(S3Request("GET", query=page))
             for entry in answer.entries("Contents"):
                 at = datetime.fromisoformat(entry["LastModified"].replace("Z", "+00:00")).timestamp()
                 yield Item(entry["Key"].removeprefix(self._prefix), int(entry["Size"]), at)
@@ -118,7 +125,7 @@ class BucketShelf:
         """Return an object's size, None where there is none."""
         try:
             with self._explained("ask"):
-                answer = await self._s3.ask(Question("HEAD", self._prefix + path))
+                answer = await self._s3.request(S3Request("HEAD", self._prefix + path))
         except FileNotFoundError:
             return None
         return int(answer.headers["content-length"])
@@ -126,7 +133,7 @@ class BucketShelf:
     async def delete(self, path: str) -> None:
         """Remove an object."""
         with self._explained("delete"), contextlib.suppress(FileNotFoundError):
-            await self._s3.ask(Question("DELETE", self._prefix + path))
+            await self._s3.request(S3Request("DELETE", self._prefix + path))
 
     async def settle(self) -> None:
         """Do nothing: what a store has acknowledged, it has."""
@@ -134,10 +141,10 @@ class BucketShelf:
     async def tidy(self) -> None:
         """Abort multipart uploads that were left open."""
         with self._explained("list"):
-            answer = await self._s3.ask(Question("GET", query={"uploads": "", "prefix": self._prefix}))
+            answer = await self._s3.request(S3Request("GET", query={"uploads": "", "prefix": self._prefix}))
             for entry in answer.entries("Upload"):
                 with contextlib.suppress(FileNotFoundError):
-                    await self._s3.ask(Question("DELETE", entry["Key"], {"uploadId": entry["UploadId"]}))
+                    await self._s3.request(S3Request("DELETE", entry["Key"], {"uploadId": entry["UploadId"]}))
 
     @contextlib.contextmanager
     def _explained(self, what: str) -> Iterator[None]:
@@ -148,9 +155,11 @@ class BucketShelf:
             if error.status == 404 and what != "write" and error.code != "NoSuchBucket":
                 raise FileNotFoundError(self._name) from None
             kind = CannotWrite if what == "write" and error.code in _REFUSED else Unreachable
-            raise kind(f"{self._name} would not {what}: {error.code}: {error.words or 'no reason given'}.") from error
-        except LOST as error:
-            raise Unreachable(f"{self._name} does not answer ({why(error)}): run it again when it does.") from error
+            raise kind(f"{self._name} would not {what}: {error.code}: {error.message or 'no reason given'}.") from error
+        except CONNECTION_ERRORS as error:
+            raise Unreachable(
+                f"{self._name} does not answer ({describe_connection_error(error)}): run it again when it does."
+            ) from error
 
 
 @asynccontextmanager

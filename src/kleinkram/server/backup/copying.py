@@ -19,7 +19,7 @@ from kleinkram.server.backup.pace import Pace
 from kleinkram.server.backup.problems import Problems
 from kleinkram.server.backup.repository import Repository
 from kleinkram.server.backup.snapshot import ObjectEntry, ObjectList, Piece, Problem
-from kleinkram.server.storage import Storage
+from kleinkram.server.s3.storage import Storage
 
 _LINES_BYTES = 4 * 1024 * 1024
 _PAUSES_S = (1, 2, 4, 8, 15, 30, 30, 30, 30)
@@ -40,7 +40,7 @@ class _Gone(Exception):
 
 
 @dataclass
-class Tally:
+class CopyCounts:
     """What has been done so far. `copied`: contents that were not there before."""
 
     objects: int = 0
@@ -55,7 +55,7 @@ class Tally:
 class Lister:
     """Keeps the list of objects, piece by piece."""
 
-    def __init__(self, repository: Repository, tally: Tally) -> None:
+    def __init__(self, repository: Repository, tally: CopyCounts) -> None:
         self._repository = repository
         self._tally = tally
         self._pieces: list[Piece] = []
@@ -98,7 +98,7 @@ class Copier:
     repository: Repository
     held: Names
     pace: Pace
-    tally: Tally
+    tally: CopyCounts
     lister: Lister
     is_still_named: Callable[[str], Awaitable[bool]]
     check: Callable[[], None]

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import psycopg
 
 import kleinkram
-from kleinkram.server.backup.copying import Copier, Lister, Tally, side_by_side
+from kleinkram.server.backup.copying import Copier, CopyCounts, Lister, side_by_side
 from kleinkram.server.backup.dumping import WantedList, copy_table, facts, one_moment, sequences
 from kleinkram.server.backup.failing import CannotWrite, InTheWay, Unreachable
 from kleinkram.server.backup.hold import holding_back
@@ -23,8 +23,8 @@ from kleinkram.server.backup.pace import Pace, amount, telling
 from kleinkram.server.backup.repository import Repository, make_repository, open_place
 from kleinkram.server.backup.shelf import Shelf
 from kleinkram.server.backup.snapshot import Snapshot
+from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings, plain_dsn
-from kleinkram.server.storage import open_storage
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Made:
     """A backup that was made, and what it took."""
 
     snapshot: Snapshot
-    tally: Tally
+    tally: CopyCounts
 
 
 async def create(settings: Settings, making: Making) -> Made:
@@ -81,7 +81,7 @@ async def _create(
     settings: Settings, making: Making, repository: Repository, wanted: WantedList, presence: Presence
 ) -> Made:
     dsn = plain_dsn(settings.migration_database_url or settings.database_url)
-    tally = Tally()
+    tally = CopyCounts()
 
     def so_far() -> str:
         done = f"{tally.objects} of {wanted.count} objects, {amount(tally.object_bytes)} of {amount(wanted.size_bytes)}"

@@ -7,7 +7,7 @@ from contextlib import asynccontextmanager
 import psycopg
 
 from kleinkram.server.backup.failing import Unreachable
-from kleinkram.server.blobs.holding import HOLD
+from kleinkram.server.blobs.garbage_collection import DELETION_LOCK
 
 _ASK_EVERY_S = 30.0
 _SILENT_MS = 300_000
@@ -60,7 +60,7 @@ async def holding_back(dsn: str) -> AsyncGenerator[Hold, None]:
     connection = await psycopg.AsyncConnection.connect(dsn, autocommit=True, application_name="kleinkram backup")
     async with connection:
         await connection.execute(f"SET idle_session_timeout = {_SILENT_MS}")
-        await connection.execute("SELECT pg_advisory_lock_shared(%s)", (HOLD,))
+        await connection.execute("SELECT pg_advisory_lock_shared(%s)", (DELETION_LOCK,))
         hold = Hold(connection)
         keeping = asyncio.create_task(hold.keep())
         try:

@@ -13,13 +13,13 @@ from contextlib import aclosing
 from dataclasses import dataclass
 
 from aiohttp import ClientPayloadError
-from awscrt.checksums import crc64nvme
-from sqlalchemy import Row
 
+from kleinkram.contract.checksums import crc64nvme
 from kleinkram.contract.errors import StoreUnavailable
+from kleinkram.server.blobs.queries import BlobRow
 from kleinkram.server.context import AppContext
-from kleinkram.server.s3 import S3Error
-from kleinkram.server.storage import Storage, StoreRefused
+from kleinkram.server.s3.client import S3Error
+from kleinkram.server.s3.storage import Storage, StoreRefused
 
 # Read once more where reading stopped.
 _RETRIED_BYTES = 64 * 1024
@@ -28,7 +28,7 @@ Along = Callable[[bytes], Awaitable[None]]
 
 
 @dataclass(frozen=True)
-class Found:
+class ObjectChecksums:
     """What reading an object through found."""
 
     size_bytes: int
@@ -36,7 +36,7 @@ class Found:
     md5: bytes
     crc64nvme: bytes
 
-    def differs_from(self, row: Row[tuple[object, ...]]) -> str | None:
+    def differs_from(self, row: BlobRow) -> str | None:
         """Say how it differs from what was kept, or None."""
         if self.size_bytes != row.size_bytes:
             return f"it has {self.size_bytes} bytes, and came with {row.size_bytes}"
@@ -51,7 +51,7 @@ class Unreadable(Exception):
     """The store serves other objects, and fails to return the bytes of this one; says from which byte on."""
 
 
-async def read_through(context: AppContext, key: str, along: Along | None = None) -> Found:
+async def read_through(context: AppContext, key: str, along: Along | None = None) -> ObjectChecksums:
     """Read an object at the rate that the settings allow, and give each piece to `along` too.
 
     Raises:
@@ -74,7 +74,7 @@ async def read_through(context: AppContext, key: str, along: Along | None = None
     except StoreUnavailable as error:
         await _raise_if_unreadable(context.storage, key, size_bytes, error)
         raise
-    return Found(size_bytes, sha256.digest(), md5.digest(), crc.to_bytes(8, "big"))
+    return ObjectChecksums(size_bytes, sha256.digest(), md5.digest(), crc.to_bytes(8, "big"))
 
 
 def _digest(piece: bytes, sha256: "hashlib._Hash", md5: "hashlib._Hash", crc: int) -> int:
@@ -118,7 +118,7 @@ async def _read_control(storage: Storage) -> None:
     """
     key, body = f"probe/{uuid.uuid4()}", os.urandom(_CONTROL_BYTES)
     try:
-        await storage.put_small(key, body)
+        await storage.put_object(key, body)
         if await storage.read_range(key, offset=0, size_bytes=_CONTROL_BYTES) != body:
             raise StoreUnavailable(reason="it returns other bytes than were written")
     except (FileNotFoundError, StoreRefused) as error:

@@ -1,4 +1,4 @@
-"""What may be done with groups. Whatever can take somebody's rights away begins with `hold_rights`."""
+"""What may be done with groups. Whatever can take somebody's rights away begins with `lock_rights`."""
 
 import uuid
 from typing import Any
@@ -22,9 +22,9 @@ from kleinkram.contract.names import name_key
 from kleinkram.contract.paging import Page
 from kleinkram.contract.rights import GroupKind, Right
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.creating import require_creator
-from kleinkram.server.access.owning import owned_by_groups, see_that_an_admin_stays, see_that_owners_stay
-from kleinkram.server.access.rights import hold_rights
+from kleinkram.server.access.creation import require_creator
+from kleinkram.server.access.ownership import ensure_admin_remains, ensure_owner_remains, owned_by_groups
+from kleinkram.server.access.rights import lock_rights
 from kleinkram.server.access.visible import visible_people
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.db import Connection, violated_constraint
@@ -115,7 +115,7 @@ async def delete_group(db: Connection, actor: Actor, group_id: uuid.UUID) -> Non
         GroupFixed: the settings name it, or it is the admins'.
         LastOwner: it is what owns a project.
     """
-    await hold_rights(db)
+    await lock_rights(db)
     seen = await _managed(db, actor, group_id, "delete")
     if seen.kind is GroupKind.admins or seen.domains:
         raise GroupFixed(name=seen.name, reason="it is the group of the admins, or the settings require it")
@@ -125,7 +125,7 @@ async def delete_group(db: Connection, actor: Actor, group_id: uuid.UUID) -> Non
         db, actor, [_event(seen, "group.delete", {"name": seen.name}), *(_revoked(seen, row) for row in grants)]
     )
     await db.execute(delete(access_group).where(access_group.c.id == group_id))
-    await see_that_owners_stay(db, owned)
+    await ensure_owner_remains(db, owned)
 
 
 async def list_members(db: Connection, actor: Actor, *, group_id: uuid.UUID, page: PageRequest) -> Page[MemberRead]:
@@ -164,7 +164,7 @@ async def set_member(
         LastOwner, LastAdmin: somebody would be in it no longer for good, and was the last.
         EditConflict: the membership is not of the ETag in `if_match` any more.
     """
-    await hold_rights(db)
+    await lock_rights(db)
     seen = await _managed(db, actor, group_id, "add members")
     old = await _member(db, actor, group_id, person_id)
     name = old.name if old is not None else await _name_of(db, actor, person_id)
@@ -200,7 +200,7 @@ async def remove_member(db: Connection, actor: Actor, *, group_id: uuid.UUID, pe
         GroupFixed: who is in it follows from addresses.
         LastOwner, LastAdmin: they were the last.
     """
-    await hold_rights(db)
+    await lock_rights(db)
     leaves = person_id == actor.person_id
     seen = await (get_group(db, actor, group_id) if leaves else _managed(db, actor, group_id, "remove members"))
     if seen.kind is GroupKind.affiliation:
@@ -245,8 +245,8 @@ async def _owned(db: Connection, group_id: uuid.UUID) -> list[uuid.UUID]:
 
 async def _see_that_all_stay(db: Connection, seen: GroupRead) -> None:
     if seen.kind is GroupKind.admins:
-        await see_that_an_admin_stays(db)
-    await see_that_owners_stay(db, await _owned(db, seen.id))
+        await ensure_admin_remains(db)
+    await ensure_owner_remains(db, await _owned(db, seen.id))
 
 
 def _before(old: Row[Any] | None) -> Metadata:

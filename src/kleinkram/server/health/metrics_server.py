@@ -192,14 +192,14 @@ async def _site_metrics(database: Database) -> list[Metric]:
 
 
 def exposition(gauges: Sequence[Metric]) -> bytes:
-    """Return this process's counters, and gauges that were looked up, in the Prometheus text format."""
-    found = CollectorRegistry()
-    found.register(_Found(gauges))
-    return generate_latest(REGISTRY) + generate_latest(found)
+    """Return this process's counters and the given gauges in the Prometheus text format."""
+    site_registry = CollectorRegistry()
+    site_registry.register(_GaugeCollector(gauges))
+    return generate_latest(REGISTRY) + generate_latest(site_registry)
 
 
-class _Found(Collector):
-    """Gauges of one moment, for a registry of that moment."""
+class _GaugeCollector(Collector):
+    """Collector of given gauges."""
 
     def __init__(self, gauges: Sequence[Metric]) -> None:
         self._gauges = gauges

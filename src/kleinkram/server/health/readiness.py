@@ -7,7 +7,7 @@ from kleinkram.contract.errors import DatabaseUnavailable, StoreUnavailable
 from kleinkram.server.db import Database
 from kleinkram.server.health.worker_heartbeat import find_workers
 from kleinkram.server.migrations import schema_problem
-from kleinkram.server.storage import Storage
+from kleinkram.server.s3.storage import Storage
 
 _STORE_TIMEOUT_S = 2
 

@@ -1,7 +1,4 @@
-"""Worker processes write down that they are alive; readiness, metrics and admins read it.
-
-A worker that cannot reach the database goes on trying: it is alive, but nobody can know.
-"""
+"""Heartbeats of worker processes in the database, for readiness, metrics and admins."""
 
 import asyncio
 import datetime
@@ -23,10 +20,10 @@ from kleinkram.server.db import Connection, Database
 from kleinkram.server.tables import worker_process
 
 _log = logging.getLogger("kleinkram.worker")
-_BEAT_S = 5.0
-# A worker that was not heard of for so long has ended, hangs or is cut off.
+_INTERVAL_S = 5.0
+# A worker without a heartbeat for this long counts as ended.
 ALIVE_WITHIN = datetime.timedelta(seconds=30)
-_KEPT = datetime.timedelta(days=30)
+_RETENTION = datetime.timedelta(days=30)
 _SECONDS_A_MINUTE = 60
 
 
@@ -63,15 +60,15 @@ async def find_workers(db: Connection) -> Workers:
 
 @asynccontextmanager
 async def heartbeat(database: Database) -> AsyncIterator[None]:
-    """Write down every 5 s that this process is alive, and at the end that it has ended."""
+    """Write a heartbeat every 5 s, and at the end that this process has ended."""
     worker_id = uuid.uuid4()
-    beating = asyncio.create_task(_keep_beating(database, worker_id))
+    task = asyncio.create_task(_send_heartbeats(database, worker_id))
     try:
         yield
     finally:
-        beating.cancel()
+        task.cancel()
         with suppress(asyncio.CancelledError):
-            await beating
+            await task
         with suppress(DatabaseUnavailable, SQLAlchemyError):
             async with database.begin() as db:
                 await db.execute(
@@ -79,16 +76,16 @@ async def heartbeat(database: Database) -> AsyncIterator[None]:
                 )
 
 
-async def _keep_beating(database: Database, worker_id: uuid.UUID) -> None:
+async def _send_heartbeats(database: Database, worker_id: uuid.UUID) -> None:
     process = {"host": socket.gethostname(), "pid": os.getpid(), "version": kleinkram.__version__}
-    beat = upsert(worker_process).values(id=worker_id, **process)
-    beat = beat.on_conflict_do_update(index_elements=["id"], set_={"seen_at": func.now()})
-    old = delete(worker_process).where(worker_process.c.seen_at < func.now() - _KEPT)
+    heartbeat_stmt = upsert(worker_process).values(id=worker_id, **process)
+    heartbeat_stmt = heartbeat_stmt.on_conflict_do_update(index_elements=["id"], set_={"seen_at": func.now()})
+    old = delete(worker_process).where(worker_process.c.seen_at < func.now() - _RETENTION)
     while True:
         try:
             async with database.begin() as db:
-                await db.execute(beat)
+                await db.execute(heartbeat_stmt)
                 await db.execute(old)
         except (DatabaseUnavailable, SQLAlchemyError) as error:  # away, or its schema is older than this program
             _log.warning("heartbeat not written", extra={"fields": {"reason": str(error).partition("\n")[0]}})
-        await asyncio.sleep(_BEAT_S)
+        await asyncio.sleep(_INTERVAL_S)

@@ -9,7 +9,7 @@ from kleinkram.contract.runs import RunState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files, visible_missions, visible_projects
 from kleinkram.server.missions.amounts import file_amounts
-from kleinkram.server.runners.fitting import Needs
+from kleinkram.server.runners.eligibility import Needs
 from kleinkram.server.runs.queries import visible_runs
 from kleinkram.server.tables import action_version, blob, file, mission, project, run, scrub, upload
 from kleinkram.server.tables.upload import UNDER_WAY

@@ -9,16 +9,15 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from kleinkram.contract.errors import NotAuthenticated
 from kleinkram.server.access.actor import STRANGER, Actor, ActorKind, find_actor, find_signed_in
-from kleinkram.server.access.few import knowing_few
 from kleinkram.server.access.operations import OPERATIONS
-from kleinkram.server.access.rights import admit, is_door, require_fresh_sign_in, still_shares
-from kleinkram.server.audit.looking import Looks
+from kleinkram.server.access.rights import admit, is_public_endpoint, require_fresh_sign_in, still_shares
+from kleinkram.server.audit.admin_access import Looks
 from kleinkram.server.audit.places import named
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.http.rate_limit import limit_expensive
+from kleinkram.server.s3.storage import Storage
 from kleinkram.server.settings import Settings
-from kleinkram.server.storage import Storage
 
 _bearer = HTTPBearer(auto_error=False, description="A Kleinkram token.")
 
@@ -53,7 +52,7 @@ async def _actor(
     credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)],
 ) -> Actor:
     operation: str = request.scope["route"].operation_id
-    requester = await _authenticate(request, database, credentials, is_door=is_door(operation))
+    requester = await _authenticate(request, database, credentials, is_public_endpoint=is_public_endpoint(operation))
     address = request.client.host if request.client else None
     actor = requester.asking(operation, request_id=request.state.request_id, address=address)
     request.state.actor = actor
@@ -69,7 +68,7 @@ async def _actor(
 
 
 async def _authenticate(
-    request: Request, database: Database, credentials: HTTPAuthorizationCredentials | None, *, is_door: bool
+    request: Request, database: Database, credentials: HTTPAuthorizationCredentials | None, *, is_public_endpoint: bool
 ) -> Actor:
     cookie = request.cookies.get(session_cookie(request.app.state.settings))
     if "authorization" not in request.headers and cookie is None:
@@ -78,7 +77,7 @@ async def _authenticate(
         raise NotAuthenticated(reason="the request has no bearer token")
     async with database.autocommit() as db:
         actor = await _find_credential_holder(request, db, credentials)
-    if actor is None and credentials is None and is_door:
+    if actor is None and credentials is None and is_public_endpoint:
         return STRANGER  # with an expired session, people may sign in again
     if actor is None:
         raise NotAuthenticated(reason="the token is not valid here" if credentials else "the session has ended")
@@ -165,11 +164,3 @@ CurrentContext = Annotated[AppContext, Depends(_context)]
 Transaction = Annotated[Connection, Depends(_transaction, scope="function")]
 # For routes that change nothing and set no transaction-local settings.
 Reading = Annotated[Connection, Depends(_reading, scope="function")]
-
-
-async def _searcher(db: Transaction, actor: CurrentActor) -> Actor:
-    return await knowing_few(db, actor)
-
-
-# Who asks what goes through everything that they see.
-SearchingActor = Annotated[Actor, Depends(_searcher)]

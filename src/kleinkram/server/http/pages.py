@@ -22,7 +22,7 @@ FOREVER: Final = "public, max-age=31536000, immutable"
 DAY: Final = "public, max-age=86400"
 HOUR: Final = "public, max-age=3600"
 # What the pages that the server makes itself have in common with the app: colours, letters, light or dark, a name.
-LOOK: Final = (
+PAGE_HEAD: Final = (
     '<meta name="color-scheme" content="light dark"><link rel="icon" href="/static/icon.svg" type="image/svg+xml">'
     '<link rel="stylesheet" href="/static/fonts.css"><link rel="stylesheet" href="/static/tokens.css">'
     '<script src="/static/theme.js"></script>'

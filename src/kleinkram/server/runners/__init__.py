@@ -1,1 +1,1 @@
-"""Runners: machines that ask for runs, and what they may say of those that they hold."""
+"""Runners: machines that claim runs, and the requests about runs that they have."""

@@ -1,4 +1,4 @@
-"""What runners ask of the database. Functions return selects; they touch no connection."""
+"""Selects for the requests of runners. Functions do not execute them."""
 
 import uuid
 from collections.abc import Collection, Sequence
@@ -11,19 +11,19 @@ from kleinkram.contract.runners import Capacity, ClaimRequest, ExecutorAbilities
 from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.db import among
 from kleinkram.server.paging import Order
-from kleinkram.server.runners.fitting import is_alive, is_for_owner_only, runs_scripts, with_limits
+from kleinkram.server.runners.eligibility import is_alive, is_single_person_only, runs_scripts, with_limits
 from kleinkram.server.tables import action, action_version, mission, project, run, runner, token, token_limit
 from kleinkram.server.tables.run import HELD
 
 RUNNER_ORDER = Order([runner.c.name, runner.c.id])
-# Fractions of cores are added and taken away as floats.
+# Fractions of cores are summed as floats.
 _ROUNDING = 1e-6
 
 
 def runner_rows() -> Select[Any]:
     """Return all runners, as `to_runner` reads them."""
-    held = select(func.count()).where(run.c.runner_id == runner.c.id, run.c.state.in_(HELD))
-    active = held.correlate(runner).scalar_subquery().label("active_runs")
+    assigned = select(func.count()).where(run.c.runner_id == runner.c.id, run.c.state.in_(HELD))
+    active = assigned.correlate(runner).scalar_subquery().label("active_runs")
     stmt = with_limits(select(runner, is_alive().label("is_alive"), active))
     return stmt.add_columns(token.c.name.label("token_name"), token.c.expires_at.label("token_expires_at"))
 
@@ -35,7 +35,7 @@ def projects_of(token_ids: Collection[uuid.UUID]) -> Select[Any]:
 
 
 def to_runner(row: Row[Any], projects: Sequence[Row[Any]] = ()) -> RunnerRead:
-    """Return the runner that a row stands for; `projects` are those that tokens are limited to."""
+    """Convert a row of `runner_rows`; `projects` are those that tokens are limited to."""
     return RunnerRead(
         id=row.id,
         name=row.name,
@@ -52,7 +52,7 @@ def to_runner(row: Row[Any], projects: Sequence[Row[Any]] = ()) -> RunnerRead:
 
 
 def _to_token(row: Row[Any], projects: Sequence[Row[Any]]) -> RunnerToken:
-    named = [ProjectRef(id=each.id, name=each.name) for each in projects if each.token_id == row.token_id]
+    named = [ProjectRef(id=entry.id, name=entry.name) for entry in projects if entry.token_id == row.token_id]
     return RunnerToken(
         id=row.token_id,
         name=row.token_name,
@@ -79,18 +79,18 @@ def _with_definition() -> Select[Any]:
     )
 
 
-def unheard_claim(runner_id: uuid.UUID, held: Collection[uuid.UUID]) -> Select[Any]:
-    """Return a run that this runner was given and knows nothing of: the answer was lost."""
-    given = (run.c.runner_id == runner_id) & run.c.state.in_(HELD) & run.c.id.not_in(held)
-    return _with_definition().where(given).limit(1).with_for_update(of=run)
+def unanswered_claim(runner_id: uuid.UUID, assigned: Collection[uuid.UUID]) -> Select[Any]:
+    """Return a run that is assigned to a runner without its knowledge: the answer to the claim was lost."""
+    unanswered = (run.c.runner_id == runner_id) & run.c.state.in_(HELD) & run.c.id.not_in(assigned)
+    return _with_definition().where(unanswered).limit(1).with_for_update(of=run)
 
 
-def next_run(row: Row[Any], asked: ClaimRequest, *, owners_alone: bool) -> Select[Any] | None:
-    """Return the oldest run in the queue that fits what a runner has free, locked; None where it may do none."""
+def next_run(row: Row[Any], requested: ClaimRequest, *, single_person: bool) -> Select[Any] | None:
+    """Return the oldest queued run that fits the free resources of a runner, locked; None where it may execute none."""
     abilities = ExecutorAbilities.model_validate(row.abilities)
-    if is_for_owner_only(abilities) and not owners_alone:
+    if is_single_person_only(abilities) and not single_person:
         return None
-    free = asked.free
+    free = requested.free
     fits = (
         (run.c.cores <= free.cores + _ROUNDING)
         & (run.c.memory_bytes <= free.memory_bytes)
@@ -110,14 +110,14 @@ def next_run(row: Row[Any], asked: ClaimRequest, *, owners_alone: bool) -> Selec
     return queued.order_by(run.c.created_at, run.c.id).limit(1).with_for_update(of=run, skip_locked=True)
 
 
-def held_run(actor: Actor, run_id: uuid.UUID, attempt: int) -> Select[Any]:
-    """Return a run that the runner of this token holds by this attempt, locked."""
+def assigned_run(actor: Actor, run_id: uuid.UUID, attempt: int) -> Select[Any]:
+    """Return a run whose current attempt belongs to the runner of this token, locked."""
     current = (run.c.attempt == attempt) & run.c.state.in_(HELD) & _is_of(actor)
     return _with_definition().where(run.c.id == run_id, current).with_for_update(of=run, key_share=True)
 
 
 def ended_run(actor: Actor, run_id: uuid.UUID, attempt: int) -> Select[Any]:
-    """Return the state of a run that is over and whose last runner, of this token, had it by this attempt."""
+    """Return the state of an ended run whose last attempt belongs to the runner of this token."""
     current = (run.c.attempt == attempt) & run.c.ended_at.is_not(None) & _is_of(actor)
     return select(run.c.state).where(run.c.id == run_id, current)
 
@@ -125,7 +125,7 @@ def ended_run(actor: Actor, run_id: uuid.UUID, attempt: int) -> Select[Any]:
 def _is_of(actor: Actor) -> ColumnElement[bool]:
     if actor.runner_id is not None:
         return run.c.runner_id == actor.runner_id
-    # A runner from before tokens were bound, until it beats or asks for a run: then its token is bound to it.
+    # A runner from before tokens were bound to runners, until its next heartbeat or claim.
     good = token.c.revoked_at.is_(None) & unexpired(token.c.expires_at)
     has_token = exists().where(token.c.runner_id == runner.c.id, good)
     return run.c.runner_id.in_(select(runner.c.id).where(runner.c.person_id == actor.person_id, ~has_token))

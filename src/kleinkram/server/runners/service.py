@@ -1,4 +1,4 @@
-"""What runners may do: say what they are, ask for a run, and say what those that they hold are at."""
+"""Registration of runners, claims of runs, and heartbeats."""
 
 import datetime
 import time
@@ -40,8 +40,8 @@ from kleinkram.server.db import Connection
 from kleinkram.server.events.hub import EventFilter, Hub
 from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.runners import queries
-from kleinkram.server.runners.fitting import is_owners_alone, with_limits
-from kleinkram.server.runs.ending import end_run, take_back_lost
+from kleinkram.server.runners.eligibility import has_single_person, with_limits
+from kleinkram.server.runs.lifecycle import end_run, requeue_lost_runs
 from kleinkram.server.tables import action_version, mission, project, run, run_input, runner, token, token_limit
 from kleinkram.server.tables.run import HELD
 
@@ -52,45 +52,52 @@ _SCOPES = {
     Right.delete: [Scope.write],
 }
 _ORDER = {RunState.preparing: 0, RunState.running: 1, RunState.collecting: 2}
-# Between two looks where nothing was heard of: a lease that runs out tells nobody.
-_LOOK_EVERY_S = 5.0
+# The end of a lease publishes no event.
+_CHECK_EVERY_S = 5.0
 _QUEUE = EventFilter(frozenset({"run"}))
 _LEASE = datetime.timedelta(seconds=LEASE_S)
-# What has run is only to be sent: a server that was away for some minutes does not have hours of it done again.
-_LEASE_TO_KEEP = datetime.timedelta(minutes=15)
-# A token ends with its run; should nobody say so, then not long after the run could have lasted.
-_TOKEN_SPARE_S = 3600
+# Results are being uploaded: an outage of minutes must not discard hours of work.
+_COLLECTING_LEASE = datetime.timedelta(minutes=15)
+# A token ends with its run, and at the latest this long after the time limit of the run.
+_TOKEN_MARGIN_S = 3600
 
 
-async def register_runner(db: Connection, actor: Actor, *, hello: RunnerRegistration) -> RunnerRead:
-    """Note what a runner is, and that it is there. The first runner that uses a token is the only one from then on.
+async def register_runner(db: Connection, actor: Actor, *, registration: RunnerRegistration) -> RunnerRead:
+    """Register a runner. The first runner that uses a token is the only one that may use it from then on.
 
     Raises:
-        Forbidden: it is another person's runner, its token is another runner's, or not for such labels.
+        Forbidden: it is another person's runner, its token is another runner's, or limited to other labels.
     """
-    await _bind(db, actor, hello.id)
-    await _see_that_labels_are_allowed(db, actor, hello)
-    known = (await db.execute(select(runner).where(runner.c.id == hello.id).with_for_update())).one_or_none()
+    await _bind(db, actor, registration.id)
+    await _check_labels(db, actor, registration)
+    known = (await db.execute(select(runner).where(runner.c.id == registration.id).with_for_update())).one_or_none()
     if known and known.person_id != actor.person_id:
         raise Forbidden(noun="server", operation="be this runner", needs="a token of the same person as before")
-    said = hello.model_dump(mode="json", exclude={"id"})
-    said |= {"token_id": actor.token_id}
-    stmt = upsert(runner).values(id=hello.id, person_id=actor.person_id, last_seen_at=func.now(), **said)
-    same = {name: stmt.excluded[name] for name in (*said, "last_seen_at")}
+    values = registration.model_dump(mode="json", exclude={"id"})
+    values |= {"token_id": actor.token_id}
+    stmt = upsert(runner).values(id=registration.id, person_id=actor.person_id, last_seen_at=func.now(), **values)
+    same = {name: stmt.excluded[name] for name in (*values, "last_seen_at")}
     await db.execute(stmt.on_conflict_do_update(index_elements=["id"], set_=same))
     if known is None:
-        event = Event("runner.arrive", "runner", hello.id, hello.name, None, after={"labels": list(hello.labels)})
+        event = Event(
+            "runner.arrive",
+            "runner",
+            registration.id,
+            registration.name,
+            None,
+            after={"labels": list(registration.labels)},
+        )
         await record(db, actor, event)
-    await publish(db, [ChangeEvent("runner", ChangeKind.changed, hello.id)])
-    row = (await db.execute(queries.runner_rows().where(runner.c.id == hello.id))).one()
+    await publish(db, [ChangeEvent("runner", ChangeKind.changed, registration.id)])
+    row = (await db.execute(queries.runner_rows().where(runner.c.id == registration.id))).one()
     return queries.to_runner(row, (await db.execute(queries.projects_of([row.token_id]))).all())
 
 
 async def _bind(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
-    """See that a token is this runner's; one that no runner has used yet becomes so.
+    """Check that a token is this runner's; an unused one is bound to it.
 
     Raises:
-        Forbidden: it is another runner's, or this runner has another token that is still good.
+        Forbidden: it is another runner's, or this runner has another valid token.
     """
     if actor.runner_id == runner_id:
         return
@@ -112,10 +119,10 @@ async def _bind(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
     await record(db, actor, Event("token.bind", "token", actor.token_id, name, None, after=after))
 
 
-async def _see_that_labels_are_allowed(db: Connection, actor: Actor, hello: RunnerRegistration) -> None:
+async def _check_labels(db: Connection, actor: Actor, registration: RunnerRegistration) -> None:
     stmt = select(token.c.runner_labels).where(token.c.id == actor.token_id)
     allowed: list[str] | None = (await db.execute(stmt)).scalar_one()
-    surplus = sorted(set(hello.labels) - set(allowed)) if allowed is not None else []
+    surplus = sorted(set(registration.labels) - set(allowed)) if allowed is not None else []
     if surplus:
         needs = f"a token for it; this one is limited to {', '.join(allowed or [])}"
         raise Forbidden(noun="server", operation=f"be a runner with the label {surplus[0]}", needs=needs)
@@ -134,47 +141,49 @@ async def list_runners(db: Connection, *, page: PageRequest) -> Page[RunnerRead]
 
 
 async def claim(
-    context: AppContext, hub: Hub, actor: Actor, *, runner_id: uuid.UUID, asked: ClaimRequest
+    context: AppContext, hub: Hub, actor: Actor, *, runner_id: uuid.UUID, requested: ClaimRequest
 ) -> ClaimReply:
-    """Give a runner the oldest run that fits what it has free; wait for one, where there is none.
+    """Assign the oldest run that fits the free resources of a runner; wait for one where there is none.
 
     Raises:
-        NotFound: nobody of this person's is that runner: it must say hello first.
+        NotFound: nobody of this person's is that runner: it must say registration first.
         Forbidden: the token is another runner's.
-        TooManyStreams: as many requests of this runner wait as it gets.
+        TooManyStreams: too many requests of this runner wait already.
     """
-    until = time.monotonic() + asked.wait_s
+    until = time.monotonic() + requested.wait_s
     with hub.long_poll(runner_id, _QUEUE) as listener:
         while True:
             async with context.database.begin() as db:
-                found = await _claim_now(db, actor, runner_id, asked)
+                candidate = await _claim_now(db, actor, runner_id, requested)
             left_s = until - time.monotonic()
-            if found is not None or left_s <= 0 or hub.is_closed:
-                return ClaimReply(run=found)
-            await hub.next_event(listener, timeout_s=min(left_s, _LOOK_EVERY_S))
+            if candidate is not None or left_s <= 0 or hub.is_closed:
+                return ClaimReply(run=candidate)
+            await hub.next_event(listener, timeout_s=min(left_s, _CHECK_EVERY_S))
 
 
-async def _claim_now(db: Connection, actor: Actor, runner_id: uuid.UUID, asked: ClaimRequest) -> RunAssignment | None:
-    await _see(db, actor, runner_id)
+async def _claim_now(
+    db: Connection, actor: Actor, runner_id: uuid.UUID, requested: ClaimRequest
+) -> RunAssignment | None:
+    await _note_seen(db, actor, runner_id)
     row = (await db.execute(with_limits(select(runner)).where(runner.c.id == runner_id))).one()
-    await take_back_lost(db)
-    unheard = (await db.execute(queries.unheard_claim(runner_id, asked.active_run_ids))).one_or_none()
+    await requeue_lost_runs(db)
+    unheard = (await db.execute(queries.unanswered_claim(runner_id, requested.active_run_ids))).one_or_none()
     if unheard is not None:
-        return await _given(db, unheard, runner_id, unheard.attempt)
-    stmt = queries.next_run(row, asked, owners_alone=await is_owners_alone(db))
+        return await _assign(db, unheard, runner_id, unheard.attempt)
+    stmt = queries.next_run(row, requested, single_person=await has_single_person(db))
     while stmt is not None:
-        found = (await db.execute(stmt)).one_or_none()
-        if found is None:
+        candidate = (await db.execute(stmt)).one_or_none()
+        if candidate is None:
             break
-        if await _may_still(db, found):
-            return await _given(db, found, runner_id, found.attempt + 1)
-        message = "Whoever started it may not run it on this mission any more."
-        await end_run(db, found, EndReason.cancelled, message)
+        if await _may_still(db, candidate):
+            return await _assign(db, candidate, runner_id, candidate.attempt + 1)
+        message = "The person who launched it may not run it on this mission any more."
+        await end_run(db, candidate, EndReason.cancelled, message)
     return None
 
 
-async def _see(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
-    """Note that a runner was heard of. One from before tokens were bound becomes the one of its token."""
+async def _note_seen(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
+    """Record that a runner was seen. One from before tokens were bound is bound to its token."""
     mine = (runner.c.id == runner_id) & (runner.c.person_id == actor.person_id)
     values = {"last_seen_at": func.now(), "token_id": actor.token_id}
     if (await db.execute(update(runner).where(mine).values(values).returning(runner.c.id))).first() is None:
@@ -192,11 +201,11 @@ async def _may_still(db: Connection, row: Row[Any]) -> bool:
     return level is not None and level >= needed.level
 
 
-async def _given(db: Connection, row: Row[Any], runner_id: uuid.UUID, attempt: int) -> RunAssignment:
+async def _assign(db: Connection, row: Row[Any], runner_id: uuid.UUID, attempt: int) -> RunAssignment:
     state = RunState.preparing.value if attempt != row.attempt else row.state
-    held = {"state": state, "runner_id": runner_id, "attempt": attempt, "lease_ends_at": func.now() + _LEASE}
+    lease = {"state": state, "runner_id": runner_id, "attempt": attempt, "lease_ends_at": func.now() + _LEASE}
     claimed_at = func.coalesce(run.c.claimed_at, func.now())
-    await db.execute(update(run).where(run.c.id == row.id).values(claimed_at=claimed_at, **held))
+    await db.execute(update(run).where(run.c.id == row.id).values(claimed_at=claimed_at, **lease))
     await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
     definition = ActionDefinition.model_validate(row.definition)
     inputs = select(run_input).where(run_input.c.run_id == row.id).order_by(run_input.c.path)
@@ -215,8 +224,8 @@ async def _given(db: Connection, row: Row[Any], runner_id: uuid.UUID, attempt: i
         resources=definition.resources,
         network=definition.network,
         inputs=[
-            AssignedInput(path=each.path, size_bytes=each.size_bytes, sha256=each.sha256.hex())
-            for each in await db.execute(inputs)
+            AssignedInput(path=entry.path, size_bytes=entry.size_bytes, sha256=entry.sha256.hex())
+            for entry in await db.execute(inputs)
         ],
         token=None if definition.network is Network.none else await _run_token(db, row, definition),
         lease_s=LEASE_S,
@@ -224,13 +233,13 @@ async def _given(db: Connection, row: Row[Any], runner_id: uuid.UUID, attempt: i
 
 
 async def _run_token(db: Connection, row: Row[Any], definition: ActionDefinition) -> str:
-    """Make the token of a run: for its mission, and no more than its action asks for.
+    """Create the token of a run, limited to its mission and to the right that its action declares.
 
-    Those that were made for the same attempt stay good. A request that its runner has given up, and that still waits
-    here, is given the run once more: what runs meanwhile must not lose its token by that.
+    Earlier tokens of the same attempt stay valid: a claim that its runner has given up, but that still waits here, is
+    answered with the run once more, and the running job must not lose its token.
     """
     secret, token_id = new_secret(SecretKind.run), uuid.uuid4()
-    lasts = datetime.timedelta(seconds=definition.resources.time_s + _TOKEN_SPARE_S)
+    lasts = datetime.timedelta(seconds=definition.resources.time_s + _TOKEN_MARGIN_S)
     values = {
         "person_id": row.started_by_id,
         "kind": TokenKind.run.value,
@@ -247,63 +256,66 @@ async def _run_token(db: Connection, row: Row[Any], definition: ActionDefinition
 
 
 async def record_heartbeats(
-    db: Connection, actor: Actor, *, runner_id: uuid.UUID, said: Heartbeats
+    db: Connection, actor: Actor, *, runner_id: uuid.UUID, heartbeats: Heartbeats
 ) -> HeartbeatReplies:
-    """Note what a runner's runs are at, hold them for it, and say which are to end.
+    """Record the states of a runner's runs, renew their leases, and return their status.
 
     Raises:
-        NotFound: nobody of this person's is that runner.
+        NotFound: this person has no such runner.
         Forbidden: the token is another runner's.
     """
-    await _see(db, actor, runner_id)
-    answers = [await _take_beat(db, runner_id, beat) for beat in sorted(said.runs, key=lambda beat: beat.run_id)]
+    await _note_seen(db, actor, runner_id)
+    answers = [
+        await _record_heartbeat(db, runner_id, heartbeat)
+        for heartbeat in sorted(heartbeats.runs, key=lambda heartbeat: heartbeat.run_id)
+    ]
     return HeartbeatReplies(runs=answers, lease_s=LEASE_S)
 
 
-async def _take_beat(db: Connection, runner_id: uuid.UUID, beat: Heartbeat) -> HeartbeatReply:
-    held = (run.c.id == beat.run_id) & (run.c.attempt == beat.attempt) & (run.c.runner_id == runner_id)
+async def _record_heartbeat(db: Connection, runner_id: uuid.UUID, heartbeat: Heartbeat) -> HeartbeatReply:
+    assigned = (run.c.id == heartbeat.run_id) & (run.c.attempt == heartbeat.attempt) & (run.c.runner_id == runner_id)
     gone = func.coalesce(mission.c.deleted_at, project.c.deleted_at).is_not(None).label("is_gone")
     image = action_version.c.definition["image"].astext.label("image")
     joined = select(run, gone, image).join_from(run, mission, mission.c.id == run.c.mission_id).join(project)
-    stmt = joined.join(action_version, action_version.c.id == run.c.version_id).where(held, run.c.state.in_(HELD))
+    stmt = joined.join(action_version, action_version.c.id == run.c.version_id).where(assigned, run.c.state.in_(HELD))
     row = (await db.execute(stmt.with_for_update(of=run, key_share=True))).one_or_none()
     if row is None:
-        return HeartbeatReply(run_id=beat.run_id, attempt=beat.attempt, status=LeaseStatus.lost)
-    values = _said(row, beat)
-    lease = _LEASE_TO_KEEP if beat.state is RunState.collecting else _LEASE
+        return HeartbeatReply(run_id=heartbeat.run_id, attempt=heartbeat.attempt, status=LeaseStatus.lost)
+    values = _changes_of(row, heartbeat)
+    lease = _COLLECTING_LEASE if heartbeat.state is RunState.collecting else _LEASE
     await db.execute(update(run).where(run.c.id == row.id).values(lease_ends_at=func.now() + lease, **values))
-    if beat.image_digest is not None and row.image is not None:
-        # What the name meant first is what it means from now on.
+    if heartbeat.image_digest is not None and row.image is not None:
+        # The first resolution of an image name is permanent.
         unpinned = (action_version.c.id == row.version_id) & action_version.c.image_digest.is_(None)
-        await db.execute(update(action_version).where(unpinned).values(image_digest=beat.image_digest))
+        await db.execute(update(action_version).where(unpinned).values(image_digest=heartbeat.image_digest))
     if values:
         await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
     is_over = row.cancel_requested_at is not None or row.is_gone
     return HeartbeatReply(
-        run_id=beat.run_id, attempt=beat.attempt, status=LeaseStatus.cancel if is_over else LeaseStatus.active
+        run_id=heartbeat.run_id, attempt=heartbeat.attempt, status=LeaseStatus.cancel if is_over else LeaseStatus.active
     )
 
 
-def _said(row: Row[Any], beat: Heartbeat) -> dict[str, Any]:
-    """Return what a beat changes of a run: it never goes back."""
+def _changes_of(row: Row[Any], heartbeat: Heartbeat) -> dict[str, Any]:
+    """Return the columns that a heartbeat changes; the state never goes back."""
     values: dict[str, Any] = {}
-    if beat.state in _ORDER and _ORDER[beat.state] > _ORDER[RunState(row.state)]:
-        values["state"] = beat.state.value
-    if beat.state is not RunState.preparing and row.started_at is None:
+    if heartbeat.state in _ORDER and _ORDER[heartbeat.state] > _ORDER[RunState(row.state)]:
+        values["state"] = heartbeat.state.value
+    if heartbeat.state is not RunState.preparing and row.started_at is None:
         values["started_at"] = func.now()
-    if beat.image_digest is not None and row.image_digest is None:
-        values["image_digest"] = beat.image_digest
+    if heartbeat.image_digest is not None and row.image_digest is None:
+        values["image_digest"] = heartbeat.image_digest
     for name in ("progress", "usage"):
-        said = getattr(beat, name)
-        if said is not None and said.model_dump(mode="json") != getattr(row, name):
-            values[name] = said.model_dump(mode="json")
-    if beat.samples:
-        values["samples"] = thinned([*row.samples, *(each.model_dump(mode="json") for each in beat.samples)])
+        reported = getattr(heartbeat, name)
+        if reported is not None and reported.model_dump(mode="json") != getattr(row, name):
+            values[name] = reported.model_dump(mode="json")
+    if heartbeat.samples:
+        values["samples"] = thinned([*row.samples, *(entry.model_dump(mode="json") for entry in heartbeat.samples)])
     return values
 
 
 def thinned(samples: list[Any]) -> list[Any]:
-    """Return so many samples as are kept: of more, every second one, and the last."""
+    """Return at most `MAX_SAMPLES` samples: of more, every second one and the last."""
     while len(samples) > MAX_SAMPLES:
         samples = [*samples[:-1:2], samples[-1]]
     return samples

@@ -1,1 +1,1 @@
-"""Runs: an action on a mission, from the queue to what it left."""
+"""Runs: executions of actions on missions."""

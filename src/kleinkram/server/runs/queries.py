@@ -1,4 +1,4 @@
-"""What is asked of runs. Functions return selects; they touch no connection."""
+"""Selects of runs. Functions do not execute them."""
 
 import uuid
 from collections.abc import Sequence
@@ -67,9 +67,9 @@ _ACTION = (
 
 
 def visible_runs(actor: Actor) -> Select[Any]:
-    """Return the runs on missions that `actor` may read whole, joined with missions, projects and actions.
+    """Return the runs on missions that `actor` may read, joined with missions, projects and actions.
 
-    A run by its own token sees itself alone; by a link, nobody sees any.
+    The token of a run shows only that run; a share link shows none.
     """
     if actor.kind is not ActorKind.person or Scope.read not in actor.scopes:
         return _joined(select(run)).where(false())
@@ -107,7 +107,7 @@ def whole_run(actor: Actor, run_id: uuid.UUID) -> Select[Any]:
 
 
 def narrow(actor: Actor, stmt: Select[Any], matching: RunFilter) -> Select[Any]:
-    """Return the runs of a select that match."""
+    """Apply a filter to a select of runs."""
     conditions: list[ColumnElement[bool]] = []
     if matching.project_id is not None:
         conditions.append(mission.c.project_id == matching.project_id)
@@ -132,16 +132,16 @@ def narrow(actor: Actor, stmt: Select[Any], matching: RunFilter) -> Select[Any]:
 
 
 def to_run(actor: Actor, row: Row[Any], *, waits_for: str | None = None, metrics: Sequence[Metric] = ()) -> RunRead:
-    """Return the run that a row of `run_rows` stands for."""
-    return RunRead(**_said(actor, row), waits_for=waits_for, metrics=[*metrics])
+    """Convert a row of `run_rows`."""
+    return RunRead(**_run_fields(actor, row), waits_for=waits_for, metrics=[*metrics])
 
 
 def to_detail(
     actor: Actor, row: Row[Any], *, waits_for: str | None = None, metrics: Sequence[Metric] = ()
 ) -> RunDetail:
-    """Return the run that a row of `whole_run` stands for."""
+    """Convert a row of `whole_run`."""
     return RunDetail(
-        **_said(actor, row),
+        **_run_fields(actor, row),
         waits_for=waits_for,
         metrics=[*metrics],
         definition=ActionDefinition.model_validate(row.definition),
@@ -152,7 +152,7 @@ def to_detail(
     )
 
 
-def _said(actor: Actor, row: Row[Any]) -> dict[str, Any]:
+def _run_fields(actor: Actor, row: Row[Any]) -> dict[str, Any]:
     needed = Right.create if row.started_by_id == actor.person_id else Right.delete
     may_cancel = row.level >= needed.level and Scope.run in actor.scopes and row.state in ACTIVE
     same = (
@@ -181,16 +181,16 @@ def _action(row: Row[Any]) -> ActionRef:
 
 
 def inputs_of(actor: Actor, run_ids: Sequence[uuid.UUID]) -> Select[Any]:
-    """Return the inputs of visible runs, without files that have since moved to where `actor` may not read them."""
+    """Return the inputs of visible runs, without files that were moved out of `actor`'s sight."""
     columns = [column for column in run_input.c if column is not run_input.c.file_id]
     stmt = select(*columns, _visible_id(actor, run_input.c.file_id)).join(run, run.c.id == run_input.c.run_id)
     return stmt.where(run_input.c.run_id.in_(run_ids), ~is_hidden(actor, run_input.c.file_id))
 
 
 def is_hidden(actor: Actor, file_id: Column[Any]) -> ColumnElement[bool]:
-    """Say of a file of a `run` that is joined whether it is in another mission now, and out of `actor`'s sight."""
+    """Whether a file of a joined `run` was moved to a mission that `actor` may not read."""
     moved = exists().where(_file.c.id == file_id, _file.c.mission_id != run.c.mission_id)
-    # Said outright: inside of another EXISTS, SQLAlchemy would take `run` for any run.
+    # Explicit: inside of another EXISTS, SQLAlchemy would add `run` to its FROM.
     return moved.correlate(file_id.table, run) & ~_is_visible(actor, file_id)
 
 
@@ -204,12 +204,12 @@ def _visible_id(actor: Actor, file_id: Column[Any]) -> ColumnElement[Any]:
 
 
 def to_input(row: Row[Any]) -> RunInput:
-    """Return the input that a row stands for."""
+    """Convert a row of `inputs_of`."""
     return RunInput(path=row.path, size_bytes=row.size_bytes, sha256=row.sha256.hex(), file_id=row.file_id)
 
 
 def artifacts_of(actor: Actor, run_id: uuid.UUID) -> Select[Any]:
-    """Return what a run left, with what is known of the bytes; `file_id` where `actor` may read that file."""
+    """Return the artifacts of a run, with their content; `file_id` where `actor` may read that file."""
     own = (run_artifact.c.id, run_artifact.c.run_id, run_artifact.c.path)
     columns = (*own, blob.c.size_bytes, blob.c.sha256, blob.c.key, blob.c.state)
     stmt = select(*columns, _visible_id(actor, run_artifact.c.file_id))
@@ -218,7 +218,7 @@ def artifacts_of(actor: Actor, run_id: uuid.UUID) -> Select[Any]:
 
 
 def to_artifact(row: Row[Any]) -> ArtifactRead:
-    """Return the artifact that a row of `artifacts_of` stands for."""
+    """Convert a row of `artifacts_of`."""
     return ArtifactRead(
         id=row.id,
         run_id=row.run_id,
@@ -230,21 +230,21 @@ def to_artifact(row: Row[Any]) -> ArtifactRead:
 
 
 def findings(actor: Actor, matching: ReportFilter) -> Select[Any]:
-    """Return what visible runs noticed, as `to_finding` reads it."""
-    stmt = _said_by_runs(actor, run_finding, matching)
+    """Return the findings of visible runs, as `to_finding` reads them."""
+    stmt = _reported_by_runs(actor, run_finding, matching)
     if matching.severity:
-        stmt = stmt.where(run_finding.c.severity.in_([each.value for each in matching.severity]))
+        stmt = stmt.where(run_finding.c.severity.in_([severity.value for severity in matching.severity]))
     return stmt if matching.code is None else stmt.where(matches(run_finding.c.code, matching.code))
 
 
 def metrics(actor: Actor, matching: ReportFilter) -> Select[Any]:
-    """Return the numbers that visible runs found, as `to_metric` reads them."""
-    stmt = _said_by_runs(actor, run_metric, matching)
+    """Return the metrics of visible runs, as `to_metric` reads them."""
+    stmt = _reported_by_runs(actor, run_metric, matching)
     return stmt if matching.code is None else stmt.where(matches(run_metric.c.name, matching.code))
 
 
 def first_metrics(actor: Actor, run_ids: Sequence[uuid.UUID]) -> Select[Any]:
-    """Return the first numbers of each run, those of the whole run before those of one file that `actor` may see."""
+    """Return the first metrics of each run, those of the whole run before those of single visible files."""
     hidden_input = exists().where(
         run_input.c.run_id == run_metric.c.run_id,
         run_input.c.path == run_metric.c.file,
@@ -257,14 +257,14 @@ def first_metrics(actor: Actor, run_ids: Sequence[uuid.UUID]) -> Select[Any]:
     return select(ranked).where(ranked.c.place <= MAX_LISTED_METRICS).order_by(ranked.c.run_id, ranked.c.place)
 
 
-def _said_by_runs(actor: Actor, table: Any, matching: ReportFilter) -> Select[Any]:
+def _reported_by_runs(actor: Actor, table: Any, matching: ReportFilter) -> Select[Any]:
     place = (run.c.mission_id, *_PLACE, *_ACTION)
-    chosen = [column.label(f"said_{column.name}") for column in table.c if column is not table.c.file]
-    # The name of an input goes out of sight with the file.
+    chosen = [column.label(f"reported_{column.name}") for column in table.c if column is not table.c.file]
+    # The name of an input is hidden together with the file.
     its_input = exists().where(
         run_input.c.run_id == run.c.id, run_input.c.path == table.c.file, is_hidden(actor, run_input.c.file_id)
     )
-    chosen.append(case((~its_input, table.c.file)).label("said_file"))
+    chosen.append(case((~its_input, table.c.file)).label("reported_file"))
     stmt = visible_runs(actor).with_only_columns(*chosen, *place, maintain_column_froms=True)
     stmt = stmt.join(table, table.c.run_id == run.c.id)
     if matching.run_id is not None:
@@ -279,19 +279,25 @@ def _said_by_runs(actor: Actor, table: Any, matching: ReportFilter) -> Select[An
 
 
 def to_finding(row: Row[Any]) -> FindingRead:
-    """Return the finding that a row of `findings` stands for."""
-    said = Finding.model_construct(
-        severity=Severity(row.said_severity),
-        code=row.said_code,
-        message=row.said_message,
-        file=row.said_file,
-        topic=row.said_topic,
-        time_ns=row.said_time_ns,
+    """Convert a row of `findings`."""
+    reported = Finding.model_construct(
+        severity=Severity(row.reported_severity),
+        code=row.reported_code,
+        message=row.reported_message,
+        file=row.reported_file,
+        topic=row.reported_topic,
+        time_ns=row.reported_time_ns,
     )
-    return FindingRead(id=row.said_id, run_id=row.said_run_id, mission=_mission(row), action=_action(row), finding=said)
+    return FindingRead(
+        id=row.reported_id, run_id=row.reported_run_id, mission=_mission(row), action=_action(row), finding=reported
+    )
 
 
 def to_metric(row: Row[Any]) -> MetricRead:
-    """Return the metric that a row of `metrics` stands for."""
-    said = Metric.model_construct(name=row.said_name, value=row.said_value, unit=row.said_unit, file=row.said_file)
-    return MetricRead(id=row.said_id, run_id=row.said_run_id, mission=_mission(row), action=_action(row), metric=said)
+    """Convert a row of `metrics`."""
+    reported = Metric.model_construct(
+        name=row.reported_name, value=row.reported_value, unit=row.reported_unit, file=row.reported_file
+    )
+    return MetricRead(
+        id=row.reported_id, run_id=row.reported_run_id, mission=_mission(row), action=_action(row), metric=reported
+    )

@@ -1,4 +1,4 @@
-"""Runs over HTTP."""
+"""Routes of runs."""
 
 import uuid
 from typing import Annotated
@@ -25,7 +25,7 @@ from kleinkram.contract.runs import (
 )
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
 from kleinkram.server.paging import PageRequest
-from kleinkram.server.runs import ending, launching, lineage, logs, reading
+from kleinkram.server.runs import launch, lifecycle, logs, service
 
 router = APIRouter(prefix="/api/v1", tags=["runs"])
 
@@ -47,7 +47,7 @@ class ReportListQuery(ReportFilter):
 
 
 class LogQuery(BaseModel):
-    """Which piece of a log: from which byte on, and how long to wait for it while the run lasts."""
+    """The offset of a chunk of a log, and how long to wait for it while the run lasts."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -56,34 +56,34 @@ class LogQuery(BaseModel):
 
 
 @router.post("/runs", operation_id="create_runs")
-async def create_runs(wanted: RunsCreate, db: Transaction, actor: CurrentActor) -> RunsCreated:
-    """Run an action on each of some missions; says for each mission whether there is a run."""
-    return await launching.launch(db, actor, wanted=wanted)
+async def create_runs(requested: RunsCreate, db: Transaction, actor: CurrentActor) -> RunsCreated:
+    """Run an action on each of some missions, with an outcome for each."""
+    return await launch.launch(db, actor, requested=requested)
 
 
 @router.get("/runs", operation_id="list_runs")
 async def list_runs(query: Annotated[RunListQuery, Query()], db: Reading, actor: CurrentActor) -> Page[RunRead]:
-    """List the runs that match, latest first."""
+    """List runs, latest first."""
     page = PageRequest(query.limit, query.cursor, query.count)
-    return await reading.list_runs(db, actor, matching=query, page=page)
+    return await service.list_runs(db, actor, matching=query, page=page)
 
 
 @router.get("/runs/{run_id}", operation_id="get_run")
 async def get_run(run_id: uuid.UUID, db: Reading, actor: CurrentActor) -> RunDetail:
-    """Get a run with all that fits one answer."""
-    return await reading.get_detail(db, actor, run_id)
+    """Get a run with its details."""
+    return await service.get_detail(db, actor, run_id)
 
 
 @router.post("/runs/{run_id}/cancel", operation_id="cancel_run")
 async def cancel_run(run_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> RunRead:
-    """Cancel a run; one that a runner has ends within seconds."""
-    return await ending.cancel_run(db, actor, run_id=run_id)
+    """Cancel a run; a running one ends within seconds."""
+    return await lifecycle.cancel_run(db, actor, run_id=run_id)
 
 
 @router.post("/runs/{run_id}/retry", operation_id="retry_run", status_code=201)
 async def retry_run(run_id: uuid.UUID, db: Transaction, actor: CurrentActor, force: bool = False) -> RunRead:
-    """Run the same once more, on the files as they are now; with `force` though a good run of it is there."""
-    return await ending.retry_run(db, actor, run_id=run_id, force=force)
+    """Launch the same action again, on the current files; with `force`, without reusing results."""
+    return await launch.retry_run(db, actor, run_id=run_id, force=force)
 
 
 @router.get("/runs/{run_id}/inputs", operation_id="list_run_inputs")
@@ -94,8 +94,8 @@ async def list_run_inputs(
     limit: Annotated[PageSize, Query()] = 100,
     cursor: Cursor | None = None,
 ) -> Page[RunInput]:
-    """List what a run was given, by path."""
-    return await reading.list_inputs(db, actor, run_id=run_id, page=PageRequest(limit, cursor))
+    """List the inputs of a run by path."""
+    return await service.list_inputs(db, actor, run_id=run_id, page=PageRequest(limit, cursor))
 
 
 @router.get("/runs/{run_id}/artifacts", operation_id="list_artifacts")
@@ -106,16 +106,16 @@ async def list_artifacts(
     limit: Annotated[PageSize, Query()] = 100,
     cursor: Cursor | None = None,
 ) -> Page[ArtifactRead]:
-    """List what a run left, by path."""
-    return await reading.list_artifacts(db, actor, run_id=run_id, page=PageRequest(limit, cursor))
+    """List the artifacts of a run by path."""
+    return await service.list_artifacts(db, actor, run_id=run_id, page=PageRequest(limit, cursor))
 
 
 @router.post("/runs/{run_id}/artifacts/download", operation_id="download_artifacts")
 async def download_artifacts(
-    run_id: uuid.UUID, wanted: ArtifactsRequest, context: CurrentContext, actor: CurrentActor
+    run_id: uuid.UUID, requested: ArtifactsRequest, context: CurrentContext, actor: CurrentActor
 ) -> ArtifactUrls:
-    """Return where to read artifacts; who asked is noted."""
-    items = await reading.link_artifacts(context, actor, run_id=run_id, artifact_ids=wanted.artifact_ids)
+    """Return URLs of artifacts, and record the download in the audit log."""
+    items = await service.link_artifacts(context, actor, run_id=run_id, artifact_ids=requested.artifact_ids)
     return ArtifactUrls(items=items)
 
 
@@ -127,7 +127,7 @@ async def get_run_log(
     context: CurrentContext,
     actor: CurrentActor,
 ) -> LogChunkRead:
-    """Get a piece of what a run wrote. Ask from `next_offset` on for the next one, until `is_over`."""
+    """Get a chunk of the log of a run. The next one starts at `next_offset`, until `is_over`."""
     hub = request.app.state.hub
     return await logs.read_log(context, hub, actor, run_id=run_id, offset=query.offset, wait_s=query.wait_s)
 
@@ -136,21 +136,21 @@ async def get_run_log(
 async def list_findings(
     query: Annotated[ReportListQuery, Query()], db: Reading, actor: CurrentActor
 ) -> Page[FindingRead]:
-    """List what runs noticed, latest first."""
+    """List findings, latest first."""
     page = PageRequest(query.limit, query.cursor, query.count)
-    return await reading.list_findings(db, actor, matching=query, page=page)
+    return await service.list_findings(db, actor, matching=query, page=page)
 
 
 @router.get("/run-metrics", operation_id="list_run_metrics")
 async def list_run_metrics(
     query: Annotated[ReportListQuery, Query()], db: Reading, actor: CurrentActor
 ) -> Page[MetricRead]:
-    """List the numbers that runs found, latest first."""
+    """List metrics, latest first."""
     page = PageRequest(query.limit, query.cursor, query.count)
-    return await reading.list_metrics(db, actor, matching=query, page=page)
+    return await service.list_metrics(db, actor, matching=query, page=page)
 
 
 @router.get("/files/{file_id}/lineage", operation_id="get_lineage")
 async def get_lineage(file_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> LineageRead:
-    """Say which run made a file, and which runs read it, with what came of that."""
-    return await lineage.get_lineage(db, actor, file_id=file_id)
+    """Get the run that produced a file and the runs that read it."""
+    return await service.get_lineage(db, actor, file_id=file_id)

@@ -23,7 +23,7 @@ from kleinkram.contract.rights import Scope, TokenKind
 from kleinkram.contract.secrets import SecretKind
 from kleinkram.contract.tokens import TokenCreate, TokenMade, TokenRead
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.rights import hold_person, require_fresh_sign_in, see_that_they_stay
+from kleinkram.server.access.rights import ensure_active_person, lock_person, require_fresh_sign_in
 from kleinkram.server.access.secrets import NewSecret, new_secret
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.db import Connection
@@ -100,7 +100,7 @@ async def issue_token(
     Raises:
         NotAuthenticated: they left, or that token was revoked just now.
     """
-    await see_that_they_stay(db, person_id)
+    await ensure_active_person(db, person_id)
     ended = select(token.c.id).where(token.c.id == made_by, token.c.revoked_at.is_not(None))
     if (await db.execute(ended)).first() is not None:
         raise NotAuthenticated(reason="the token is not valid here")
@@ -170,7 +170,7 @@ async def revoke_token(db: Connection, actor: Actor, *, token_id: uuid.UUID, mad
     if token_id != actor.token_id and actor.limits is not None:
         raise ScopeMissing(operation="revoke another token", needs="a token without limits")
     row = await _row(db, actor, token_id)
-    await hold_person(db, row.person_id)
+    await lock_person(db, row.person_id)
     which = queries.made_from(token_id) if made is Made.ended else select(token.c.id).where(token.c.id == token_id)
     stmt = update(token).where(token.c.id.in_(which), token.c.revoked_at.is_(None)).values(revoked_at=func.now())
     ended = (await db.execute(stmt.returning(token.c.id, token.c.name, token.c.prefix))).all()

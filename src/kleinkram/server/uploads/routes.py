@@ -17,7 +17,7 @@ from kleinkram.contract.uploads import (
 )
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Transaction
 from kleinkram.server.paging import PageRequest
-from kleinkram.server.uploads import completion, service, signing_parts
+from kleinkram.server.uploads import completion, parts, service
 
 router = APIRouter(prefix="/api/v1", tags=["uploads"])
 
@@ -26,9 +26,10 @@ router = APIRouter(prefix="/api/v1", tags=["uploads"])
 async def begin(
     mission_id: uuid.UUID, body: UploadBegin, actor: CurrentActor, context: CurrentContext
 ) -> UploadDecisions:
-    """Say what you want to upload, and hear what to send."""
-    await completion.finish_cut_off(context, actor, mission_id=mission_id, wanted=body.files)
-    return UploadDecisions(items=await service.begin_uploads(context, actor, mission_id=mission_id, wanted=body.files))
+    """Announce files to upload and learn what to send."""
+    await completion.finish_interrupted(context, actor, mission_id=mission_id, requested=body.files)
+    decisions = await service.begin_uploads(context, actor, mission_id=mission_id, requested=body.files)
+    return UploadDecisions(items=decisions)
 
 
 @router.get("/missions/{mission_id}/uploads", operation_id="list_uploads")
@@ -39,20 +40,20 @@ async def list_open(
     limit: Annotated[PageSize, Query()] = 100,
     cursor: Cursor | None = None,
 ) -> Page[UploadRead]:
-    """List your uploads under way into a mission."""
+    """List your open uploads into a mission."""
     return await service.list_uploads(db, actor, mission_id=mission_id, page=PageRequest(limit, cursor))
 
 
 @router.get("/uploads/{upload_id}", operation_id="get_upload")
 async def get(upload_id: uuid.UUID, actor: CurrentActor, context: CurrentContext) -> UploadRead:
-    """Get one of your uploads, with the parts that the store holds."""
+    """Get one of your uploads, with the parts that the store has."""
     return await service.get_upload(context, actor, upload_id=upload_id)
 
 
 @router.post("/uploads/parts", operation_id="sign_parts")
 async def sign(body: PartsSign, actor: CurrentActor, context: CurrentContext) -> SignedParts:
-    """Get the addresses to send parts to; this also renews the leases of their uploads."""
-    return SignedParts(items=await signing_parts.sign_parts(context, actor, wanted=body.parts))
+    """Get the URLs to send parts to; this also renews the leases of their uploads."""
+    return SignedParts(items=await parts.sign_parts(context, actor, parts=body.parts))
 
 
 @router.post("/uploads/complete", operation_id="complete_uploads")
@@ -63,5 +64,5 @@ async def complete(body: UploadsComplete, actor: CurrentActor, context: CurrentC
 
 @router.delete("/uploads/{upload_id}", operation_id="abort_upload", status_code=204)
 async def abort(upload_id: uuid.UUID, actor: CurrentActor, context: CurrentContext) -> None:
-    """Give up an upload."""
+    """Abort an upload."""
     await service.abort_upload(context, actor, upload_id=upload_id)

@@ -34,7 +34,7 @@ describe("differences", () => {
 it("says who did it, where that is known", () => {
   expect(doerOf(event)).toBe("Ada");
   expect(doerOf({ ...event, actor: null, share: { id: "s", name: "review" } })).toBe("Link review");
-  expect(doerOf({ ...event, actor: null, request_id: null })).toBe("Kleinkram itself");
+  expect(doerOf({ ...event, actor: null, request_id: null })).toBe("Kleinkram");
   expect(doerOf({ ...event, actor: null, address: "10.0.0.1" })).toBe("Somebody unknown");
 });
 

@@ -1,4 +1,4 @@
-"""The messages of an MCAP one after the other, as fast as Python goes: most of the time of a scan passes here."""
+"""Messages in MCAP chunks: the fast loops of scans, and parsing of selected messages."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from kleinkram.recordings.chunk_table import ChunkTable, Row, StoredChunk
 from kleinkram.recordings.compression import Buffer, decompress, decompress_beginning
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.formats.mcap import records
-from kleinkram.recordings.formats.mcap.records import MESSAGE, RECORD_HEAD, McapFacts
+from kleinkram.recordings.formats.mcap.records import RECORD_HEAD, McapFacts, Opcode
 from kleinkram.recordings.formats.mcap.resync import CHUNK_FIXED, no_record
-from kleinkram.recordings.index_check import FoundMessages
+from kleinkram.recordings.index_check import ChunkMessages
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_CHUNK_INDEX, MAX_NAME, MAX_TAKE, WINDOW
-from kleinkram.recordings.message_counts import Batch, Place, PlaceKind
+from kleinkram.recordings.message_counts import Batch, MessagePlace, PlaceKind
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Selection
 from kleinkram.recordings.sources import Source
-from kleinkram.recordings.streams import ForwardStream, Lookahead, open_range
+from kleinkram.recordings.streams import ByteStream, LookaheadStream, open_range
 
 MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+_MESSAGE_OPCODE = int(Opcode.MESSAGE)  # faster to compare with than a member of an enum
 MESSAGE_FIXED = MESSAGE_HEAD.size - RECORD_HEAD.size
 
 
@@ -31,25 +32,25 @@ _INDEXED_HEAD = struct.Struct("<B8xH4xQ")
 
 
 def points_at_messages(content: bytes, channel_id: int, stamps: Iterable[int], offsets: array[int]) -> bool:
-    """Say whether a message of a channel with each of these log times stands at each of these places of a chunk."""
+    """Return whether the messages of a channel with these log times are at these offsets of a chunk."""
     if offsets and max(offsets) > len(content) - MESSAGE_HEAD.size:
         return False
-    found = map(_INDEXED_HEAD.unpack_from, repeat(content), offsets)
-    return all(map(eq, found, zip(repeat(MESSAGE), repeat(channel_id), stamps)))  # repeat never ends
+    heads = map(_INDEXED_HEAD.unpack_from, repeat(content), offsets)
+    return all(map(eq, heads, zip(repeat(_MESSAGE_OPCODE), repeat(channel_id), stamps)))  # repeat never ends
 
 
 def walk_messages(data: Buffer, at: int, end: int, batch: Batch) -> tuple[int, int]:
-    """Add messages from `at` on to the batch, up to something else or a message that ends behind `end`.
+    """Add messages from `at` on to the batch, up to another record or one that ends after `end`.
 
     Returns:
-        Where that stands, and where the last message begins; twice the same without any message.
+        Where that is, and where the last message begins; twice the same without any message.
     """
     unpack, size, fixed = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size, MESSAGE_FIXED
     last_head, start = end - size, at
     while at <= last_head:
         opcode, length, channel_id, _sequence, log_time, publish_time = unpack(data, at)
         after = at + 9 + length
-        if opcode != MESSAGE or after > end or length < fixed:
+        if opcode != _MESSAGE_OPCODE or after > end or length < fixed:
             break
         batch[channel_id].extend((log_time, publish_time, after - at))
         start, at = at, after
@@ -57,11 +58,11 @@ def walk_messages(data: Buffer, at: int, end: int, batch: Batch) -> tuple[int, i
 
 
 _U64 = struct.Struct("<Q")
-_DEFINITIONS = {records.SCHEMA: records.read_schema, records.CHANNEL: records.read_channel}
+_DEFINITIONS = {Opcode.SCHEMA: records.read_schema, Opcode.CHANNEL: records.read_channel}
 
 
 class ChunkHead(NamedTuple):
-    """The fixed fields of a chunk record; `data_start` counts from the record's own start."""
+    """The fixed fields of a chunk record; `data_start` counts from the start of the record."""
 
     compression: str
     uncompressed: int
@@ -73,8 +74,8 @@ class ChunkHead(NamedTuple):
     is_unfinished: bool = False
 
 
-class Contents(NamedTuple):
-    """What a walk through the records of a chunk came to.
+class McapChunkContents(NamedTuple):
+    """The result of reading the records of a chunk.
 
     Attributes:
         walked: bytes of records that could be followed.
@@ -88,7 +89,7 @@ class Contents(NamedTuple):
 
 
 def read_chunk_head(data: Buffer, at: int) -> ChunkHead:
-    """Read the head of a chunk record whose lengths are known to agree, or that was never finished."""
+    """Read the head of a chunk record whose lengths agree, or that was never finished."""
     (length,) = _U64.unpack_from(data, at + 1)
     at += RECORD_HEAD.size
     first_ns, last_ns, uncompressed, crc, name_length = CHUNK_FIXED.unpack_from(data, at)
@@ -104,7 +105,7 @@ def read_chunk_head(data: Buffer, at: int) -> ChunkHead:
     return ChunkHead(name, uncompressed, crc, data_start, stored, first_ns, last_ns, is_unfinished=True)
 
 
-def read_chunk(stored: Buffer, head: ChunkHead, facts: McapFacts, batch: Batch) -> Contents:
+def read_chunk(stored: Buffer, head: ChunkHead, facts: McapFacts, batch: Batch) -> McapChunkContents:
     """Add the messages of a whole chunk to the batch.
 
     Raises:
@@ -116,41 +117,41 @@ def read_chunk(stored: Buffer, head: ChunkHead, facts: McapFacts, batch: Batch) 
     return walk_contents(raw, facts, batch)._replace(raw=raw)
 
 
-def read_beginning(stored: bytes, head: ChunkHead, facts: McapFacts, batch: Batch) -> Contents:
+def read_beginning(stored: bytes, head: ChunkHead, facts: McapFacts, batch: Batch) -> McapChunkContents:
     """Add the messages of a chunk whose end is missing."""
     raw = decompress_beginning(head.compression, stored, min(head.uncompressed, MAX_CHUNK_BYTES))
     return walk_contents(raw, facts, batch)._replace(raw=raw)
 
 
-def notify(facts: McapFacts, place: Place, batch: Batch) -> None:
+def notify(facts: McapFacts, place: MessagePlace, batch: Batch) -> None:
     """Pass messages at a place to the observer, if there is one."""
     if facts.observer is not None:
         facts.observer.on_messages(place, batch)
 
 
-def walk_contents(raw: bytes, facts: McapFacts, batch: Batch) -> Contents:
-    """Add the messages of records to the batch, as far as they can be followed."""
+def walk_contents(raw: bytes, facts: McapFacts, batch: Batch) -> McapChunkContents:
+    """Add the messages of records to the batch, up to the first damage."""
     at, end = 0, len(raw)
     while True:
         at, _ = walk_messages(raw, at, end, batch)
         if at == end:
-            return Contents(at)
+            return McapChunkContents(at)
         if end - at < RECORD_HEAD.size:
-            return Contents(at, Malformed(f"byte {at}", "it ends within a record"))
+            return McapChunkContents(at, Malformed(f"byte {at}", "it ends within a record"))
         opcode, length = RECORD_HEAD.unpack_from(raw, at)
         body = at + RECORD_HEAD.size
-        if opcode in (0, records.MESSAGE) or body + length > end:
-            return Contents(at, Malformed(f"byte {at}", "its records break off"))
+        if opcode in (0, Opcode.MESSAGE) or body + length > end:
+            return McapChunkContents(at, Malformed(f"byte {at}", "its records break off"))
         if opcode in _DEFINITIONS:
             try:
                 _DEFINITIONS[opcode](facts, raw[body : body + min(length, MAX_TAKE)], f"byte {at}")
             except Malformed as fault:
-                return Contents(at, fault)
+                return McapChunkContents(at, fault)
         at = body + length
 
 
-def read_large_message(stream: Lookahead) -> tuple[int, tuple[int, int, int]]:
-    """Return channel and row of the next message, of which only the head is at hand.
+def read_large_message(stream: LookaheadStream) -> tuple[int, tuple[int, int, int]]:
+    """Return channel and row of the next message, of which only the head is in the window.
 
     Raises:
         Malformed: it is too short to be one.
@@ -168,8 +169,8 @@ _CHUNK_FIXED = struct.Struct("<QQQII")
 _MOST_OF_RUN = 8192
 
 
-class StreamedRecord(NamedTuple):
-    """A record; of a message `head` are the fields before its data, of a definition the whole body, else nothing."""
+class McapRecord(NamedTuple):
+    """A record. `head`: of a message, the fields before its data; of a definition, the body; else empty."""
 
     opcode: int
     start: int
@@ -177,7 +178,7 @@ class StreamedRecord(NamedTuple):
     head: bytes
 
 
-def open_chunk(stream: ForwardStream) -> StoredChunk:
+def open_chunk(stream: ByteStream) -> StoredChunk:
     """Read a chunk record up to its stored bytes.
 
     Raises:
@@ -185,12 +186,12 @@ def open_chunk(stream: ForwardStream) -> StoredChunk:
     """
     start = stream.position
     opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
-    if opcode != records.CHUNK:
+    if opcode != Opcode.CHUNK:
         raise Malformed(f"byte {start}", f"a record of type {opcode} where a chunk should be")
     return read_chunk_fields(stream, length)
 
 
-def read_chunk_fields(stream: ForwardStream, length: int) -> StoredChunk:
+def read_chunk_fields(stream: ByteStream, length: int) -> StoredChunk:
     """Read the fields of a chunk record of `length` bytes, up to its stored bytes.
 
     Raises:
@@ -211,8 +212,8 @@ def read_chunk_fields(stream: ForwardStream, length: int) -> StoredChunk:
     return StoredChunk(name, uncompressed, crc, stored)
 
 
-def read_message_index(source: Source, row: Row) -> FoundMessages | None:
-    """Return what the message indexes behind a chunk list; None where there are none, or they cannot be read.
+def read_message_index(source: Source, row: Row) -> ChunkMessages | None:
+    """Return the messages that the indexes after a chunk list; None if there are none, or they cannot be read.
 
     Raises:
         SourceError: as `Source.read`.
@@ -220,32 +221,32 @@ def read_message_index(source: Source, row: Row) -> FoundMessages | None:
     index_start = row.start + row.length
     if not 0 < row.end - index_start <= MAX_CHUNK_INDEX:
         return None
-    stream, found = open_range(source, index_start, row.end), FoundMessages()
+    stream, messages = open_range(source, index_start, row.end), ChunkMessages()
     try:
         while not stream.at_end():
             where = f"byte {stream.position}"
             opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
-            if opcode != records.MESSAGE_INDEX:
+            if opcode != Opcode.MESSAGE_INDEX:
                 return None
             channel_id, stamps, _offsets = records.read_message_index(stream.take(length), where)
-            found.add_index(channel_id, stamps)
+            messages.add_index(channel_id, stamps)
     except Malformed:
         return None
-    return found
+    return messages
 
 
-def parse_messages(content: Buffer, wanted: Mapping[int, Channel], selection: Selection) -> Block:
-    """Return the wanted messages of records, in the order in which they stand.
+def parse_messages(content: Buffer, channels: Mapping[int, Channel], selection: Selection) -> Block:
+    """Return the selected messages of records, in file order.
 
     Raises:
         Malformed: a record reaches beyond the content.
     """
     _, start_ns, end_ns = selection
     view = content if isinstance(content, bytes) else bytes(content)
-    unpack, message, channel_of, new = _MESSAGE.unpack_from, records.MESSAGE, wanted.get, tuple.__new__
+    unpack, message, channel_of, new = _MESSAGE.unpack_from, _MESSAGE_OPCODE, channels.get, tuple.__new__
     at, size = 0, len(view)
     last = size - _MESSAGE.size
-    found: Block = []
+    messages: Block = []
     while at <= last:
         opcode, length, channel_id, sequence, log_ns, publish_ns = unpack(view, at)
         end = at + 9 + length
@@ -254,27 +255,27 @@ def parse_messages(content: Buffer, wanted: Mapping[int, Channel], selection: Se
                 raise Malformed(f"byte {at} of the chunk", "a message that reaches beyond the chunk")
             channel = channel_of(channel_id)
             if channel is not None and start_ns <= log_ns < end_ns:
-                found.append(
+                messages.append(
                     new(RawMessage, (channel.topic, log_ns, publish_ns, sequence, view[at + 31 : end], channel))
                 )
         at = end
     if at != size and (at > size or not _is_short_tail(view, at)):
         raise Malformed(f"byte {at} of the chunk", "a record that reaches beyond the chunk")
-    return found
+    return messages
 
 
 def _is_short_tail(view: bytes, at: int) -> bool:
-    """Say whether what is left, less than a message needs, is whole records."""
+    """Return whether the rest, shorter than a message, is whole records."""
     while at + records.RECORD_HEAD.size <= len(view):
         opcode, length = records.RECORD_HEAD.unpack_from(view, at)
-        if opcode == records.MESSAGE:
+        if opcode == Opcode.MESSAGE:
             return False
         at += records.RECORD_HEAD.size + length
     return at == len(view)
 
 
-def read_records(stream: ForwardStream) -> Iterator[StreamedRecord]:
-    """Yield the records of a stream; what the caller did not take of one is skipped.
+def read_records(stream: ByteStream) -> Iterator[McapRecord]:
+    """Yield the records of a stream; unread bytes of one are skipped.
 
     Raises:
         Malformed: no record begins where one should, or the last one is cut.
@@ -287,19 +288,19 @@ def read_records(stream: ForwardStream) -> Iterator[StreamedRecord]:
         if opcode == 0:
             raise Malformed(f"byte {start}", no_record(record_head))
         head = b""
-        if opcode == records.MESSAGE:
+        if opcode == Opcode.MESSAGE:
             if length < MESSAGE_FIELDS.size:
                 raise Malformed(f"byte {start}", f"a message of {length} bytes, too short to be one")
             head = stream.take(MESSAGE_FIELDS.size)
-        elif opcode in (records.SCHEMA, records.CHANNEL):
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             head = stream.take(length)
-        yield StreamedRecord(opcode, start, length, head)
+        yield McapRecord(opcode, start, length, head)
         if stream.position < end:
             stream.skip(end - stream.position)
 
 
 class RunBuilder:
-    """Gathers messages that follow each other without a chunk into rows of about 1 MB."""
+    """Combines adjacent messages outside of chunks into rows of about 1 MB."""
 
     def __init__(self, table: ChunkTable) -> None:
         self._table = table
@@ -309,7 +310,7 @@ class RunBuilder:
         self._count = 0
 
     def add(self, start: int, end: int, channel_id: int, log_ns: int) -> None:
-        """Add a message that stands at [start, end)."""
+        """Add a message that is at [start, end)."""
         if not self._count:
             self._start = start
         elif end - self._start > WINDOW or self._count >= _MOST_OF_RUN:
@@ -321,7 +322,7 @@ class RunBuilder:
         self._count += 1
 
     def close(self) -> None:
-        """End the row that was begun, if any: something else follows."""
+        """End the current row, if there is one."""
         if self._count:
             length = self._end - self._start
             members = self._table.sets.number(self._channels)
@@ -331,18 +332,18 @@ class RunBuilder:
         self._channels = set()
 
 
-def table_of_records(stream: ForwardStream) -> ChunkTable:
-    """Return where the messages of a stream stand, up to where it is damaged."""
+def table_of_records(stream: ByteStream) -> ChunkTable:
+    """Return the places of the messages in a stream, up to the first damage."""
     table = ChunkTable()
     builder = RunBuilder(table)
     try:
         for record in read_records(stream):
-            if record.opcode == records.MESSAGE:
+            if record.opcode == Opcode.MESSAGE:
                 channel_id, _, log_ns, _ = MESSAGE_FIELDS.unpack(record.head)
                 end = record.start + records.RECORD_HEAD.size + record.length
                 stream.skip(end - stream.position)
                 builder.add(record.start, end, channel_id, log_ns)
     except Malformed:
-        pass  # whoever wrote the stream has said what is wrong with it
+        pass  # already reported by the writer of the stream
     builder.close()
     return table

@@ -1,4 +1,4 @@
-"""The index of an MCAP: footer, summary section, and on request the message indexes behind each chunk.
+"""The index of an MCAP: footer, summary section and, on request, message indexes.
 
 Reads no chunk and decompresses nothing. Where the index cannot be used, or does not add up, `read_index` raises
 `NotIndexed`, and the file must be scanned.
@@ -14,33 +14,33 @@ from itertools import chain
 
 from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN, Row, smallest_to_come
 from kleinkram.recordings.compression import is_known_compression, unknown_compression, unreadable_chunk
-from kleinkram.recordings.damage_report import Losses
+from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Malformed, NotIndexed
 from kleinkram.recordings.formats.mcap import records
-from kleinkram.recordings.formats.mcap.records import McapFacts
+from kleinkram.recordings.formats.mcap.records import McapFacts, Opcode
 from kleinkram.recordings.formats.mcap.resync import CHUNK_FIXED
-from kleinkram.recordings.index_check import ChunkClaim, FoundMessages, wrong_compression
+from kleinkram.recordings.index_check import ChunkClaim, ChunkMessages, wrong_compression
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAME, MAX_TAKE, TAIL, WINDOW
 from kleinkram.recordings.model import counted
 from kleinkram.recordings.sources import Source, read_short_ranges
-from kleinkram.recordings.streams import ForwardStream, open_bytes, open_range
+from kleinkram.recordings.streams import ByteStream, open_bytes, open_range
 from kleinkram.recordings.timeline import ChunkEntries, Timeline
 
 _HEAD_BYTES = 4096
 _CHUNK_HEAD_BYTES = 4096
 _MAX_RECORDS_WALKED = 1_000
 _READERS = {
-    records.CHUNK_INDEX: records.read_chunk_index,
-    records.STATISTICS: records.read_statistics,
-    records.ATTACHMENT_INDEX: records.read_attachment_index,
-    records.METADATA_INDEX: records.read_metadata_index,
-    records.SCHEMA: records.read_schema,
-    records.CHANNEL: records.read_channel,
+    Opcode.CHUNK_INDEX: records.read_chunk_index,
+    Opcode.STATISTICS: records.read_statistics,
+    Opcode.ATTACHMENT_INDEX: records.read_attachment_index,
+    Opcode.METADATA_INDEX: records.read_metadata_index,
+    Opcode.SCHEMA: records.read_schema,
+    Opcode.CHANNEL: records.read_channel,
 }
 
 
-def read_index(source: Source, times: tuple[Timeline, Losses] | None = None) -> McapFacts:
-    """Return what the summary section says of an MCAP.
+def read_index(source: Source, times: tuple[Timeline, DamageReport] | None = None) -> McapFacts:
+    """Read the index.
 
     Args:
         source: the file.
@@ -93,13 +93,13 @@ class _KnownEnds:
 
 
 def _read_summary_section(known: _KnownEnds, facts: McapFacts) -> int:
-    """Read all records between the data section and the footer; return where they begin."""
+    """Read the records between data section and footer; return where they begin."""
     tail, tail_start = known.tail, known.tail_start
     footer_at = len(tail) - records.FOOTER_BYTES
     if footer_at < len(records.MAGIC) or not tail.endswith(records.MAGIC):
         raise NotIndexed("no-footer", "it was never closed, so it has no index", is_problem=False)
     opcode, length = records.RECORD_HEAD.unpack_from(tail, footer_at)
-    if opcode != records.FOOTER or length != records.FOOTER_BODY.size:
+    if opcode != Opcode.FOOTER or length != records.FOOTER_BODY.size:
         raise NotIndexed("no-footer", "it was never closed, so it has no index", is_problem=False)
     summary_start: int
     summary_start, _offsets_start, crc = records.FOOTER_BODY.unpack_from(tail, footer_at + records.RECORD_HEAD.size)
@@ -107,7 +107,7 @@ def _read_summary_section(known: _KnownEnds, facts: McapFacts) -> int:
     if summary_start == 0:
         raise NotIndexed("no-summary", "the file has no summary section", is_problem=False)
     if not len(records.MAGIC) < summary_start <= footer_start:
-        raise Malformed(f"byte {footer_start}", f"the summary is said to begin at byte {summary_start}")
+        raise Malformed(f"byte {footer_start}", f"the footer places the summary at byte {summary_start}")
     if summary_start >= tail_start:
         stream = open_bytes(tail[summary_start - tail_start : footer_at], summary_start)
     else:
@@ -122,10 +122,10 @@ def _read_summary_section(known: _KnownEnds, facts: McapFacts) -> int:
     return summary_start
 
 
-def _read_summary_record(stream: ForwardStream, facts: McapFacts) -> None:
+def _read_summary_record(stream: ByteStream, facts: McapFacts) -> None:
     where = f"byte {stream.position}"
     opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
-    if opcode in (records.SCHEMA, records.CHANNEL):
+    if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
         body = stream.take(min(length, MAX_TAKE))
         _READERS[opcode](facts, body, where)
         stream.skip(length - len(body))
@@ -136,12 +136,12 @@ def _read_summary_record(stream: ForwardStream, facts: McapFacts) -> None:
 
 
 def _read_header(known: _KnownEnds, facts: McapFacts) -> None:
-    """Note profile and library; a damaged header leaves the index as it is."""
+    """Read profile and library; a damaged header does not invalidate the index."""
     start = len(records.MAGIC)
     stream = open_bytes(known.read(start, _HEAD_BYTES - start), start)
     try:
         opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
-        if opcode != records.HEADER:
+        if opcode != Opcode.HEADER:
             facts.header_damage = Malformed(f"byte {start}", "the first record is not a header")
             return
         if length > _HEAD_BYTES - start - records.RECORD_HEAD.size:
@@ -175,7 +175,7 @@ def _check_places(facts: McapFacts, summary_start: int) -> None:
 
 
 def _check_compressions(source: Source, facts: McapFacts) -> None:
-    """Keep of the unknown compressions those that the chunks themselves name, too."""
+    """Keep those unknown compressions that the chunks themselves confirm."""
     for row in facts.table.rows if facts.unknown_compression else ():
         named = facts.unknown_compression.get(row.start)
         if named is None:
@@ -189,62 +189,67 @@ def _check_compressions(source: Source, facts: McapFacts) -> None:
 
 
 def _read_compression(source: Source, row: Row) -> str | None:
-    """Return the compression that the head of a chunk names; None where no chunk stands."""
+    """Return the compression in the head of a chunk; None if there is no chunk."""
     stream = open_range(source, row.start, row.end, window=_CHUNK_HEAD_BYTES)
     try:
         opcode, _length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
         name_length = CHUNK_FIXED.unpack(stream.take(CHUNK_FIXED.size))[-1]
-        if opcode == records.CHUNK and name_length <= MAX_NAME:
+        if opcode == Opcode.CHUNK and name_length <= MAX_NAME:
             return stream.take(name_length).decode("utf-8", "replace")
     except Malformed:
         pass  # it is cut: the same as none
     return None
 
 
-def _read_message_indexes(source: Source, facts: McapFacts, timeline: Timeline, losses: Losses) -> None:
+def _read_message_indexes(source: Source, facts: McapFacts, timeline: Timeline, losses: DamageReport) -> None:
     rows = facts.table.rows
-    for row in rows:
-        if row.end - row.start - row.length > MAX_CHUNK_INDEX:
-            raise Malformed(f"byte {row.start}", "the index of a chunk is too large to be read", certain=False)
+    for start, size in _index_ranges(facts):
+        if size > MAX_CHUNK_INDEX:
+            raise Malformed(f"byte {start}", "the index of a chunk is too large to be read", certain=False)
     for channel in facts.channels.values():
         timeline.topic(channel.topic)
     watermarks = smallest_to_come(rows.column(Row._fields.index("first_ns")))
     for row, stream, before_ns in zip(rows, _index_streams(source, facts), watermarks, strict=True):
-        entries, found = _read_chunk_entries(stream, facts)
+        entries, messages = _read_chunk_entries(stream, facts)
         claim = ChunkClaim(row.start, row.start + row.length, row.first_ns, row.last_ns, row.channels, UNKNOWN)
-        facts.index_faults.compare(claim, facts.table.sets.listed(row.channels), found)
+        facts.index_faults.compare(claim, facts.table.sets.listed(row.channels), messages)
         why = unreadable_chunk("", stored=row.length, uncompressed=row.uncompressed_bytes)
         if named := facts.unknown_compression.get(row.start):
             why = unknown_compression(named)
         if why is not None:
-            losses.leave_chunk(row.start, row.length, sum(len(entry.stamps) for entry in entries), why)
+            losses.skip_chunk(row.start, row.length, sum(len(entry.stamps) for entry in entries), why)
         else:
             timeline.add_chunk(entries, uncompressed_bytes=row.uncompressed_bytes, stored_bytes=row.stored_bytes)
         timeline.settle(before_ns)
 
 
-def _index_streams(source: Source, facts: McapFacts) -> Iterator[ForwardStream]:
-    """Yield the message indexes of each chunk; over a network, those of the next few are fetched meanwhile."""
-    rows = facts.table.rows
-    if any(row.end - row.start - row.length > WINDOW for row in rows):
-        for row in rows:
-            yield open_range(source, row.start + row.length, row.end)
+def _index_ranges(facts: McapFacts) -> Iterator[tuple[int, int]]:
+    """Yield where the message indexes of each chunk begin, and their size."""
+    starts, lengths, ends = (facts.table.rows.column(Row._fields.index(name)) for name in ("start", "length", "end"))
+    return ((start + length, end - start - length) for start, length, end in zip(starts, lengths, ends, strict=True))
+
+
+def _index_streams(source: Source, facts: McapFacts) -> Iterator[ByteStream]:
+    """Yield the message indexes of each chunk; over a network, the next ones are fetched meanwhile."""
+    if any(size > WINDOW for _, size in _index_ranges(facts)):
+        for start, size in _index_ranges(facts):
+            yield open_range(source, start, start + size)
         return
-    ranges = ((row.start + row.length, row.end - row.start - row.length) for row in rows)
-    for row, data in zip(rows, read_short_ranges(source, ranges), strict=True):
-        yield open_bytes(data, row.start + row.length)
+    answers = read_short_ranges(source, _index_ranges(facts))
+    for (start, _), data in zip(_index_ranges(facts), answers, strict=True):
+        yield open_bytes(data, start)
 
 
-def _read_chunk_entries(stream: ForwardStream, facts: McapFacts) -> tuple[list[ChunkEntries], FoundMessages]:
+def _read_chunk_entries(stream: ByteStream, facts: McapFacts) -> tuple[list[ChunkEntries], ChunkMessages]:
     by_topic: dict[str, ChunkEntries] = {}
-    found = FoundMessages()
+    messages = ChunkMessages()
     while not stream.at_end():
         where = f"byte {stream.position}"
         opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
-        if opcode != records.MESSAGE_INDEX:
+        if opcode != Opcode.MESSAGE_INDEX:
             raise Malformed(where, f"a record of type {opcode} where a message index should be")
         channel_id, stamps, offsets = records.read_message_index(stream.take(length), where)
-        found.add_index(channel_id, stamps)
+        messages.add_index(channel_id, stamps)
         channel = facts.channels.get(channel_id)
         if channel is None:
             raise NotIndexed("no-channels", f"the summary does not list channel {channel_id}", is_problem=False)
@@ -252,25 +257,25 @@ def _read_chunk_entries(stream: ForwardStream, facts: McapFacts) -> tuple[list[C
         if known is not None:
             stamps, offsets = array("Q", known.stamps) + stamps, array("Q", known.offsets) + offsets
         by_topic[channel.topic] = ChunkEntries(channel.topic, stamps, offsets)
-    return list(by_topic.values()), found
+    return list(by_topic.values()), messages
 
 
-def _compare_with_statistics(facts: McapFacts, timeline: Timeline, losses: Losses) -> None:
-    """Refuse an index that does not account for all messages, or that a chunk is missing from."""
-    found = sum(times.count for times in timeline.topics.values()) + losses.messages
+def _compare_with_statistics(facts: McapFacts, timeline: Timeline, losses: DamageReport) -> None:
+    """Refuse an index that does not list all messages."""
+    listed = sum(times.count for times in timeline.topics.values()) + losses.messages
     if facts.statistics is None:
         if any(row.uncompressed_bytes and row.start + row.length == row.end for row in facts.table.rows):
             raise NotIndexed("no-message-index", "the file has chunks without message index", is_problem=False)
-    elif found == 0 and facts.statistics.messages:
+    elif listed == 0 and facts.statistics.messages:
         raise NotIndexed("no-message-index", "the file has no message index", is_problem=False)
-    elif found != facts.statistics.messages:
+    elif listed != facts.statistics.messages:
         claimed = facts.statistics.messages
-        message = f"the statistics say {counted(claimed, 'message')}, the index lists {found}"
+        message = f"the statistics say {counted(claimed, 'message')}, the index lists {listed}"
         raise NotIndexed("counts-disagree", message, is_problem=True)
 
 
 def _check_table(facts: McapFacts) -> None:
-    """Refuse a chunk index that leaves out chunks or channels; without message indexes, no count would show it."""
+    """Refuse a chunk index that omits chunks or channels, which no message count would show."""
     rows, statistics = facts.table.rows, facts.statistics
     if statistics is not None and len(rows) != statistics.chunks:
         message = f"the statistics say {counted(statistics.chunks, 'chunk')}, the index lists {len(rows)}"
@@ -282,7 +287,7 @@ def _check_table(facts: McapFacts) -> None:
 
 
 def _check_space_between_chunks(known: _KnownEnds, facts: McapFacts, summary_start: int) -> None:
-    """Walk over the records that no index covers: messages or chunks among them are missing from the index."""
+    """Refuse an index that omits messages or chunks, by the records that it does not cover."""
     position, left = len(records.MAGIC), _MAX_RECORDS_WALKED
     covered = ((row.start, row.end) for row in facts.table.rows)
     for start, end in chain(heapq.merge(covered, sorted(facts.outside_chunks)), [(summary_start, summary_start)]):
@@ -290,7 +295,7 @@ def _check_space_between_chunks(known: _KnownEnds, facts: McapFacts, summary_sta
             head = open_bytes(known.read(position, records.RECORD_HEAD.size), position)
             opcode, length = records.RECORD_HEAD.unpack(head.take(records.RECORD_HEAD.size))
             left -= 1
-            if opcode in (records.MESSAGE, records.CHUNK) or left == 0:
+            if opcode in (Opcode.MESSAGE, Opcode.CHUNK) or left == 0:
                 raise NotIndexed("no-chunk-index", "the index does not list all messages", is_problem=False)
             position += records.RECORD_HEAD.size + length
         position = max(position, end)

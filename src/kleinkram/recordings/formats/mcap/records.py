@@ -1,4 +1,4 @@
-"""The records of MCAP: what stands in a record's body. No reading of files, no judgement of whole files.
+"""MCAP records: parsing of record bodies.
 
 Source: MCAP format specification, version 0 (mcap.dev/spec).
 """
@@ -9,6 +9,7 @@ import struct
 import sys
 from array import array
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import NamedTuple
 
 from kleinkram.recordings.chunk_table import ANY_CHANNEL, ChunkTable, Row
@@ -21,8 +22,6 @@ from kleinkram.recordings.messages import Channel, Schema
 from kleinkram.recordings.model import Fact
 
 MAGIC = b"\x89MCAP0\r\n"
-HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
-ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
 RECORD_HEAD = struct.Struct("<BQ")
 FOOTER_BODY = struct.Struct("<QQI")
 FOOTER_BYTES = RECORD_HEAD.size + FOOTER_BODY.size + len(MAGIC)
@@ -30,16 +29,35 @@ MAX_OUTSIDE_CHUNKS = 200_000
 """Attachments and metadata records that an index may list."""
 
 PLACEHOLDER = 2**64 - 1
-"""What stands for the length of a record or of data while it is being written (mcap-rs): a recorder that was killed
-leaves it."""
+"""The length of a record or of data while it is being written (mcap-rs); it remains if the recorder is killed."""
 STATISTICS_BODY = struct.Struct("<QHIIIIQQ")
 _CHUNK_PLACE = struct.Struct("<QQQQ")
 _CHANNEL_AND_U64 = struct.Struct("<HQ")
 _ATTACHMENT_PLACE = struct.Struct("<QQQQQ")
 
 
+class Opcode(IntEnum):
+    """The type of a record."""
+
+    HEADER = 1
+    FOOTER = 2
+    SCHEMA = 3
+    CHANNEL = 4
+    MESSAGE = 5
+    CHUNK = 6
+    MESSAGE_INDEX = 7
+    CHUNK_INDEX = 8
+    ATTACHMENT = 9
+    ATTACHMENT_INDEX = 10
+    STATISTICS = 11
+    METADATA = 12
+    METADATA_INDEX = 13
+    SUMMARY_OFFSET = 14
+    DATA_END = 15
+
+
 class ChannelRecord(NamedTuple):
-    """A channel. `publisher`: its ROS 1 node, by the metadata that a conversion leaves; empty where unknown."""
+    """A channel. `publisher`: its ROS 1 node, from the metadata that a conversion leaves; may be empty."""
 
     schema_id: int
     topic: str
@@ -65,13 +83,13 @@ NO_SCHEMA = Schema("", "", b"")
 
 @dataclass
 class McapFacts:
-    """What the records of one file say.
+    """What the records of a file define and count.
 
     Attributes:
         table: chunks, as the chunk index lists them.
         index_faults: what the index says of chunks that is not so.
         unknown_compression: by the start of a chunk, a compression that is not read.
-        outside_chunks: where attachments and metadata records stand, [start, end), by their indexes.
+        outside_chunks: where attachments and metadata records are, [start, end), by their indexes.
         observer: receives the places of messages.
     """
 
@@ -106,7 +124,7 @@ class McapFacts:
 
 
 class BodyReader:
-    """Fields of one record's body, in order.
+    """Reads the fields of a record body in order.
 
     Raises:
         Malformed: from every method, where a field reaches beyond the body.
@@ -125,7 +143,7 @@ class BodyReader:
         return values
 
     def text(self) -> str:
-        """Read a string; bytes that are not UTF-8 are replaced, so that a name can always be shown."""
+        """Read a string; invalid UTF-8 is replaced."""
         (length,) = self.fields(_U32)
         if length > MAX_NAME:
             raise Malformed(self._where, f"a name of {length} bytes; at most {MAX_NAME} are read", certain=False)
@@ -139,13 +157,13 @@ class BodyReader:
         return data
 
     def counted(self) -> bytes:
-        """Read bytes that follow their length."""
+        """Read length-prefixed bytes."""
         (length,) = self.fields(_U32)
         return self.blob(length)
 
     @property
     def left(self) -> int:
-        """Bytes behind the fields that were read."""
+        """Unread bytes."""
         return len(self._body) - self._at
 
     def _need(self, length: int) -> None:
@@ -168,7 +186,7 @@ def read_header(facts: McapFacts, body: bytes, where: str) -> None:
 
 
 def read_schema(facts: McapFacts, body: bytes, where: str) -> None:
-    """Note a schema; the first of an id counts. The body may be cut behind the encoding; its text is then left out."""
+    """Note a schema; the first of an id counts. The body may be cut after the encoding; then it has no text."""
     reader = BodyReader(body, where)
     (schema_id,) = reader.fields(_U16)
     name, encoding = reader.text(), reader.text()
@@ -184,7 +202,7 @@ def read_schema(facts: McapFacts, body: bytes, where: str) -> None:
 
 
 def read_channel(facts: McapFacts, body: bytes, where: str) -> None:
-    """Note a channel; the first of an id counts. The body may be cut behind the encoding."""
+    """Note a channel; the first of an id counts. The body may be cut after the encoding."""
     reader = BodyReader(body, where)
     channel_id, schema_id = reader.fields(_PAIR_U16)
     topic, message_encoding = reader.text(), reader.text()
@@ -198,7 +216,7 @@ def read_channel(facts: McapFacts, body: bytes, where: str) -> None:
 
 
 def _publisher(reader: BodyReader) -> str:
-    """Return who publishes a channel, by the metadata that a conversion from ROS 1 leaves; empty where unknown."""
+    """Return the publisher from the metadata that a conversion from ROS 1 leaves; may be empty."""
     try:
         metadata = BodyReader(reader.counted(), "")
         while metadata.left:
@@ -228,7 +246,7 @@ def read_statistics(facts: McapFacts, body: bytes, where: str) -> None:
 
 
 def read_attachment(facts: McapFacts, body: bytes, where: str) -> None:
-    """Note an attachment. The body may be cut behind the size of its data."""
+    """Note an attachment. The body may be cut after the size of its data."""
     reader = BodyReader(body, where)
     reader.fields(_PAIR_U64)
     name, media_type = reader.text(), reader.text()
@@ -250,7 +268,7 @@ def _note_attachment(facts: McapFacts, name: str, media_type: str, size_bytes: i
 
 
 def read_metadata(facts: McapFacts, body: bytes, where: str) -> None:
-    """Note a metadata record. The body may be cut behind the name."""
+    """Note a metadata record. The body may be cut after the name."""
     _note_metadata(facts, BodyReader(body, where).text())
 
 
@@ -275,7 +293,7 @@ def _note_metadata(facts: McapFacts, name: str) -> None:
 
 
 def read_chunk_index(facts: McapFacts, body: bytes, where: str) -> None:
-    """Note where a chunk and its message indexes stand."""
+    """Note a chunk."""
     reader = BodyReader(body, where)
     first_ns, last_ns, start, length = reader.fields(_CHUNK_PLACE)
     offsets = reader.counted()

@@ -17,6 +17,7 @@ import lz4.frame
 import zstandard
 
 from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap.records import Opcode
 
 CHUNK_BYTES = 2**20
 LIBRARY = "kleinkram"
@@ -36,7 +37,7 @@ class Compression(str, Enum):
 
 
 @dataclass
-class _Chunk:
+class _McapChunk:
     """The chunk being filled."""
 
     pieces: list[bytes] = field(default_factory=list)
@@ -66,7 +67,7 @@ class McapWriter:
         self._compression = compression
         self._compress = _compressor(compression)
         self._chunk_bytes = chunk_bytes
-        self._chunk = _Chunk()
+        self._chunk = _McapChunk()
         self._position = 0
         self._raw_bytes = self._stored_bytes = 0
         self._crc = 0
@@ -76,7 +77,7 @@ class McapWriter:
         self._schemas = 0
         self._span = (2**64 - 1, 0)
         self._put(records.MAGIC)
-        self._put(_record(records.HEADER, _text(profile) + _text(library)))
+        self._put(_record(Opcode.HEADER, _text(profile) + _text(library)))
 
     @property
     def bytes_written(self) -> int:
@@ -89,19 +90,19 @@ class McapWriter:
         """Define a message type; returns its id, to be used for channels."""
         self._schemas += 1
         body = struct.pack("<H", self._schemas) + _text(name) + _text(encoding) + _counted(text)
-        self._define(_record(records.SCHEMA, body))
+        self._define(_record(Opcode.SCHEMA, body))
         return self._schemas
 
     def add_channel(self, topic: str, schema_id: int, message_encoding: str) -> int:
         """Define a topic; returns its id, to be used for messages."""
         channel_id = len(self._counts)
         body = struct.pack("<HH", channel_id, schema_id) + _text(topic) + _text(message_encoding) + _counted(b"")
-        self._define(_record(records.CHANNEL, body))
+        self._define(_record(Opcode.CHANNEL, body))
         self._counts[channel_id] = 0
         return channel_id
 
     def add_message(self, channel_id: int, log_time_ns: int, payload: bytes, *, publish_time_ns: int) -> None:
-        """Add a message; messages stand in the file in the order in which they are added."""
+        """Add a message; messages are in the file in the order in which they are added."""
         chunk = self._chunk
         index = chunk.index.get(channel_id)
         if index is None:
@@ -112,7 +113,7 @@ class McapWriter:
         self._counts[channel_id] = sequence + 1
         length = _MESSAGE_FIXED_BYTES + len(payload)
         chunk.pieces.append(
-            _MESSAGE.pack(records.MESSAGE, length, channel_id, sequence & 0xFFFFFFFF, log_time_ns, publish_time_ns)
+            _MESSAGE.pack(Opcode.MESSAGE, length, channel_id, sequence & 0xFFFFFFFF, log_time_ns, publish_time_ns)
         )
         chunk.pieces.append(payload)
         chunk.size += records.RECORD_HEAD.size + length
@@ -124,13 +125,13 @@ class McapWriter:
     def finish(self) -> None:
         """Write what is left, the summary and the footer. The file is not closed."""
         self._flush()
-        data_end = _record(records.DATA_END, struct.pack("<I", self._crc))
+        data_end = _record(Opcode.DATA_END, struct.pack("<I", self._crc))
         self._put(data_end)
         summary_start = self._position
         self._crc = 0
         self._write_summary()
         body = struct.pack("<QQ", summary_start, 0)
-        head = records.RECORD_HEAD.pack(records.FOOTER, records.FOOTER_BODY.size)
+        head = records.RECORD_HEAD.pack(Opcode.FOOTER, records.FOOTER_BODY.size)
         crc = zlib.crc32(head + body, self._crc)
         self._put(head + body + struct.pack("<I", crc) + records.MAGIC)
 
@@ -143,7 +144,7 @@ class McapWriter:
         fixed = _STATISTICS.pack(
             total, self._schemas, len(self._counts), 0, 0, len(self._chunk_indexes), first_ns, last_ns
         )
-        self._put(_record(records.STATISTICS, fixed + _counted(counts)))
+        self._put(_record(Opcode.STATISTICS, fixed + _counted(counts)))
         for chunk_index in self._chunk_indexes:
             self._put(chunk_index)
 
@@ -167,20 +168,20 @@ class McapWriter:
         start = self._position
         fixed = _CHUNK_FIXED.pack(chunk.first_ns, chunk.last_ns, len(raw), zlib.crc32(raw))
         head = fixed + _text(self._compression.value) + struct.pack("<Q", len(stored))
-        self._put(records.RECORD_HEAD.pack(records.CHUNK, len(head) + len(stored)) + head)
+        self._put(records.RECORD_HEAD.pack(Opcode.CHUNK, len(head) + len(stored)) + head)
         self._put(stored)
         index_start = self._position
         offsets: list[bytes] = []
         for channel_id, index in chunk.index.items():
             offsets.append(struct.pack("<HQ", channel_id, self._position))
             entries = struct.pack(f"<{len(index)}Q", *index)
-            self._put(_record(records.MESSAGE_INDEX, struct.pack("<H", channel_id) + _counted(entries)))
+            self._put(_record(Opcode.MESSAGE_INDEX, struct.pack("<H", channel_id) + _counted(entries)))
         place = _PLACE.pack(chunk.first_ns, chunk.last_ns, start, index_start - start)
         sizes = struct.pack("<QQ", len(stored), len(raw))
         body = place + _counted(b"".join(offsets)) + struct.pack("<Q", self._position - index_start)
         body += _text(self._compression.value) + sizes
-        self._chunk_indexes.append(_record(records.CHUNK_INDEX, body))
-        self._chunk = _Chunk()
+        self._chunk_indexes.append(_record(Opcode.CHUNK_INDEX, body))
+        self._chunk = _McapChunk()
 
     def _put(self, data: bytes) -> None:
         self._file.write(data)

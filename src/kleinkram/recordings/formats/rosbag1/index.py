@@ -1,4 +1,4 @@
-"""The index of a ROS 1 bag 2.0: connections, chunk infos, and on request the index data behind each chunk.
+"""The index of a ROS 1 bag 2.0: connections, chunk infos and, on request, index data.
 
 Reads no chunk and decompresses nothing: the index section, and with index data their bytes and 64 bytes a chunk.
 """
@@ -13,16 +13,17 @@ from itertools import chain
 
 from kleinkram.recordings.chunk_table import UNKNOWN, ChunkTable, Row, smallest_to_come
 from kleinkram.recordings.compression import unreadable_chunk
-from kleinkram.recordings.damage_report import Losses
+from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.formats.rosbag1 import records
 from kleinkram.recordings.formats.rosbag1.chunks import BagFacts
-from kleinkram.recordings.index_check import ChunkClaim, FoundMessages, IndexFaults
+from kleinkram.recordings.formats.rosbag1.records import Op
+from kleinkram.recordings.index_check import ChunkClaim, ChunkMessages, IndexFaults
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_TAKE, WINDOW
 from kleinkram.recordings.message_counts import PlaceKind
 from kleinkram.recordings.model import counted
 from kleinkram.recordings.sources import Source, read_short_ranges
-from kleinkram.recordings.streams import ForwardStream, open_bytes, open_range
+from kleinkram.recordings.streams import ByteStream, open_bytes, open_range
 from kleinkram.recordings.timeline import ChunkEntries, Timeline
 
 _HEAD_WINDOW = 4096
@@ -66,7 +67,7 @@ def _read_bag_header(source: Source) -> tuple[int, int, int]:
     """Return where the index begins, and how many connections and chunks it lists."""
     start = len(records.MAGIC)
     fields, _data_bytes = records.read_fields(open_range(source, start, source.size_bytes, window=_HEAD_WINDOW))
-    if fields.opcode() != records.BAG_HEADER:
+    if fields.opcode() != Op.BAG_HEADER:
         raise Malformed(f"byte {start}", "the first record is not a bag header")
     if fields.text("encryptor", ""):
         raise Malformed(f"byte {start}", "the bag is encrypted", certain=False)
@@ -79,7 +80,7 @@ def _read_bag_header(source: Source) -> tuple[int, int, int]:
     return index_start, fields.u32("conn_count"), fields.u32("chunk_count")
 
 
-def _read_index_section(stream: ForwardStream, index: BagIndex, left: int) -> None:
+def _read_index_section(stream: ByteStream, index: BagIndex, left: int) -> None:
     """Read connections and chunk infos, `left` in number."""
     while left and not stream.at_end():
         where = f"byte {stream.position}"
@@ -87,9 +88,9 @@ def _read_index_section(stream: ForwardStream, index: BagIndex, left: int) -> No
         if data_bytes > MAX_TAKE:
             raise Malformed(where, f"an index record of {data_bytes} bytes; at most {MAX_TAKE} are read", certain=False)
         data, opcode = stream.take(data_bytes), fields.opcode()
-        if opcode == records.CONNECTION:
+        if opcode == Op.CONNECTION:
             index.facts.define(*records.read_connection(fields, data, where), where)
-        elif opcode == records.CHUNK_INFO:
+        elif opcode == Op.CHUNK_INFO:
             _read_chunk_info(index, fields, data, where)
         else:
             raise Malformed(where, f"a record of type {opcode} in the index")
@@ -98,7 +99,7 @@ def _read_index_section(stream: ForwardStream, index: BagIndex, left: int) -> No
         missing = counted(left, "record is", "records are")
         raise Malformed(f"byte {stream.position}", f"the file is cut within its index: {missing} missing")
     if not stream.at_end():
-        raise Malformed(f"byte {stream.position}", "the index goes on behind what the bag's header says")
+        raise Malformed(f"byte {stream.position}", "the index continues after the records that the bag header counts")
 
 
 def _read_chunk_info(index: BagIndex, fields: records.Fields, data: bytes, where: str) -> None:
@@ -136,7 +137,7 @@ def _place_chunks(index: BagIndex) -> None:
         raise Malformed("index", "it lists chunks of connections that it does not define")
 
 
-def read_index_data(source: Source, index: BagIndex, timeline: Timeline, losses: Losses) -> None:
+def read_index_data(source: Source, index: BagIndex, timeline: Timeline, losses: DamageReport) -> None:
     """Count the messages of all index data, and the chunks that cannot be read.
 
     Raises:
@@ -151,13 +152,13 @@ def read_index_data(source: Source, index: BagIndex, timeline: Timeline, losses:
         entries = _read_chunk_entries(stream, index, row)
         stored, uncompressed = head.data_start + head.data_bytes, head.uncompressed_bytes
         if why := unreadable_chunk(head.compression, stored=stored, uncompressed=uncompressed):
-            losses.leave_chunk(row.start, stored, sum(len(entry.stamps) for entry in entries), why)
+            losses.skip_chunk(row.start, stored, sum(len(entry.stamps) for entry in entries), why)
         else:
             timeline.add_chunk(entries, uncompressed_bytes=uncompressed, stored_bytes=head.data_bytes)
         timeline.settle(before_ns)
 
 
-def _chunk_streams(source: Source, index: BagIndex) -> Iterator[tuple[Row, records.BagChunkHead, ForwardStream]]:
+def _chunk_streams(source: Source, index: BagIndex) -> Iterator[tuple[Row, records.BagChunkHead, ByteStream]]:
     """Yield each chunk with its header and its index data.
 
     The size of the index data of a chunk follows from its chunk info. So one read fetches them together with the next
@@ -200,20 +201,20 @@ def _parse_head(source: Source, position: int, head_bytes: bytes) -> records.Bag
         return records.read_chunk_head(open_range(source, position, source.size_bytes, window=_HEAD_WINDOW))
 
 
-def _read_chunk_entries(stream: ForwardStream, index: BagIndex, row: Row) -> list[ChunkEntries]:
+def _read_chunk_entries(stream: ByteStream, index: BagIndex, row: Row) -> list[ChunkEntries]:
     by_topic: dict[str, ChunkEntries] = {}
-    found = FoundMessages()
+    messages = ChunkMessages()
     while not stream.at_end():
         where = f"byte {stream.position}"
         number, stamps, offsets = records.read_index_data(stream)
         connection = index.facts.connections.get(number)
         if connection is None:
             raise Malformed(where, f"index data of connection {number}, which the bag does not define")
-        found.add_index(number, stamps)
+        messages.add_index(number, stamps)
         known = by_topic.get(connection.topic)
         if known is not None:
             stamps, offsets = [*known.stamps, *stamps], array("I", known.offsets) + offsets
         by_topic[connection.topic] = ChunkEntries(connection.topic, stamps, offsets)
     claim = ChunkClaim(row.start, UNKNOWN, row.first_ns, row.last_ns, row.channels, row.messages)
-    index.index_faults.compare(claim, index.table.sets.listed(row.channels), found)
+    index.index_faults.compare(claim, index.table.sets.listed(row.channels), messages)
     return list(by_topic.values())

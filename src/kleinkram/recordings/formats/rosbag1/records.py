@@ -8,14 +8,14 @@ from __future__ import annotations
 import struct
 import sys
 from array import array
+from enum import IntEnum
 from typing import NamedTuple
 
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_HEADER, MAX_NAME
-from kleinkram.recordings.streams import ForwardStream
+from kleinkram.recordings.streams import ByteStream
 
 MAGIC = b"#ROSBAG V2.0\n"
-MESSAGE, BAG_HEADER, INDEX_DATA, CHUNK, CHUNK_INFO, CONNECTION = 0x02, 0x03, 0x04, 0x05, 0x06, 0x07
 CHUNK_HEAD_BYTES = 64
 """Enough for the header of a chunk record as every known writer writes it, with the length of its data."""
 
@@ -23,6 +23,17 @@ _U32 = struct.Struct("<I")
 _U64 = struct.Struct("<Q")
 INDEX_ENTRY_BYTES = 12
 _INDEX_HEAD_BYTES = 4 + (4 + 4) + (4 + 8) + (4 + 9) + (4 + 10) + 4
+
+
+class Op(IntEnum):
+    """The type of a record."""
+
+    MESSAGE_DATA = 2
+    BAG_HEADER = 3
+    INDEX_DATA = 4
+    CHUNK = 5
+    CHUNK_INFO = 6
+    CONNECTION = 7
 
 
 class Fields:
@@ -121,7 +132,7 @@ class BagChunkHead(NamedTuple):
     data_bytes: int
 
 
-def read_fields(stream: ForwardStream) -> tuple[Fields, int]:
+def read_fields(stream: ByteStream) -> tuple[Fields, int]:
     """Read a record up to its data; return its header and the length of the data.
 
     Raises:
@@ -162,21 +173,21 @@ def index_data_bytes(connections: int, messages: int) -> int:
     return connections * _INDEX_HEAD_BYTES + messages * INDEX_ENTRY_BYTES
 
 
-def read_chunk_head(stream: ForwardStream) -> BagChunkHead:
+def read_chunk_head(stream: ByteStream) -> BagChunkHead:
     """Read the header of a chunk record."""
     start = stream.position
     fields, data_bytes = read_fields(stream)
-    if fields.opcode() != CHUNK:
+    if fields.opcode() != Op.CHUNK:
         raise Malformed(f"byte {start}", f"a record of type {fields.opcode()} where a chunk should be")
     return BagChunkHead(fields.text("compression"), fields.u32("size"), stream.position - start, data_bytes)
 
 
-def read_index_data(stream: ForwardStream) -> tuple[int, list[int], array[int]]:
+def read_index_data(stream: ByteStream) -> tuple[int, list[int], array[int]]:
     """Read an index data record; return connection, log times, and offsets in the uncompressed chunk."""
     where = f"byte {stream.position}"
     fields, data_bytes = read_fields(stream)
-    if fields.opcode() != INDEX_DATA or fields.u32("ver") != 1:
-        raise Malformed(where, "something else where index data should be")
+    if fields.opcode() != Op.INDEX_DATA or fields.u32("ver") != 1:
+        raise Malformed(where, "another record instead of index data")
     if data_bytes != INDEX_ENTRY_BYTES * fields.u32("count"):
         raise Malformed(where, "index data whose length does not fit its count")
     flat = array_u32(stream.take(data_bytes))

@@ -16,6 +16,7 @@ from typing import BinaryIO
 import lz4.frame
 
 from kleinkram.recordings.formats.rosbag1 import records
+from kleinkram.recordings.formats.rosbag1.records import Op
 
 CHUNK_BYTES = 768 * 1024
 _BAG_HEADER_BYTES = 4096
@@ -31,7 +32,7 @@ class BagCompression(str, Enum):
 
 
 @dataclass
-class _Chunk:
+class _BagChunk:
     """The chunk being filled."""
 
     pieces: list[bytes] = field(default_factory=list)
@@ -54,7 +55,7 @@ class BagWriter:
         self._compression = compression
         self._compress = _compressor(compression)
         self._chunk_bytes = chunk_bytes
-        self._chunk = _Chunk()
+        self._chunk = _BagChunk()
         self._position = 0
         self._raw_bytes = self._stored_bytes = 0
         self._connections: list[bytes] = []
@@ -74,7 +75,7 @@ class BagWriter:
         number = len(self._connections)
         data = _fields(topic=topic.encode(), type=message_type.encode(), md5sum=md5sum.encode())
         data += _fields(message_definition=definition.encode())
-        head = _fields(op=bytes([records.CONNECTION]), conn=_u32(number), topic=topic.encode())
+        head = _fields(op=bytes([Op.CONNECTION]), conn=_u32(number), topic=topic.encode())
         record = _record(head, data)
         self._connections.append(record)
         self._chunk.pieces.append(record)
@@ -82,7 +83,7 @@ class BagWriter:
         return number
 
     def add_message(self, connection: int, log_time_ns: int, payload: bytes) -> None:
-        """Add a message; messages stand in the file in the order in which they are added."""
+        """Add a message; messages are in the file in the order in which they are added."""
         chunk = self._chunk
         seconds, nanoseconds = divmod(log_time_ns, 1_000_000_000)
         index = chunk.index.get(connection)
@@ -91,7 +92,7 @@ class BagWriter:
         index.extend((seconds, nanoseconds, chunk.size))
         chunk.times.append(log_time_ns)
         time = struct.pack("<II", seconds, nanoseconds)
-        head = _fields(op=bytes([records.MESSAGE]), conn=_u32(connection), time=time)
+        head = _fields(op=bytes([Op.MESSAGE_DATA]), conn=_u32(connection), time=time)
         front = _u32(len(head)) + head + _u32(len(payload))
         chunk.pieces.append(front)
         chunk.pieces.append(payload)
@@ -118,26 +119,26 @@ class BagWriter:
         self._stored_bytes += len(stored)
         start = self._position
         compression = self._compression.value.encode()
-        head = _fields(op=bytes([records.CHUNK]), compression=compression, size=_u32(chunk.size))
+        head = _fields(op=bytes([Op.CHUNK]), compression=compression, size=_u32(chunk.size))
         self._put(_u32(len(head)) + head + _u32(len(stored)))
         self._put(stored)
         counts: list[bytes] = []
         for connection, index in chunk.index.items():
             count = len(index) // 3
             counts.append(_u32(connection) + _u32(count))
-            head = _fields(op=bytes([records.INDEX_DATA]), ver=_u32(1), conn=_u32(connection), count=_u32(count))
+            head = _fields(op=bytes([Op.INDEX_DATA]), ver=_u32(1), conn=_u32(connection), count=_u32(count))
             self._put(_record(head, struct.pack(f"<{len(index)}I", *index)))
         self._chunk_infos.append(_record(_chunk_info_head(start, chunk, len(counts)), b"".join(counts)))
-        self._chunk = _Chunk()
+        self._chunk = _BagChunk()
 
     def _put(self, data: bytes) -> None:
         self._file.write(data)
         self._position += len(data)
 
 
-def _chunk_info_head(start: int, chunk: _Chunk, connections: int) -> bytes:
+def _chunk_info_head(start: int, chunk: _BagChunk, connections: int) -> bytes:
     return _fields(
-        op=bytes([records.CHUNK_INFO]),
+        op=bytes([Op.CHUNK_INFO]),
         ver=_u32(1),
         chunk_pos=struct.pack("<Q", start),
         start_time=_time(min(chunk.times)),
@@ -149,7 +150,7 @@ def _chunk_info_head(start: int, chunk: _Chunk, connections: int) -> bytes:
 def _bag_header(index_start: int, connections: int, chunks: int) -> bytes:
     """Return the bag header record, padded so that it can be overwritten in place."""
     head = _fields(
-        op=bytes([records.BAG_HEADER]),
+        op=bytes([Op.BAG_HEADER]),
         index_pos=struct.pack("<Q", index_start),
         conn_count=_u32(connections),
         chunk_count=_u32(chunks),

@@ -1,4 +1,4 @@
-"""A rosbag2 database, opened as something that a stranger made: read-only, unchanging, nothing in it is obeyed.
+"""Opens untrusted rosbag2 databases: read-only, without running anything in them; applies their logs to copies.
 
 No view, trigger, virtual table or function of the database runs (an authorizer lets only plain reads pass), and no
 query runs longer than the file's size can explain. SQLite takes a few MB.
@@ -23,7 +23,7 @@ from typing import BinaryIO, NamedTuple
 from kleinkram.recordings.errors import Malformed, SourceError
 from kleinkram.recordings.limits import MAX_NAME, MAX_NAMES, MAX_TOPICS
 from kleinkram.recordings.model import Problem, counted
-from kleinkram.recordings.sources import FileForward
+from kleinkram.recordings.sources import FileReader
 from kleinkram.recordings.temporary_files import TooLarge, temporary_database
 
 CACHE_KIB = 16 * 1024
@@ -49,7 +49,7 @@ _MAX_STATED = 4 * 2**20
 
 
 class TopicRow(NamedTuple):
-    """A row of the table `topics`; the oldest databases have no `serialization_format`, which is empty then."""
+    """A row of the table `topics`; `serialization_format` is empty in the oldest databases."""
 
     topic_id: int
     name: str
@@ -58,7 +58,7 @@ class TopicRow(NamedTuple):
 
 
 class Origin(NamedTuple):
-    """What a database says of where it comes from; empty, 0 or None where it says nothing.
+    """The distribution, schema version and compression that a database states; may be empty.
 
     Attributes:
         ros_distro: such as "jazzy".
@@ -74,7 +74,7 @@ class Origin(NamedTuple):
 
 
 class MessageRow(NamedTuple):
-    """What is read of a message: its time as integer nanoseconds, and the bytes of its data."""
+    """A message: topic, integer nanoseconds, and the size of its data."""
 
     topic_id: int
     timestamp: int
@@ -83,7 +83,7 @@ class MessageRow(NamedTuple):
 
 @contextmanager
 def open_database(path: Path) -> Iterator[sqlite3.Connection]:
-    """Open a database for reading. What cannot be read of it raises `sqlite3.Error` then, or at any later query.
+    """Open a database for reading. Damage raises `sqlite3.Error` here or at any later query.
 
     Raises:
         SourceError: the file cannot be opened.
@@ -127,7 +127,7 @@ class _Allowance:
 
 
 def _allowance(size_bytes: int) -> _Allowance:
-    """End queries that take more steps than all rows that such a file can hold."""
+    """Bound the steps of queries by the rows that the file has room for."""
     return _Allowance((_FREE_STEPS + _STEPS_A_BYTE * size_bytes) // _STEPS_A_TICK)
 
 
@@ -145,16 +145,16 @@ def _authorize(action: int, first: str | None, second: str | None, _database: st
 
 
 def check_tables(database: sqlite3.Connection) -> None:
-    """Make sure that `topics` and `messages` are tables with the columns that every version has.
+    """Check that `topics` and `messages` are tables with the columns of every version.
 
     Raises:
         Malformed: they are not.
         sqlite3.Error: the schema cannot be read.
     """
-    found = database.execute(
+    rows = database.execute(
         "SELECT name, type, rootpage FROM sqlite_master WHERE name IN ('topics', 'messages') AND type != 'index'"
     ).fetchall()
-    kinds = {name: "virtual table" if kind == "table" and not root else kind for name, kind, root in found}
+    kinds = {name: "virtual table" if kind == "table" and not root else kind for name, kind, root in rows}
     for table, needed in (("topics", {"name", "type"}), ("messages", {"topic_id", "timestamp", "data"})):
         if kinds.get(table) != "table":
             what = f"is a {kinds[table]}" if table in kinds else "is missing"
@@ -164,7 +164,7 @@ def check_tables(database: sqlite3.Connection) -> None:
 
 
 def columns(database: sqlite3.Connection, table: str) -> set[str]:
-    """Return the names of a table's stored columns: generated ones are not among them."""
+    """Return the names of a table's stored columns, without generated ones."""
     return {row[1] for row in database.execute(f"PRAGMA table_info({table})")}
 
 
@@ -175,11 +175,11 @@ def read_topics(database: sqlite3.Connection) -> list[TopicRow]:
         Malformed: there are more than is credible.
         sqlite3.Error: they cannot be read.
     """
-    there = columns(database, "topics")
-    wanted = ", ".join(f"substr({name}, 1, {MAX_NAME})" if name in there else "''" for name in _TEXT_COLUMNS)
+    present = columns(database, "topics")
+    columns_sql = ", ".join(f"substr({name}, 1, {MAX_NAME})" if name in present else "''" for name in _TEXT_COLUMNS)
     topics: list[TopicRow] = []
     names_bytes = 0
-    for topic_id, *texts in database.execute(f"SELECT rowid, {wanted} FROM topics ORDER BY rowid"):  # noqa: S608  # names of ours
+    for topic_id, *texts in database.execute(f"SELECT rowid, {columns_sql} FROM topics ORDER BY rowid"):  # noqa: S608  # names of ours
         row = TopicRow(topic_id, *(text if isinstance(text, str) else "" for text in texts))
         names_bytes += sum(map(len, row[1:]))
         if len(topics) >= MAX_TOPICS or names_bytes > MAX_NAMES:
@@ -189,7 +189,7 @@ def read_topics(database: sqlite3.Connection) -> list[TopicRow]:
 
 
 def read_origin(database: sqlite3.Connection) -> Origin:
-    """Return what the tables `schema`, `metadata` and `message_definitions` say, of which older databases have none.
+    """Read the tables `schema`, `metadata` and `message_definitions`, which older databases lack.
 
     Raises:
         sqlite3.Error: one of them cannot be read.
@@ -216,13 +216,13 @@ def read_origin(database: sqlite3.Connection) -> Origin:
 
 
 def _stated_value(text: str, key: str) -> str:
-    """Return a value at the top of the metadata as a recorder writes it: YAML, one key a line, in whatever case."""
-    found = re.search(rf"^{key}:[ ]*[\"']?(\w*)", text, re.MULTILINE)
-    return found[1].lower() if found else ""
+    """Return a top-level value of the metadata text: YAML, one key a line."""
+    match = re.search(rf"^{key}:[ ]*[\"']?(\w*)", text, re.MULTILINE)
+    return match[1].lower() if match else ""
 
 
 def find_faults(database: sqlite3.Connection) -> list[str]:
-    """Check the structure of every page and the place of every row; what is wrong, in SQLite's words.
+    """Check the structure of every page; return the faults in SQLite's words.
 
     Raises:
         sqlite3.Error: not even that can be done.
@@ -232,7 +232,7 @@ def find_faults(database: sqlite3.Connection) -> list[str]:
 
 
 def message_cursor(database: sqlite3.Connection) -> sqlite3.Cursor:
-    """Return all messages as rows of topic id, timestamp and bytes of data, in the order of the file (rowid).
+    """Return all messages as rows of topic id, timestamp and data size, in file order (rowid).
 
     Of large data only the length is looked at, so its pages are not read.
     """
@@ -250,8 +250,8 @@ _JOURNAL_MAGIC = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
 _READ_ONLY_PRAGMAS = frozenset(("trusted_schema", "locking_mode", "journal_mode", "wal_checkpoint", "schema_version"))
 
 
-def find_leftovers(path: Path, name: str | None = None) -> list[Problem]:
-    """Name the log and the journal beside a database that hold something it does not; `name`: what it is called.
+def find_unmerged_logs(path: Path, name: str | None = None) -> list[Problem]:
+    """Report the log and the journal beside a database that hold unmerged pages.
 
     Raises:
         SourceError: one of them cannot be read.
@@ -278,14 +278,14 @@ def find_leftovers(path: Path, name: str | None = None) -> list[Problem]:
     return problems
 
 
-def not_read(left: Sequence[Problem]) -> list[Problem]:
-    """Say that what was found beside a database could not be applied to a copy."""
+def log_not_read(left: Sequence[Problem]) -> list[Problem]:
+    """Report that a log or journal could not be applied to a copy."""
     return [Problem("log-not-read", left[0].where, "its content could not be read along")] if left else []
 
 
 @contextmanager
 def replayed_copy(path: Path) -> Iterator[Path | None]:
-    """Give the path of a temporary copy of a database, to which its log and journal are applied.
+    """Yield a temporary copy of a database with its log and journal applied.
 
     None where it cannot be made: too little space, or SQLite does not apply them.
 
@@ -294,8 +294,8 @@ def replayed_copy(path: Path) -> Iterator[Path | None]:
     """
     present = [suffix for suffix in LOG_SUFFIXES if Path(f"{path}{suffix}").is_file()]
     try:
-        with FileForward(path) as database:
-            logs = {suffix: FileForward(f"{path}{suffix}") for suffix in present}
+        with FileReader(path) as database:
+            logs = {suffix: FileReader(f"{path}{suffix}") for suffix in present}
             reads = {suffix: log.read for suffix, log in logs.items()}
             with temporary_database(database.read, reads) as copy:
                 for log in logs.values():
@@ -306,7 +306,7 @@ def replayed_copy(path: Path) -> Iterator[Path | None]:
 
 
 def replay(copy: Path) -> bool:
-    """Have SQLite apply the log and journal beside a database, which is a copy of ours; say whether it did."""
+    """Have SQLite apply log and journal to our copy of a database; return whether it did."""
     journal = Path(f"{copy}{JOURNAL_SUFFIX}")
     if journal.is_file() and _names_other_journal(journal):
         return False
@@ -339,7 +339,7 @@ def _is_hot(journal: Path) -> bool:
 
 
 def _pages_not_merged(path: Path, wal: Path) -> int:
-    """Count the pages whose latest committed content in the log differs from that in the database."""
+    """Count the pages whose latest committed content is only in the log."""
     with path.open("rb") as database, wal.open("rb") as log:
         head = log.read(_WAL_HEADER.size)
         if len(head) < _WAL_HEADER.size:
@@ -370,3 +370,21 @@ def _differs(database: BinaryIO, log: BinaryIO, page_bytes: int, number: int, at
     database.seek((number - 1) * page_bytes)
     logged = log.read(page_bytes)
     return len(logged) == page_bytes and logged != database.read(page_bytes)
+
+
+_SQLITE_MAGIC = b"SQLite format 3\0"
+
+
+def is_database(head: bytes) -> bool:
+    """Return whether the first bytes are those of an SQLite database."""
+    return head.startswith(_SQLITE_MAGIC)
+
+
+def is_database_in_log(head: bytes, path: Path | None) -> bool:
+    """Return whether all tables may be in the log beside a database, because its recorder was killed early.
+
+    `head`: its first bytes, in which there are no tables. `path`: where it is on this machine, None where nowhere.
+    """
+    if path is None or not is_database(head) or path.suffix.lower() != ".db3":
+        return False
+    return any(Path(f"{path}{suffix}").is_file() for suffix in LOG_SUFFIXES)

@@ -1,4 +1,4 @@
-"""The metadata.yaml of a rosbag2 folder: what the recorder claims. Tolerant: whatever is missing or odd is None.
+"""The metadata.yaml of a rosbag2 folder, and its comparison with the data files. Missing or invalid values are None.
 
 It is only a claim: `comparing` says where the data disagree.
 """
@@ -22,7 +22,7 @@ _NULL = frozenset(("~", "null", "Null", "NULL"))
 
 @dataclass(frozen=True)
 class StatedTopic:
-    """What metadata.yaml says of a topic; empty or None where it says nothing."""
+    """A topic in metadata.yaml; empty or None where it says nothing."""
 
     name: str
     message_type: str
@@ -32,7 +32,7 @@ class StatedTopic:
 
 @dataclass(frozen=True)
 class StatedFile:
-    """What metadata.yaml says of one data file, from version 5 on."""
+    """A data file in metadata.yaml, from version 5 on."""
 
     path: str
     message_count: int | None
@@ -42,7 +42,7 @@ class StatedFile:
 
 @dataclass(frozen=True)
 class Rosbag2Metadata:
-    """What a metadata.yaml says.
+    """The contents of a metadata.yaml.
 
     Attributes:
         files: data files, relative to the folder, in the order of recording.
@@ -75,7 +75,7 @@ class Rosbag2Metadata:
 
 
 def parse_rosbag2_metadata(text: str) -> Rosbag2Metadata | None:
-    """Read a metadata.yaml; None if it is a damaged one, or not YAML.
+    """Parse a metadata.yaml; None if it is damaged, or not YAML.
 
     Source: rosbag2_storage, `YAML::convert<BagMetadata>`, metadata versions 1 to 9.
     """
@@ -137,7 +137,7 @@ def _files(top: Mapping[object, object]) -> tuple[str, ...]:
 
 
 def _path(value: object) -> str:
-    """Return a path as POSIX writes it: recorders on Windows write backslashes."""
+    """Return a POSIX path: recorders on Windows write backslashes."""
     return _text(value).replace("\\", "/")
 
 
@@ -173,7 +173,7 @@ _FIRST_VERSION_WITH_FILES = 5
 
 @dataclass(frozen=True)
 class MemberFacts:
-    """What is known of one data file that is there; None: not known.
+    """What is known of a data file; None: unknown.
 
     Attributes:
         name: without folder.
@@ -189,7 +189,7 @@ class MemberFacts:
 
 @dataclass(frozen=True)
 class TopicFacts:
-    """What is known of one topic over all data files; None or empty: not known."""
+    """What is known of a topic over all data files; None or empty: unknown."""
 
     name: str
     message_type: str = ""
@@ -200,7 +200,7 @@ class TopicFacts:
 def compare_metadata(
     metadata: Rosbag2Metadata, members: Sequence[MemberFacts], topics: Iterable[TopicFacts] = ()
 ) -> list[Problem]:
-    """Say where metadata.yaml and the data files disagree.
+    """Report where metadata.yaml and the data files disagree.
 
     `members` in the order of recording. Counts and times of the whole are compared only where all files are there
     and their counts are known; times agree within 1 ms. Topics that are not given are not compared.
@@ -219,7 +219,7 @@ def compare_metadata(
 
 
 def lost_messages(metadata: Rosbag2Metadata, members: Sequence[MemberFacts]) -> int | None:
-    """Return how many messages the metadata claims beyond those that the files hold; None where that is not known."""
+    """Return how many messages the metadata claims beyond those in the files; None if unknown."""
     counts = [member.message_count for member in members]
     known = [count for count in counts if count is not None]
     if metadata.message_count is None or len(known) < len(counts):
@@ -228,7 +228,7 @@ def lost_messages(metadata: Rosbag2Metadata, members: Sequence[MemberFacts]) -> 
 
 
 def compare_names(metadata: Rosbag2Metadata, names: Iterable[str]) -> list[Problem]:
-    """Say which data files metadata.yaml names and are not there, and which are there unnamed."""
+    """Report data files that are missing, or that metadata.yaml does not name."""
     claimed = {PurePosixPath(path).name for path in metadata.files}
     there = set(names)
     missing = [
@@ -245,9 +245,9 @@ def _compare_files(metadata: Rosbag2Metadata, members: Sequence[MemberFacts]) ->
     stated: dict[str, StatedFile] = {PurePosixPath(entry.path).name: entry for entry in metadata.file_entries}
     expected = _FORMATS.get(metadata.storage or "")
     for member in members:
-        found = member.format if member.format in _FORMATS.values() else None
-        if expected is not None and found is not None and found is not expected:
-            message = f"metadata.yaml says its storage is {metadata.storage}, but it is {found.value}"
+        actual_format = member.format if member.format in _FORMATS.values() else None
+        if expected is not None and actual_format is not None and actual_format is not expected:
+            message = f"metadata.yaml says its storage is {metadata.storage}, but it is {actual_format.value}"
             problems.append(Problem("metadata-storage", member.name, message))
         claimed = stated[member.name].message_count if member.name in stated else None
         if len(members) > 1 and claimed is not None and member.message_count not in (None, claimed):
@@ -266,9 +266,9 @@ def _compare_counts(metadata: Rosbag2Metadata, count: int, topics: Mapping[str, 
     stated = {topic.name: topic.message_count for topic in metadata.topics}
     for name in sorted(stated.keys() | topics.keys()):
         claimed = stated.get(name, 0)
-        found = topics[name].message_count if name in topics else 0
-        if claimed is not None and found is not None and claimed != found:
-            message = f"metadata.yaml says {counted(claimed, 'message')}, the files hold {found}"
+        actual = topics[name].message_count if name in topics else 0
+        if claimed is not None and actual is not None and claimed != actual:
+            message = f"metadata.yaml says {counted(claimed, 'message')}, the files hold {actual}"
             problems.append(Problem("metadata-topic-count", name, message))
     return problems
 
@@ -280,22 +280,22 @@ def _compare_types(stated: Iterable[StatedTopic], topics: Mapping[str, TopicFact
         if encoding and encoding not in KNOWN_ENCODINGS:
             message = f"metadata.yaml says its messages are encoded as '{encoding}', which is no encoding that we know"
             problems.append(Problem("metadata-encoding", topic.name, message))
-        found = topics.get(topic.name)
-        if found is None:
+        actual = topics.get(topic.name)
+        if actual is None:
             continue
-        if found.message_encoding and encoding and encoding in KNOWN_ENCODINGS and encoding != found.message_encoding:
+        if actual.message_encoding and encoding and encoding in KNOWN_ENCODINGS and encoding != actual.message_encoding:
             message = (
-                f"metadata.yaml says its messages are encoded as {encoding}, the files say {found.message_encoding}"
+                f"metadata.yaml says its messages are encoded as {encoding}, the files say {actual.message_encoding}"
             )
             problems.append(Problem("metadata-encoding", topic.name, message))
-        if found.message_type and topic.message_type and _short(topic.message_type) != _short(found.message_type):
-            message = f"metadata.yaml says its type is {topic.message_type}, the files say {found.message_type}"
+        if actual.message_type and topic.message_type and _short(topic.message_type) != _short(actual.message_type):
+            message = f"metadata.yaml says its type is {topic.message_type}, the files say {actual.message_type}"
             problems.append(Problem("metadata-type", topic.name, message))
     return problems
 
 
 def _short(message_type: str) -> str:
-    """Return a type as ROS 1 and the first rosbag2 spelled it, `std_msgs/String`."""
+    """Return a type name without `/msg/`, as ROS 1 and the first rosbag2 wrote it."""
     return message_type.replace("/msg/", "/")
 
 
@@ -309,7 +309,7 @@ def _compare_span(metadata: Rosbag2Metadata, members: Sequence[MemberFacts]) -> 
         # Early recorders of split sets wrote the start of the last file, and the duration of the longest.
         accepted.append((spans[-1][0], max(last - first for first, last in spans)))
     claimed = (metadata.start_ns, metadata.duration_ns)
-    if any(_agree(claimed, found) for found in accepted):
+    if any(_agree(claimed, actual) for actual in accepted):
         return []
     if abs(metadata.start_ns - start) > _CREDIBLE_NS:
         return []  # a clock that was not set: told of the stamps themselves
@@ -319,5 +319,5 @@ def _compare_span(metadata: Rosbag2Metadata, members: Sequence[MemberFacts]) -> 
     return [Problem("metadata-span", METADATA_NAME, message)]
 
 
-def _agree(claimed: tuple[int, int], found: tuple[int, int]) -> bool:
-    return all(abs(a - b) <= _TOLERANCE_NS for a, b in zip(claimed, found, strict=True))
+def _agree(claimed: tuple[int, int], actual: tuple[int, int]) -> bool:
+    return all(abs(a - b) <= _TOLERANCE_NS for a, b in zip(claimed, actual, strict=True))

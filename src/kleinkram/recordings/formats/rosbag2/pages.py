@@ -1,4 +1,4 @@
-"""The pages of an SQLite database, read without SQLite: for databases that SQLite itself calls malformed.
+"""Reads SQLite pages without SQLite, for databases that SQLite calls malformed.
 
 Every number in a page is only a claim: nothing is read beyond the page and the file, chains of pages are followed no
 further than the file has pages. Holds one window of the file.
@@ -30,7 +30,7 @@ _U32 = struct.Struct(">I")
 
 
 class Header(NamedTuple):
-    """What the first 100 bytes say. `usable_bytes`: of a page; `page_count`: 0 where it does not say."""
+    """The first 100 bytes. `usable_bytes`: of a page; `page_count`: 0 if unknown."""
 
     page_bytes: int
     usable_bytes: int
@@ -40,7 +40,7 @@ class Header(NamedTuple):
 
 
 class Cell(NamedTuple):
-    """A row of a leaf page: its payload begins at `at`, of which `local_bytes` stand in the page itself."""
+    """A row of a leaf page; `local_bytes` of its payload, from `at`, are in the page itself."""
 
     row_id: int
     payload_bytes: int
@@ -50,7 +50,7 @@ class Cell(NamedTuple):
 
 
 class Column(NamedTuple):
-    """A column of a record: its serial type, and where its value stands, counted from the start of the payload."""
+    """A column of a record: its serial type, and the offset of its value in the payload."""
 
     serial: int
     at: int
@@ -58,7 +58,7 @@ class Column(NamedTuple):
 
 
 def read_header(head: bytes) -> Header:
-    """Read the header of a database; a page size that cannot be becomes the usual one.
+    """Read the database header; an invalid page size becomes the default.
 
     Raises:
         Malformed: too short, or no database.
@@ -142,7 +142,7 @@ class PageFile:
             raise SourceError(f"{self._name}: cannot be read at byte {offset}: {error.strerror}") from error
 
     def free_pages(self) -> set[int]:
-        """Return the pages of the freelist, whose content is no longer meant; as far as the list can be followed."""
+        """Return the pages of the freelist, as far as it can be followed."""
         free: set[int] = set()
         trunk = self.header.freelist_page
         most = min(self.header.freelist_count, self.whole_pages, 1_000_000)
@@ -158,7 +158,7 @@ class PageFile:
         return free
 
     def last_leaf(self, root: int) -> tuple[int, int]:
-        """Return the last leaf of the table that begins at page `root`, and the largest key on the way to it.
+        """Return the last leaf of the table at page `root`, and the largest key above it.
 
         The leaf is 0 where the way is broken or ends outside of the file.
         """
@@ -203,16 +203,16 @@ def read_varint(data: bytes, at: int) -> tuple[int, int]:
 
 
 def local_bytes(payload_bytes: int, usable_bytes: int) -> int:
-    """Return how much of a row stands in the leaf page itself."""
+    """Return how much of a payload is in the leaf page itself."""
     if payload_bytes <= usable_bytes - 35:
         return payload_bytes
     least = (usable_bytes - 12) * 32 // 255 - 23
-    kept = least + (payload_bytes - least) % (usable_bytes - 4)
-    return kept if kept <= usable_bytes - 35 else least
+    in_page = least + (payload_bytes - least) % (usable_bytes - 4)
+    return in_page if in_page <= usable_bytes - 35 else least
 
 
 def leaf_cells(page: bytes, start: int, usable_bytes: int) -> Iterator[Cell | None]:
-    """Yield the rows of a leaf page of a table; None for one that cannot be. `start`: of the page's own header.
+    """Yield the rows of a table leaf page; None for an invalid one. `start`: of the page header.
 
     Raises:
         Malformed: the page claims more rows than it can hold.
@@ -244,9 +244,9 @@ def _read_cell(page: bytes, at: int, usable_bytes: int) -> Cell | None:
 
 
 def read_columns(data: bytes, at: int, end: int, payload_bytes: int) -> list[Column] | None:
-    """Return the columns of the record whose payload begins at `data[at]`; None if it is none.
+    """Return the columns of the record whose payload begins at `data[at]`; None if it is invalid.
 
-    The record's own header must stand before `end`.
+    The record's own header must are before `end`.
     """
     try:
         header_bytes, place = read_varint(data, at)
@@ -274,10 +274,10 @@ def read_integer(column: Column, data: bytes, at: int) -> int:
 
 
 def is_integer(column: Column) -> bool:
-    """Say whether a column holds a whole number."""
+    """Return whether a column holds a whole number."""
     return column.serial in (1, 2, 3, 4, 5, 6, 8, 9)
 
 
 def is_text(column: Column) -> bool:
-    """Say whether a column holds text."""
+    """Return whether a column holds text."""
     return column.serial >= 13 and column.serial % 2 == 1

@@ -141,7 +141,7 @@ CREATE TABLE one_time_code (
     CONSTRAINT uq_one_time_code_secret_sha256 UNIQUE (secret_sha256),
     CONSTRAINT ck_one_time_code_email CHECK ((purpose = 'invitation') = (email IS NOT NULL)),
     CONSTRAINT ck_one_time_code_person CHECK ((purpose IN ('owner', 'reset')) = (person_id IS NOT NULL)),
-    CONSTRAINT ck_one_time_code_purpose CHECK (purpose IN ('claim', 'owner', 'invitation', 'reset')),
+    CONSTRAINT ck_one_time_code_purpose CHECK (purpose IN ('bootstrap', 'owner', 'invitation', 'reset')),
     CONSTRAINT ck_one_time_code_secret_sha256 CHECK (octet_length(secret_sha256) = 32)
 );
 CREATE INDEX ix_one_time_code_person_id ON one_time_code (person_id);
@@ -226,7 +226,7 @@ CREATE TABLE session (
     id uuid CONSTRAINT pk_session PRIMARY KEY,
     person_id uuid NOT NULL CONSTRAINT fk_session_person_id_person REFERENCES person (id),
     secret_sha256 bytea NOT NULL,
-    way text NOT NULL,
+    method text NOT NULL,
     address text,
     user_agent text,
     created_at timestamptz NOT NULL DEFAULT now(),
@@ -353,7 +353,7 @@ CREATE TABLE oidc_login (
     code_verifier text NOT NULL,
     browser_sha256 bytea NOT NULL,
     session_id uuid CONSTRAINT fk_oidc_login_session_id_session REFERENCES session (id),
-    renews boolean NOT NULL DEFAULT false,
+    reauthenticates boolean NOT NULL DEFAULT false,
     return_to text NOT NULL,
     created_at timestamptz NOT NULL DEFAULT now(),
     expires_at timestamptz NOT NULL,
@@ -567,7 +567,7 @@ CREATE TABLE run (
     CONSTRAINT ck_run_ended CHECK ((ended_at IS NULL) = (state IN ('queued', 'preparing', 'running', 'collecting'))),
     CONSTRAINT ck_run_held CHECK ((lease_ends_at IS NOT NULL) = (state IN ('preparing', 'running', 'collecting')) AND (state NOT IN ('preparing', 'running', 'collecting') OR runner_id IS NOT NULL)),
     CONSTRAINT ck_run_network CHECK (network IN ('none', 'api', 'open')),
-    CONSTRAINT ck_run_reason CHECK (reason IN ('done', 'exit_code', 'signal', 'memory', 'time', 'disk', 'cancelled', 'command_not_found', 'image_unavailable', 'not_possible', 'inputs_unavailable', 'broken_report', 'results_not_kept', 'lost')),
+    CONSTRAINT ck_run_reason CHECK (reason IN ('done', 'exit_code', 'signal', 'memory', 'time', 'disk', 'cancelled', 'command_not_found', 'image_unavailable', 'not_possible', 'inputs_unavailable', 'broken_report', 'results_not_stored', 'lost')),
     CONSTRAINT ck_run_state CHECK (state IN ('queued', 'preparing', 'running', 'collecting', 'done', 'failed', 'cancelled'))
 );
 CREATE INDEX ix_run_created_at ON run (created_at, id);

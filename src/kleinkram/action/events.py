@@ -1,0 +1,114 @@
+"""How a run reports results: by lines of JSON, which its runner reads while the run lasts."""
+
+import fcntl
+import os
+from pathlib import Path
+from typing import TypeVar
+
+from pydantic import BaseModel, JsonValue, ValidationError
+
+from kleinkram.action import run_files
+from kleinkram.contract.reports import (
+    EVENTS_FILE,
+    MAX_EVENT_BYTES,
+    Finding,
+    Metric,
+    Preview,
+    Progress,
+    PutBack,
+    ReportEvent,
+)
+from kleinkram.contract.wording import in_plain_words
+
+T = TypeVar("T", bound=BaseModel)
+AnyPath = str | os.PathLike[str]
+
+
+class Reporting:
+    """`report`. Safe to use from threads and processes of one run."""
+
+    def finding(
+        self,
+        severity: str,
+        code: str,
+        message: str,
+        *,
+        file: AnyPath | None = None,
+        topic: str | None = None,
+        time_ns: int | None = None,
+    ) -> None:
+        """Report a finding: `severity` is info, warning or error; `code` such as `imu.gap`.
+
+        `file` is one of the inputs; `time_ns` a log time, in ns since 1970.
+        """
+        path = None if file is None else _within(file, run_files.in_dir)
+        finding = _validated(
+            Finding, severity=severity, code=code, message=message, file=path, topic=topic, time_ns=time_ns
+        )
+        _append(ReportEvent(finding=finding))
+
+    def metric(self, name: str, value: float, *, unit: str | None = None, file: AnyPath | None = None) -> None:
+        """Report a number, such as `metric("ate_rmse", 0.12, unit="m")`. A later value replaces an earlier one.
+
+        Raises:
+            ReportRefused: the name is not of at most 64 small letters, digits and `_ . -`, beginning with a letter; or
+                the number is NaN or infinite: report that as a finding.
+        """
+        path = None if file is None else _within(file, run_files.in_dir)
+        _append(ReportEvent(metric=_validated(Metric, name=name, value=value, unit=unit, file=path)))
+
+    def preview(self, path: AnyPath, title: str = "") -> None:
+        """Show an artifact with the run: PNG, JPEG, SVG, CSV or GeoJSON under `/out`."""
+        _append(ReportEvent(preview=_validated(Preview, path=_within(path, run_files.out), title=title)))
+
+    def propose(self, **metadata: JsonValue) -> None:
+        """Propose metadata of the mission, which people accept or ignore."""
+        _append(_validated(ReportEvent, metadata=metadata))
+
+    def put_back(self, path: AnyPath, to: str | None = None, *, made_from: list[AnyPath] | None = None) -> None:
+        """Create a file of the mission from an artifact, at `to` (default: its path under `/out`).
+
+        `made_from` are the inputs that it was made from; by default all.
+        """
+        artifact = _within(path, run_files.out)
+        sources = [_within(source, run_files.in_dir) for source in made_from or []]
+        _append(ReportEvent(put_back=_validated(PutBack, path=artifact, to=to or artifact, made_from=sources)))
+
+
+def progress(fraction: float, message: str = "") -> None:
+    """Report the progress of the run, from 0 to 1, with a message."""
+    _append(ReportEvent(progress=_validated(Progress, fraction=fraction, message=message)))
+
+
+class ReportRefused(ValueError):
+    """A report is invalid; says which part of it, and why."""
+
+
+def _validated(kind: type[T], **fields: object) -> T:
+    try:
+        return kind.model_validate(fields)
+    except ValidationError as error:
+        name = str(error.errors(include_url=False)[0]["loc"][0])
+        reason = in_plain_words(error)
+        if name in {"name", "code"}:
+            reason = "use at most 64 small letters, digits and _ . -, beginning with a letter: 'rate.imu.data'"
+        raise ReportRefused(f"the {name} {fields.get(name)!r} of a {kind.__name__.lower()}: {reason}") from None
+
+
+def _within(path: AnyPath, folder: Path) -> str:
+    """Return a relative or absolute path relative to a directory."""
+    return Path(os.path.normpath(folder / path)).relative_to(folder).as_posix()
+
+
+def _append(event: ReportEvent) -> None:
+    line = event.model_dump_json(exclude_unset=True, exclude_none=True).encode() + b"\n"
+    if len(line) > MAX_EVENT_BYTES:
+        raise ValueError(f"this has {len(line)} bytes; at most {MAX_EVENT_BYTES} are possible")
+    path = run_files.out / EVENTS_FILE
+    path.parent.mkdir(exist_ok=True)
+    with path.open("ab", buffering=0) as stream:
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        stream.write(line)
+
+
+report = Reporting()
