@@ -35,7 +35,7 @@ it("says who did it, where that is known", () => {
   expect(doerOf(event)).toBe("Ada");
   expect(doerOf({ ...event, actor: null, share: { id: "s", name: "review" } })).toBe("Link review");
   expect(doerOf({ ...event, actor: null, request_id: null })).toBe("Kleinkram");
-  expect(doerOf({ ...event, actor: null, address: "10.0.0.1" })).toBe("Somebody unknown");
+  expect(doerOf({ ...event, actor: null, address: "10.0.0.1" })).toBe("Unknown person");
 });
 
 it("says what was done, and the name of an act that it does not know", () => {
