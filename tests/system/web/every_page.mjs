@@ -225,9 +225,9 @@ await look(page, "run-findings", { path: ofRun("tab=findings"), shows: [texts.va
 await look(page, "upload", { path: "/upload" });
 const [chooser] = await Promise.all([page.waitForEvent("filechooser"), page.getByRole("button", { name: "Choose files" }).click()]);
 await chooser.setFiles({ name: texts.recording, mimeType: "", buffer: Buffer.from("x") });
-await page.getByText("Where it goes").waitFor();
+await page.getByText("Destination").waitFor();
 await page.getByLabel("Project").selectOption({ label: project });
-await page.getByLabel("Mission").selectOption({ label: "A new mission" });
+await page.getByLabel("Mission").selectOption({ label: "New mission" });
 await page.getByLabel(/^robot/).waitFor();
 await look(page, "upload-form", { shows: [texts.recording, texts.description] });
 const searched = { ready: "[data-found]" };

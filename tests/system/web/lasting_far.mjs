@@ -28,8 +28,8 @@ await page.goto(`${address}/upload`);
 const [chooser] = await Promise.all([page.waitForEvent("filechooser"), page.getByRole("button", { name: "Choose files" }).click()]);
 await chooser.setFiles(file);
 await page.getByLabel("Project").selectOption({ label: "Alps" });
-await page.getByLabel("Mission").selectOption({ label: "A new mission" });
-await page.getByLabel("Name of the new mission").fill("far");
+await page.getByLabel("Mission").selectOption({ label: "New mission" });
+await page.getByLabel("Mission name").fill("far");
 await page.getByRole("button", { name: /^Upload 1 file/ }).click();
 await page.locator("[data-phase=over]").waitFor().catch(async (error) => {
   throw new Error(await page.locator("main").innerText(), { cause: error });

@@ -43,7 +43,7 @@ await choose.click();
 await dialog.locator("[data-saved]").waitFor();
 seen.saved = [await dialog.locator("[data-saved]").innerText()];
 await choose.click();
-await dialog.getByText("were there already").waitFor();
+await dialog.getByText("already present").waitFor();
 seen.saved.push(await dialog.locator("[data-saved]").innerText());
 seen.command = await dialog.locator("pre").innerText();
 await look(page, "lists-download");

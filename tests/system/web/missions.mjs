@@ -20,7 +20,7 @@ const metadata = page.locator("[data-metadata]");
 await metadata.getByRole("button", { name: "ada" }).click();
 await metadata.getByLabel("operator").fill("ADA 1");
 await metadata.getByRole("button", { name: "Save" }).click();
-await metadata.getByText("must match").first().waitFor();
+await metadata.getByText("Must match").first().waitFor();
 seen.refused = await metadata.innerText();
 await look(page, "mission-refused");
 await metadata.getByLabel("operator").fill("grace");
@@ -35,7 +35,7 @@ seen.topics = await page.getByRole("table").innerText();
 
 // Ten thousand files.
 await page.goto(`${address}/missions/${large}`);
-await page.getByRole("button", { name: "Open all folders" }).click();
+await page.getByRole("button", { name: "Expand all" }).click();
 await page.locator("[role=table][aria-rowcount]").waitFor();
 seen.rows = Number(await page.getByRole("table").getAttribute("aria-rowcount"));
 seen.drawn = await page.getByRole("row").count();
@@ -54,16 +54,16 @@ await other.goto(`${address}/missions/${mission}`);
 seen.before = await other.getByRole("alert").first().innerText();
 await page.goto(`${address}/projects/${project}?tab=access`);
 const form = page.locator("[data-grant-form]");
-await form.getByLabel("Person, group or e-mail address").fill(guest);
+await form.getByLabel("Person, group, or email address").fill(guest);
 await form.getByRole("button", { name: guest }).first().click();
-await form.getByRole("button", { name: "Give" }).click();
+await form.getByRole("button", { name: "Grant", exact: true }).click();
 await page.locator(`[data-grant="${guest}"]`).waitFor();
 await look(page, "mission-granted");
 await other.goto(`${address}/missions/${mission}`);
 await other.locator("[data-metadata]").waitFor();
 seen.granted = await other.locator("h1").innerText();
-await page.getByRole("button", { name: `Take the right away from ${guest}` }).click();
-await page.getByRole("button", { name: "Take away" }).click();
+await page.getByRole("button", { name: `Revoke the right of ${guest}` }).click();
+await page.getByRole("button", { name: "Revoke", exact: true }).click();
 await page.locator(`[data-grant="${guest}"]`).waitFor({ state: "detached" });
 await other.getByRole("alert").first().waitFor(); // by itself: what changed is told
 seen.revoked = await other.getByRole("alert").first().innerText();
@@ -71,7 +71,7 @@ seen.revoked = await other.getByRole("alert").first().innerText();
 // What people named and said is text, whichever view of the project shows it.
 const made = () => page.evaluate(() => document.querySelectorAll("main img, main script, main b, main i, main u, main a[href=x]").length);
 seen.elements = [await made()];
-for (const name of ["Missions", "Statistics", "Required metadata", "Activity", "Settings"]) {
+for (const name of ["Missions", "Statistics", "Metadata fields", "Activity", "Settings"]) {
   const tab = page.getByRole("navigation", { name: "Views of the project" }).getByRole("link", { name });
   await tab.click();
   await tab.and(page.locator("[aria-current=page]")).waitFor();

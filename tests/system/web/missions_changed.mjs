@@ -20,7 +20,7 @@ const unfinished = page.locator("[data-unfinished]");
 await unfinished.waitFor();
 seen.unfinished = await unfinished.innerText();
 await look(page, "home-unfinished");
-await unfinished.getByRole("link", { name: "Go on" }).click();
+await unfinished.getByRole("link", { name: "Resume" }).click();
 await page.waitForURL((url) => url.pathname === "/upload" && url.searchParams.get("mission") === night);
 const [chooser] = await Promise.all([page.waitForEvent("filechooser"), page.getByRole("button", { name: "Choose a folder" }).click()]);
 await chooser.setFiles(half);
@@ -38,25 +38,25 @@ await unfinished.waitFor({ state: "detached" });
 await page.locator("[data-recent] [data-way]").filter({ hasText: "ridge" }).click();
 await page.getByRole("heading", { level: 1, name: "ridge" }).waitFor();
 await page.getByRole("button", { name: "Rename" }).click();
-await dialog("Rename this mission").getByLabel("New name").fill("night");
+await dialog("Rename mission").getByLabel("New name").fill("night");
 isMeantToFail = true;
-await dialog("Rename this mission").getByRole("button", { name: "Save" }).click();
-const takenName = dialog("Rename this mission").getByText("There already is");
+await dialog("Rename mission").getByRole("button", { name: "Save" }).click();
+const takenName = dialog("Rename mission").getByText("There already is");
 await takenName.waitFor();
 seen.taken = await takenName.innerText();
 await look(page, "mission-rename-refused");
 isMeantToFail = false;
-await dialog("Rename this mission").getByLabel("New name").fill("north ridge");
-await dialog("Rename this mission").getByRole("button", { name: "Save" }).click();
+await dialog("Rename mission").getByLabel("New name").fill("north ridge");
+await dialog("Rename mission").getByRole("button", { name: "Save" }).click();
 await page.getByRole("heading", { level: 1, name: "north ridge" }).waitFor();
 
 // Complete, no longer, and complete again.
 await page.getByRole("button", { name: "Mark as complete" }).click();
-await page.getByRole("button", { name: "No longer complete" }).click();
+await page.getByRole("button", { name: "Mark as incomplete" }).click();
 await page.getByRole("button", { name: "Mark as complete" }).waitFor();
 await page.reload();
 await page.getByRole("button", { name: "Mark as complete" }).click();
-await page.getByRole("button", { name: "No longer complete" }).waitFor();
+await page.getByRole("button", { name: "Mark as incomplete" }).waitFor();
 
 // Notes: Escape leaves them as they were, Ctrl+Enter keeps them; markup in them is text.
 const notes = page.locator("[data-notes]");
@@ -72,13 +72,13 @@ seen.notesElements = await notes.locator("img, strong").count();
 
 // A link to one file, followed by somebody without an account, and ended.
 await page.getByRole("checkbox", { name: "Select drive.mcap" }).check();
-await page.getByRole("button", { name: "Share these" }).click();
-await dialog("Share by a link").getByLabel("What it is for, or for whom").fill("reviewers");
-await dialog("Share by a link").getByRole("button", { name: "Make the link" }).click();
-await dialog("Share by a link").locator("[data-secret]").waitFor();
+await page.getByRole("button", { name: "Share selected files" }).click();
+await dialog("Share with a link").getByLabel("Purpose or recipient").fill("reviewers");
+await dialog("Share with a link").getByRole("button", { name: "Create link" }).click();
+await dialog("Share with a link").locator("[data-secret]").waitFor();
 await look(page, "mission-shared");
 const shared = (await page.locator("[data-secret] pre").innerText()).trim();
-await page.getByRole("button", { name: "I have kept it" }).click();
+await page.getByRole("button", { name: "I saved it" }).click();
 const { page: stranger } = await somebody(() => isMeantToFail);
 await stranger.goto(shared);
 await stranger.locator("#files tr").first().waitFor();
@@ -87,9 +87,9 @@ await page.getByRole("navigation", { name: "Views of the mission" }).getByRole("
 const shares = page.locator("[data-shares]");
 await shares.getByText("reviewers").waitFor();
 seen.link = await shares.getByRole("listitem").innerText();
-await shares.getByRole("button", { name: "End" }).click();
-await dialog("End this link?").getByRole("button", { name: "End" }).click();
-await shares.getByText("ended", { exact: true }).waitFor();
+await shares.getByRole("button", { name: "Revoke" }).click();
+await dialog("Revoke this link?").getByRole("button", { name: "Revoke" }).click();
+await shares.getByText("revoked", { exact: true }).waitFor();
 await look(page, "mission-link-ended");
 isMeantToFail = true;
 await stranger.reload();
@@ -116,7 +116,7 @@ await dialog("Move to another mission").getByLabel("Mission", { exact: true }).s
 await look(page, "file-move");
 await dialog("Move to another mission").getByRole("button", { name: "Move" }).click();
 await toast("Moved to night.").waitFor();
-await page.getByRole("navigation", { name: "Where this is" }).getByRole("link", { name: "night" }).click();
+await page.getByRole("navigation", { name: "Breadcrumbs" }).getByRole("link", { name: "night" }).click();
 await page.waitForURL((url) => url.pathname === `/missions/${night}`);
 await page.getByRole("row").filter({ hasText: "drive.mcap" }).waitFor();
 await page.getByRole("row").filter({ hasText: "drive.mcap" }).getByRole("link").first().click();
@@ -125,7 +125,7 @@ await page.getByRole("button", { name: "Delete" }).click();
 await dialog("Delete this file?").getByRole("button", { name: "Delete" }).click();
 await page.waitForURL((url) => url.pathname === `/missions/${night}`);
 await page.getByRole("row").filter({ hasText: "drive.mcap" }).waitFor({ state: "detached" });
-await toast("drive.mcap is in the trash.").getByRole("button", { name: "Undo" }).click();
+await toast("drive.mcap moved to the trash.").getByRole("button", { name: "Undo" }).click();
 await page.waitForURL((url) => url.pathname === `/files/${drive}`);
 await page.getByRole("heading", { level: 1, name: "drive.mcap" }).waitFor();
 
@@ -138,44 +138,44 @@ async function removeRidge() {
   await page.getByRole("row").filter({ hasText: "north ridge" }).waitFor({ state: "detached" });
 }
 await removeRidge();
-await toast("north ridge is in the trash.").getByRole("button", { name: "Undo" }).click();
+await toast("north ridge moved to the trash.").getByRole("button", { name: "Undo" }).click();
 await page.waitForURL((url) => url.pathname === `/missions/${ridge}`);
 await page.getByRole("heading", { level: 1, name: "north ridge" }).waitFor();
 await removeRidge();
 await page.getByRole("navigation", { name: "Main" }).getByRole("link", { name: "Trash" }).click();
-await page.getByRole("row").filter({ hasText: "north ridge" }).getByRole("button", { name: /^Put back/ }).click();
-await toast("north ridge is back.").getByRole("button", { name: "Open" }).click();
+await page.getByRole("row").filter({ hasText: "north ridge" }).getByRole("button", { name: /^Restore/ }).click();
+await toast("north ridge restored.").getByRole("button", { name: "Open" }).click();
 await page.getByRole("heading", { level: 1, name: "north ridge" }).waitFor();
 seen.back = await notes.innerText();
 
 // A project: one may think better of deleting it; deleted and brought back at once; deleted again, and put back from the
 // trash with its missions.
-await page.getByRole("navigation", { name: "Where this is" }).getByRole("link", { name: "Alps" }).click();
+await page.getByRole("navigation", { name: "Breadcrumbs" }).getByRole("link", { name: "Alps" }).click();
 const project = new URL(page.url()).pathname;
 const removal = dialog("Delete this project?");
 async function removeAlps() {
   await page.goto(`${address}${project}?tab=settings`);
-  await page.getByRole("button", { name: "Delete the project" }).click();
+  await page.getByRole("button", { name: "Delete project" }).click();
   seen.goesWithIt = await removal.innerText();
   await removal.getByLabel("Type Alps to confirm").fill("Alps");
   await removal.getByRole("button", { name: "Delete" }).click();
   await page.waitForURL((url) => url.pathname === "/projects");
-  await page.getByText("There are no projects yet").waitFor();
+  await page.getByText("No projects yet").waitFor();
 }
 await page.goto(`${address}${project}?tab=settings`);
-await page.getByRole("button", { name: "Delete the project" }).click();
+await page.getByRole("button", { name: "Delete project" }).click();
 await removal.waitFor();
 await look(page, "project-delete");
 await removal.getByRole("button", { name: "Cancel" }).click();
 await removal.waitFor({ state: "detached" });
 await removeAlps();
-await toast("Alps is in the trash.").getByRole("button", { name: "Undo" }).click();
+await toast("Alps moved to the trash.").getByRole("button", { name: "Undo" }).click();
 await page.waitForURL((url) => url.pathname === project);
 await page.getByRole("row").filter({ hasText: "north ridge" }).waitFor();
 await removeAlps();
 await page.getByRole("navigation", { name: "Main" }).getByRole("link", { name: "Trash" }).click();
-await page.getByRole("row").filter({ hasText: "Alps" }).getByRole("button", { name: /^Put back/ }).click();
-await toast("Alps is back.").getByRole("button", { name: "Open" }).click();
+await page.getByRole("row").filter({ hasText: "Alps" }).getByRole("button", { name: /^Restore/ }).click();
+await toast("Alps restored.").getByRole("button", { name: "Open" }).click();
 await page.waitForURL((url) => url.pathname === project);
 await page.getByRole("row").filter({ hasText: "north ridge" }).waitFor();
 await page.getByRole("row").filter({ hasText: "night" }).waitFor();

@@ -27,15 +27,15 @@ await owner.waitForURL((url) => url.pathname === "/");
 
 // An invitation, accepted in another browser.
 await owner.goto(`${address}/people`);
-await owner.getByRole("button", { name: "Invite somebody" }).click();
-await owner.getByLabel("E-mail address").fill("ben@lab.example");
-await owner.getByLabel("Name, if you know it").fill(HOSTILE);
-await look(owner, "people-invite", owner.getByRole("button", { name: "Make the link" }));
-await owner.getByRole("button", { name: "Make the link" }).click();
+await owner.getByRole("button", { name: "Invite a person" }).click();
+await owner.getByRole("textbox", { name: /^Email address/ }).fill("ben@lab.example");
+await owner.getByLabel("Name (optional)").fill(HOSTILE);
+await look(owner, "people-invite", owner.getByRole("button", { name: "Create link" }));
+await owner.getByRole("button", { name: "Create link" }).click();
 await owner.locator("[data-secret]").waitFor();
 const { page: ben, context: bensBrowser } = await somebody();
 await ben.goto(await secretOf(owner));
-await owner.getByRole("button", { name: "I have kept it" }).click();
+await owner.getByRole("button", { name: "I saved it" }).click();
 await ben.getByLabel("Your name").fill(HOSTILE);
 await ben.getByLabel(/password/i).fill("a long enough password");
 await ben.getByRole("button", { name: "Make my account" }).click();
@@ -44,9 +44,9 @@ const asBen = async (path) => (await bensBrowser.request.get(`${address}/api/v1$
 
 // What is not theirs is not shown, and says so at its address.
 await ben.goto(`${address}/admin`);
-seen.refused = await ben.getByRole("heading", { name: "This page is for admins" }).innerText();
+seen.refused = await ben.getByRole("heading", { name: "Admins only" }).innerText();
 seen.adminLinks = await ben.getByRole("navigation", { name: "Main" }).getByRole("link", { name: "Admin" }).count();
-await look(ben, "admin-refused", ben.getByRole("heading", { name: "This page is for admins" }));
+await look(ben, "admin-refused", ben.getByRole("heading", { name: "Admins only" }));
 
 // A group with an end for its member; a right for the group is a right for them.
 await owner.goto(`${address}/groups`);
@@ -55,9 +55,9 @@ await owner.getByRole("dialog").getByLabel("Name").fill(HOSTILE_GROUP);
 await owner.getByRole("dialog").getByRole("button", { name: "Save" }).click();
 await owner.waitForURL((url) => url.pathname.startsWith("/groups/"));
 const group = new URL(owner.url()).pathname.split("/").at(-1);
-await owner.getByRole("button", { name: "Add somebody" }).click();
+await owner.getByRole("button", { name: "Add member" }).click();
 await owner.getByRole("radio", { name: /ben@lab/ }).check();
-await owner.getByLabel("How long").selectOption({ label: "For 90 days" });
+await owner.getByLabel("Expiry").selectOption({ label: "For 90 days" });
 await look(owner, "group-add", owner.getByRole("radio", { name: /ben@lab/ }));
 await owner.getByRole("button", { name: "Add", exact: true }).click();
 await row(owner, "ben@lab.example").waitFor();
@@ -77,8 +77,8 @@ seen.reach = await row(owner, "Alps").innerText();
 const person = new URL(owner.url()).pathname;
 await owner.goto(`${address}/groups/${group}`);
 await row(owner, "ben@lab.example").first().waitFor();
-await row(owner, "ben@lab.example").getByRole("button", { name: /^Take out/ }).click();
-await owner.getByRole("dialog").getByRole("button", { name: "Take out" }).click();
+await row(owner, "ben@lab.example").getByRole("button", { name: /^Remove/ }).click();
+await owner.getByRole("dialog").getByRole("button", { name: "Remove" }).click();
 await row(owner, "ben@lab.example").waitFor({ state: "detached" });
 seen.after = await asBen(`/projects/${project}`);
 
@@ -87,16 +87,16 @@ await owner.goto(`${address}/tokens`);
 await owner.getByRole("button", { name: "New token" }).click();
 await owner.getByRole("textbox", { name: /^Name/ }).fill(`anymal ${HOSTILE}`.slice(0, 100));
 await owner.getByRole("radio", { name: /^Robot/ }).check();
-seen.limited = await owner.getByRole("button", { name: "Make token" }).isDisabled();
+seen.limited = await owner.getByRole("button", { name: "Create token" }).isDisabled();
 await owner.getByRole("button", { name: "Add Alps", exact: true }).click();
-await owner.getByLabel("How long it holds").selectOption({ label: "For 30 days" });
-await look(owner, "token-new", owner.getByRole("button", { name: "Make token" }));
-await owner.getByRole("button", { name: "Make token" }).click();
+await owner.getByLabel("Expiry").selectOption({ label: "For 30 days" });
+await look(owner, "token-new", owner.getByRole("button", { name: "Create token" }));
+await owner.getByRole("button", { name: "Create token" }).click();
 await owner.locator("[data-secret]").waitFor();
 const token = await secretOf(owner);
 seen.loginLine = await owner.locator("[data-secret] pre").last().innerText();
 const asRobot = async () => (await fetch(`${address}/api/v1/me`, { headers: { Authorization: `Bearer ${token}` } })).status;
-await owner.getByRole("button", { name: "I have kept it" }).click();
+await owner.getByRole("button", { name: "I saved it" }).click();
 seen.robot = await asRobot();
 await owner.goto(`${address}/tokens`);
 await row(owner, "anymal").first().waitFor();
@@ -109,20 +109,20 @@ seen.revoked = await asRobot();
 await owner.goto(`${address}/trash`);
 await row(owner, "ridge").first().waitFor();
 seen.trashed = await row(owner, "ridge").innerText();
-await row(owner, "ridge").getByRole("button", { name: /^Put back/ }).click();
-await owner.getByText("ridge is back.").first().waitFor();
+await row(owner, "ridge").getByRole("button", { name: /^Restore/ }).click();
+await owner.getByText("ridge restored.").first().waitFor();
 await row(owner, "ridge").waitFor({ state: "detached" });
 
 // The record tells all of it, narrowed by the address, and exported as it is narrowed.
 await owner.goto(`${address}/audit`);
-await row(owner, "put back").first().waitFor();
-await owner.getByLabel("Which acts").selectOption("token.*");
+await row(owner, "restored").first().waitFor();
+await owner.getByLabel("Event type").selectOption("token.*");
 await owner.waitForURL((url) => url.searchParams.get("operation") === "token.*");
-await row(owner, "put back").waitFor({ state: "detached" });
+await row(owner, "restored").waitFor({ state: "detached" });
 seen.recorded = await row(owner, "revoked the token").first().innerText();
-const exported = await owner.getByRole("link", { name: "Export as JSON lines" }).getAttribute("href");
+const exported = await owner.getByRole("link", { name: "Export as JSON Lines" }).getAttribute("href");
 seen.lines = (await (await ownersBrowser.request.get(`${address}${exported}`)).text()).trim().split("\n").map((line) => JSON.parse(line).operation);
-await row(owner, "made the token").first().getByRole("button").click();
+await row(owner, "created the token").first().getByRole("button").click();
 await look(owner, "audit-event", owner.getByRole("dialog").getByRole("table"));
 seen.changes = await owner.getByRole("dialog").getByRole("table").innerText();
 
@@ -131,23 +131,23 @@ await owner.goto(`${address}${person}`);
 await owner.getByRole("button", { name: "Make admin" }).click();
 await look(owner, "person-make-admin", owner.getByRole("dialog"));
 await owner.getByRole("dialog").getByRole("button", { name: "Make admin" }).click();
-await owner.getByRole("button", { name: "Take admin away" }).waitFor();
+await owner.getByRole("button", { name: "Revoke admin rights" }).waitFor();
 seen.power = [await asBen("/admin/jobs")];
 await ben.goto(`${address}/admin`);
-await ben.getByRole("heading", { name: "What it keeps" }).waitFor();
+await ben.getByRole("heading", { name: "Stored data" }).waitFor();
 await ben.goto("about:blank"); // from here on, their pages would hear that they may not
-await owner.getByRole("button", { name: "Take admin away" }).click();
-await owner.getByRole("dialog").getByRole("button", { name: "Take admin away" }).click();
+await owner.getByRole("button", { name: "Revoke admin rights" }).click();
+await owner.getByRole("dialog").getByRole("button", { name: "Revoke admin rights" }).click();
 await owner.getByRole("button", { name: "Make admin" }).waitFor();
 seen.power.push(await asBen("/admin/jobs"));
 
 // A new password by a link: the old sessions end, and only the new password is taken.
-await owner.getByRole("button", { name: "Link to a new password" }).click();
-await owner.getByRole("dialog").getByRole("button", { name: "Make the link" }).click();
+await owner.getByRole("button", { name: "Reset password" }).click();
+await owner.getByRole("dialog").getByRole("button", { name: "Create link" }).click();
 await look(owner, "person-reset", owner.locator("[data-secret]"));
 const { page: again, context: bensOther } = await somebody(() => true);
 await again.goto(await secretOf(owner));
-await owner.getByRole("button", { name: "I have kept it" }).click();
+await owner.getByRole("button", { name: "I saved it" }).click();
 await owner.getByRole("dialog").waitFor({ state: "detached" });
 await again.getByLabel(/password/i).fill("another long password");
 await again.getByRole("button", { name: "Keep this password" }).click();
@@ -165,13 +165,13 @@ seen.reset = [await asBen("/me"), await asBenAgain()];
 await owner.getByRole("button", { name: "Deactivate" }).click();
 await look(owner, "person-deactivate", owner.getByRole("dialog").getByRole("button", { name: "Deactivate" }));
 await owner.getByRole("dialog").getByRole("button", { name: "Deactivate" }).click();
-await owner.getByRole("button", { name: "Let back in" }).waitFor();
-seen.left = await owner.getByText("is deactivated; ended:").innerText();
+await owner.getByRole("button", { name: "Reactivate" }).waitFor();
+seen.left = await owner.getByText("is deactivated. Revoked:").innerText();
 await signIn("another long password");
 await again.locator("#said:not([hidden])").waitFor();
 seen.gone = [await asBenAgain(), await again.locator("#said").innerText()];
-await owner.getByRole("button", { name: "Let back in" }).click();
-await owner.getByRole("dialog").getByRole("button", { name: "Let back in" }).click();
+await owner.getByRole("button", { name: "Reactivate" }).click();
+await owner.getByRole("dialog").getByRole("button", { name: "Reactivate" }).click();
 await owner.getByRole("button", { name: "Deactivate" }).waitFor();
 await signIn("another long password");
 await again.waitForURL((url) => url.pathname === "/");
@@ -179,8 +179,8 @@ seen.returned = await asBenAgain();
 
 // A job that was given up is tried again.
 await owner.goto(`${address}/admin?tab=jobs`);
-await owner.getByRole("button", { name: `Try again #${job}` }).click();
-await owner.getByText(`Job ${job} is in the queue again.`).waitFor();
-await owner.getByRole("button", { name: `Try again #${job}` }).waitFor({ state: "detached" });
-seen.failed = await owner.getByText("No job was given up.").count();
+await owner.getByRole("button", { name: `Retry #${job}` }).click();
+await owner.getByText(`Job ${job} is queued again.`).waitFor();
+await owner.getByRole("button", { name: `Retry #${job}` }).waitFor({ state: "detached" });
+seen.failed = await owner.getByText("No failed jobs.").count();
 await tell();

@@ -61,16 +61,16 @@ def test_an_account_a_mission_and_a_failed_job(cluster: Cluster, act: Act, pictu
     assert [seen[each] for each in ("complaints", "axe", "wide", "ran")] == [[], [], [], []]
     assert "Compared\n0 objects" in seen["scrub"]
     assert "Newly lost\n0" in seen["scrub"]
-    assert "ada@lab.example by your invitation" in seen["account"]
-    assert "This server signs nobody in by it any more." in seen["account"]
-    assert seen["tooShort"] == "It takes at least 10 characters."
-    assert seen["wrongPassword"] == "This is not your password."
+    assert "ada@lab.example verified by your invitation" in seen["account"]
+    assert "This server no longer offers this provider." in seen["account"]
+    assert seen["tooShort"] == "Use at least 10 characters."
+    assert seen["wrongPassword"] == "Wrong password."
     assert (seen["before"], seen["after"]) == (200, 401)
     assert sql(cluster, "SELECT unlinked_at IS NULL FROM identity WHERE person_id = %s", ada) == [(False,)]
     assert seen["prefilled"] == ["spot", "", ""], "but for the operator and the day, which are others"
-    assert seen["unconfirmed"] == "Confirm this value, or change it."
-    assert seen["nameMissing"] == "A mission needs a name."
-    assert seen["robotMissing"] == "This is required."
+    assert seen["unconfirmed"] == "Confirm or change this value."
+    assert seen["nameMissing"] == "Enter a name."
+    assert seen["robotMissing"] == "Required."
     assert "[a-z]+" in seen["operatorWrong"]
     assert "already" in seen["nameTaken"]
     assert "spot" in seen["mission"]

@@ -41,14 +41,14 @@ def test_what_was_typed_lasts(cluster: Cluster, act: Act, pictures: Path, tmp_pa
     assert seen["ended"] == 204
     assert seen["kept"] == ["grace", "Snow on the ridge."]
     for form in ("metadata", "notes", "upload"):
-        assert "Nothing on this page is lost. Sign in" in seen[f"{form}Told"]
-    assert "it is tried again by itself" in seen["away"]
+        assert "Your input on this page is kept. Sign in" in seen[f"{form}Told"]
+    assert "Retrying automatically" in seen["away"]
     assert seen["alerts"] == 0, "calmly"
     assert seen["keptWhileAway"] == "edith"
     assert seen["changed"] == 200
     assert seen["loadsOfMission"] == 1, "the page was never loaded anew"
     assert seen["keptOfUpload"] == ["second", "beatrice"]
-    assert "The file is there." in seen["over"]
+    assert "File uploaded." in seen["over"]
     assert cluster.runtime_info()["parts"]["api"] != api
     runtime_info = {each["name"]: each for each in terminal.run("mission", "list", "--json").json()["items"]}
     assert runtime_info["day"]["metadata"] == {"operator": "edith"}
@@ -69,7 +69,7 @@ def test_from_another_machine(
 
     store = f"http://{other_machine.our_address}:{cluster.s3_port}"
     assert seen["complaints"] == []
-    assert "The file is there." in seen["over"]
+    assert "File uploaded." in seen["over"]
     assert seen["sha256"] == hashlib.sha256(drive.read_bytes()).hexdigest()
     assert {each.split()[1] for each in seen["hosts"]} == {address, store}
     assert f"PUT {store}" in seen["hosts"], "straight to the store, by its public address"

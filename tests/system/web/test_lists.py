@@ -48,7 +48,7 @@ def test_missions_are_sorted_filtered_changed_and_downloaded_many_at_once(
     assert seen["ascending"] == ["cold", "mild", "hot"]
     assert seen["descending"] == ["hot", "mild", "cold"]
     assert sorted(seen["spots"]) == ["hot", "mild"]
-    assert seen["saved"] == ["2 files written.", "0 files written, 2 files were there already."]
+    assert seen["saved"] == ["2 files downloaded.", "0 files downloaded, 2 files already present."]
     assert seen["folder"] == {f"Alps/{name}/notes/day.txt": f"It was {name}." for name in ("cold", "mild")}
     assert sorted(seen["command"].split("\n")) == [
         f"klein download --nested --dest data -p Alps -m {name}" for name in ("cold", "mild")

@@ -61,7 +61,7 @@ def test_a_first_look(cluster: Cluster, act: Act, tmp_path: Path) -> None:
     assert seen["odom"]["asked"] is None
     assert seen["imu"]["label"].startswith("Plot of /imu/data over time: linear_acceleration.x from -0.")
     _assert_same(seen["cut"], pictures[0])
-    assert "never closed" in seen["cut"]["told"]
+    assert "not closed" in seen["cut"]["told"]
 
 
 def _pictures(path: Path) -> list[tuple[int, Any]]:

@@ -76,7 +76,7 @@ def test_missions(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) ->
     assert seen["axe"] == []
     assert seen["wide"] == []
     assert seen["title"] == _MISSION
-    assert "must match" in seen["refused"]
+    assert "Must match" in seen["refused"]
     assert "grace" in seen["accepted"]
     assert "ada" not in seen["accepted"].split()
     assert "/imu/data" in seen["topics"]

@@ -46,10 +46,10 @@ def test_missions_changed(cluster: Cluster, act: Act, pictures: Path, tmp_path: 
     assert seen["ran"] == [], "markup was run"
     assert seen["axe"] == []
     assert seen["wide"] == []
-    assert "Alps / night\nGo on\ncamera.raw" in seen["unfinished"]
+    assert "Alps / night\nResume\ncamera.raw" in seen["unfinished"]
     assert "of 20.0 MB" in seen["unfinished"], "what the store holds of it is told"
     assert seen["chosen"] == ["Alps", "night"], "the address chose where it goes"
-    assert "The file is there." in seen["over"]
+    assert "File uploaded." in seen["over"]
     terminal.run("verify", "-p", "Alps", "-m", "night", f"{half}/")
     assert "night" in seen["taken"]
     assert seen["notesElements"] == 0

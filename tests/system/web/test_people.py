@@ -41,7 +41,7 @@ def test_somebody_comes_is_let_in_and_leaves(cluster: Cluster, act: Act, picture
     assert seen["complaints"] == []
     assert seen["axe"] == []
     assert seen["wide"] == []
-    assert (seen["refused"], seen["adminLinks"]) == ("This page is for admins", 0)
+    assert (seen["refused"], seen["adminLinks"]) == ("Admins only", 0)
     assert seen["given"] == 201
     assert (seen["before"], seen["during"], seen["after"]) == (404, 200, 404)
     assert "Read" in seen["access"]

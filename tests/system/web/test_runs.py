@@ -65,7 +65,7 @@ def test_a_run_from_form_to_lineage(cluster: Cluster, act: Act, pictures: Path, 
     assert seen["axe"] == []
     assert seen["wide"] == []
     assert seen["ran"] == [], "markup was run"
-    assert seen["wrong"] == ["This must be said.", "This is at most 10."]
+    assert seen["wrong"] == ["Required.", "Enter at most 10."]
     assert "/imu/data" in seen["topics"], "the mission's topics are offered"
     assert seen["live"]["progress"] == "half of it", "what it is at is seen while it runs"
     log = seen["log"]
@@ -106,10 +106,10 @@ def _see_what_it_said(seen: dict[str, Any]) -> None:
 
 
 def _see_where_it_leads(seen: dict[str, Any], terminal: Terminal) -> None:
-    assert "Read by look <b>closely<b>" in seen["lineage"]
+    assert "Used by look <b>closely<b>" in seen["lineage"]
     assert "derived/<b>table<b>.csv" in seen["deletion"], "what came of it is told before it is deleted"
     assert seen["again"]["state"] == "done"
-    assert seen["many"]["made"] == "2 runs asked for"
+    assert seen["many"]["made"] == "2 runs started"
     assert len(seen["many"]["runs"]) == 4
     assert seen["cancelled"] == "cancelled"
     runs = terminal.run("run", "list", "--json").json()["items"]

@@ -46,18 +46,18 @@ def test_an_upload_with_all_that_comes_between(cluster: Cluster, act: Act, pictu
     assert seen["complaints"] == []
     assert seen["axe"] == []
     assert "2 files" in seen["plan"]
-    assert "growing.bag something is writing to it" in seen["plan"].replace("\n", " ")
-    assert "now.bag.active it is still being recorded" in seen["plan"].replace("\n", " ")
-    assert seen["asked"].count("This is required.") == 2
+    assert "growing.bag another program is writing to the file" in seen["plan"].replace("\n", " ")
+    assert "now.bag.active the file is still being recorded" in seen["plan"].replace("\n", " ")
+    assert seen["asked"].count("Required.") == 2
     assert "'ada.lovelace', which does not match" in seen["refused"]
-    assert "goes on by itself" in seen["offline"]
+    assert "continues automatically" in seen["offline"]
     assert seen["dialogs"] == ["beforeunload"], "closing the page is warned about while something is under way"
-    assert "at the store already" in seen["unfinished"]
-    assert re.search(r"[12] files? as before", seen["fit"]), seen["fit"]
+    assert "already in the store" in seen["unfinished"]
+    assert re.search(r"[12] files? unchanged", seen["fit"]), seen["fit"]
     # The two small files go in one part each; of four parts on their way the page may not have heard the answer.
     assert seen["putsBefore"] >= 6
     assert seen["putsAfter"] <= _PARTS + 2 - seen["putsBefore"] + 4, "what the store holds is not sent again"
-    assert "All 3 files are there." in seen["over"]
+    assert "All 3 files uploaded." in seen["over"]
     assert "3 already there" in seen["again"]
     assert seen["putsAgain"] == 0
     for content in (day / "drive.mcap", other / "drive.mcap"):
@@ -83,14 +83,14 @@ def test_trouble_on_the_way(cluster: Cluster, act: Act, pictures: Path, tmp_path
 
     seen = act("upload_trouble.mjs", cluster, day, changing, pictures, cluster.runtime_info()["parts"]["api"])
 
-    assert "The server does not answer" in seen["away"]
+    assert "The server does not respond" in seen["away"]
     assert "signed out" in seen["signedOut"]
-    assert "The file is there." in seen["over"]
+    assert "File uploaded." in seen["over"]
     terminal.run("verify", "-p", "Alps", "-m", "descent", day)
-    assert "It was written to, moved or deleted after you chose it." in seen["changed"]
+    assert "The file was changed, moved, or deleted after you selected it." in seen["changed"]
     assert "changing.raw" not in terminal.run("file", "list", "-p", "Alps").out
-    assert "Another tab of this browser is uploading it." in seen["other"]
-    assert seen["elsewhere"].count("Another tab of this browser") == 1
+    assert "Another tab is uploading it." in seen["other"]
+    assert seen["elsewhere"].count("Another tab is uploading to this mission") == 1
     assert seen["cancelled"].startswith("Cancelled")
     assert seen["left"] == 0, "nothing is unfinished once it was cancelled"
     assert seen["errors"] == []

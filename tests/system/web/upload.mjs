@@ -87,18 +87,18 @@ await page.getByRole("button", { name: "Choose a folder" }).waitFor();
 await look("empty");
 const writing = setInterval(() => void appendFile(`${folder}/growing.bag`, "more of it"), 20);
 await drop(folder);
-await page.getByText("What is uploaded").waitFor();
+await page.getByText("Files to upload").waitFor();
 clearInterval(writing);
-seen.plan = await page.locator("[aria-label='What is uploaded']").innerText();
+seen.plan = await page.locator("[aria-label='Files to upload']").innerText();
 
 // Metadata that is not said is asked for; then it is said.
 await page.getByLabel("Project").selectOption({ label: "Alps" });
-await page.getByLabel("Mission").selectOption({ label: "A new mission" });
+await page.getByLabel("Mission").selectOption({ label: "New mission" });
 await page.getByLabel("robot").waitFor();
 await page.getByRole("button", { name: /^Upload \d+ files/ }).click();
 seen.asked = await page.locator("form").innerText();
 await look("form");
-await page.getByLabel("Name of the new mission").fill("ascent");
+await page.getByLabel("Mission name").fill("ascent");
 await page.getByLabel("robot").selectOption("spot");
 await page.getByLabel("operator").fill("ada.lovelace");
 isMeantToFail = true;
@@ -112,7 +112,7 @@ await page.getByRole("button", { name: /^Upload \d+ files/ }).click();
 // The network goes, and comes back; other pages are looked at; it is paused, and goes on.
 await reaches(5);
 await network(SLOW, true);
-await panel.getByText("goes on by itself").first().waitFor();
+await panel.getByText("continues automatically").first().waitFor();
 seen.offline = await panel.innerText();
 await look("offline");
 await network(SLOW);
@@ -135,9 +135,9 @@ await look("unfinished");
 puts = 0;
 await network();
 await choose(page.locator("[data-unfinished]"), folder);
-await page.getByRole("button", { name: "Continue" }).waitFor();
+await page.getByRole("button", { name: "Resume" }).waitFor();
 seen.fit = await page.locator("[data-unfinished]").innerText();
-await page.getByRole("button", { name: "Continue" }).click();
+await page.getByRole("button", { name: "Resume" }).click();
 seen.over = await over();
 seen.putsAfter = puts;
 await look("over");
@@ -163,7 +163,7 @@ for (const [name, colorScheme, width] of [["dark", "dark", 1280], ["phone", "lig
   await page.reload();
   await page.getByRole("button", { name: "Choose files" }).waitFor();
   await choose(page, other);
-  await page.getByText("Where it goes").waitFor();
+  await page.getByText("Destination").waitFor();
   seen[`${name}Wide`] = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
   await look(name);
 }

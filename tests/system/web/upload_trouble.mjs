@@ -49,13 +49,13 @@ async function reaches(percent) {
 await page.goto(`${address}/upload`);
 await choose(page, folder, "Choose a folder");
 await page.getByLabel("Project").selectOption({ label: "Alps" });
-await page.getByLabel("Mission").selectOption({ label: "A new mission" });
-await page.getByLabel("Name of the new mission").fill("descent");
+await page.getByLabel("Mission").selectOption({ label: "New mission" });
+await page.getByLabel("Mission name").fill("descent");
 await slow(page, SLOW);
 await begin(page);
 await reaches(5);
 process.kill(Number(api), "SIGKILL");
-await panel.getByText("The server does not answer").waitFor();
+await panel.getByText("The server does not respond").waitFor();
 seen.away = await panel.innerText();
 await reaches(25);
 
@@ -104,7 +104,7 @@ await choose(page, changing, "Choose files");
 await begin(page);
 await reaches(10);
 await panel.getByRole("button", { name: "Cancel" }).click();
-await page.getByRole("button", { name: "Cancel the upload" }).click();
+await page.getByRole("button", { name: "Cancel upload" }).click();
 await page.locator("[data-phase=cancelled]").waitFor();
 seen.cancelled = await panel.getByRole("status").first().innerText();
 await page.goto(`${address}/upload`);

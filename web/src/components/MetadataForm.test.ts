@@ -27,7 +27,7 @@ function form() {
 test("values of an earlier mission are marked, each by itself, with where they are from", () => {
   const { wrapper, marked } = form();
   expect(marked()).toEqual(["robot", "extra"]);
-  expect(wrapper.get("[data-unconfirmed=robot]").text()).toContain("From day 1, not confirmed");
+  expect(wrapper.get("[data-unconfirmed=robot]").text()).toContain("Copied from day 1, not confirmed");
   expect(wrapper.findAll("[aria-invalid=true]")).toHaveLength(2);
 });
 

@@ -1,20 +1,20 @@
-// The words of home: what moved, what is unfinished, what needs somebody, what it all takes.
+// Texts of the home page.
 import type { components } from "@/api/schema";
 import { counted, formatShare, formatSize } from "@/components/format";
 
 type Need = components["schemas"]["Need"];
 
 const needs: Readonly<Record<Need, (count: number) => string>> = {
-  files_corrupt: (count) => `${counted(count, "file")} corrupt at the store`,
-  files_lost: (count) => `${counted(count, "file")} lost from the store`,
+  files_corrupt: (count) => `${counted(count, "file")} corrupt in the store`,
+  files_lost: (count) => `${counted(count, "file")} missing from the store`,
   files_broken: (count) => `${counted(count, "file")} broken`,
-  files_unread: (count) => `${counted(count, "file")} could not be read`,
-  files_recovered: (count) => `${counted(count, "file")} damaged or never closed`,
-  runs_cannot_start: (count) => `${counted(count, "run")} queued that no runner can start`,
+  files_unread: (count) => `${counted(count, "file")} not read because of an error`,
+  files_recovered: (count) => `${counted(count, "file")} recovered (damaged or not closed)`,
+  runs_cannot_start: (count) => `${counted(count, "run")} queued without a suitable runner`,
   runs_failed: (count) => `${counted(count, "action")} failed`,
-  metadata_missing: (count) => `${counted(count, "value")} of metadata missing or wrong`,
-  scrub_stopped: () => "The store looks like another one: nothing was compared with it",
-  verifications_overdue: (count) => `${counted(count, "file")} not verified in time`,
+  metadata_missing: (count) => `${counted(count, "metadata value")} missing or invalid`,
+  scrub_stopped: () => "Scrub stopped: the store seems to be a different one",
+  verifications_overdue: (count) => `${counted(count, "file")} overdue for verification`,
   jobs_failed: (count) => `${counted(count, "job")} failed`,
   disk_low: () => "The store’s disk is almost full",
 };
@@ -26,33 +26,33 @@ export const texts = {
 
   missions: "Recent missions",
   allMissions: "All projects",
-  columns: { mission: "Mission", files: "Files", size: "Size", when: "Last arrival" },
+  columns: { mission: "Mission", files: "Files", size: "Size", when: "Last upload" },
 
   uploads: "Your unfinished uploads",
-  uploadsWhy: "Choose the same folder again: files that have arrived are not sent again.",
-  goOn: "Go on",
+  uploadsWhy: "To resume, choose the same folder again. Uploaded files are not sent again.",
+  goOn: "Resume",
   sent: (sent: number | null, whole: number) =>
     sent === null ? formatSize(whole) : `${formatSize(sent)} of ${formatSize(whole)}, ${formatShare(sent, whole)}`,
-  lapses: "lapses",
+  lapses: "expires",
   moreFiles: (count: number) => `and ${counted(count, "file")} more`,
-  progress: (mission: string) => `Sent to ${mission}`,
+  progress: (mission: string) => `Upload progress for ${mission}`,
 
   attention: "Needs attention",
-  nothingNeeds: "Nothing needs you. All files that were read are whole.",
+  nothingNeeds: "Nothing needs attention.",
   need: (need: Need, count: number) => needs[need](count),
   where: (project: string, mission: string) => `${project} / ${mission}`,
-  more: (count: number) => `${count} more`,
-  fewer: "Fewer",
+  more: (count: number) => `Show ${count} more`,
+  fewer: "Show fewer",
 
   storage: "Storage",
   quota: (used: number, quota: number) => `${formatSize(used)} of ${formatSize(quota)}`,
   files: (count: number) => counted(count, "file"),
-  store: "The whole store",
+  store: "Entire store",
   storeFree: (free: number) => `${formatSize(free)} free`,
-  share: (name: string) => `Room that ${name} takes`,
+  share: (name: string) => `Storage used by ${name}`,
 
   empty: "Nothing has been uploaded yet",
-  emptyWhy: "Send a folder with recordings, from this page or from where they were recorded. Each mission belongs to a project; both are made as you go.",
+  emptyWhy: "Upload a folder of recordings here or from the robot. The upload creates the project and the mission.",
   emptyCommand: "klein upload FOLDER/ -p PROJECT -m MISSION --create",
-  emptyUpload: "Upload a first folder",
+  emptyUpload: "Upload a folder",
 } as const;

@@ -1,13 +1,13 @@
-// The words of the page of public projects.
+// Texts of the page of public projects.
 export const texts = {
   title: "Public projects",
-  lead: "Anybody may look at these and download them, without an account.",
+  lead: "Anyone can view and download these projects without an account.",
   label: "Public projects",
   filter: "Filter by name or description",
   columns: { name: "Project", licence: "Licence", missions: "Missions", files: "Files", size: "Size" },
-  search: "Search in them",
+  search: "Search public projects",
   signIn: "Sign in",
-  empty: "No project is public",
-  emptyWhy: "Whoever owns a project may open it to everybody in its settings. What you may see beyond that is shown once you have signed in.",
-  noneMatch: "No public project has that in its name or description",
+  empty: "No public projects",
+  emptyWhy: "Owners can make a project public in its settings. Sign in to see the projects that you have access to.",
+  noneMatch: "No matching public projects",
 } as const;

@@ -1,4 +1,4 @@
-// What is said of looking into recordings.
+// Texts of the preview of recordings.
 import { counted, formatSize } from "@/components/format";
 import type { FailureCode } from "@/recordings/failures";
 import type { DamagedPart } from "@/recordings/protocol";
@@ -10,51 +10,51 @@ interface Told {
   readonly remedy: string;
 }
 
-const DOWNLOAD = "Download the file to look at it with your own tools.";
+const DOWNLOAD = "Download the file and open it with other tools.";
 const INSIDE = (detail: string) => (detail === "" ? "" : ` (${detail})`);
 
 export const failures: Readonly<Record<FailureCode, Told>> = {
   no_index: {
-    title: () => "This recording has no index, and its beginning does not tell what is in it",
+    title: () => "This recording has no index, and its first part is not readable",
     remedy: DOWNLOAD,
   },
-  not_readable_here: { title: () => "This file is not what its format says", remedy: DOWNLOAD },
-  compression_unknown: { title: (detail) => `Its chunks are compressed in a way that is not read here${INSIDE(detail)}`, remedy: DOWNLOAD },
+  not_readable_here: { title: () => "This file does not match its format", remedy: DOWNLOAD },
+  compression_unknown: { title: (detail) => `The preview does not support the compression of its chunks${INSIDE(detail)}`, remedy: DOWNLOAD },
   too_large: {
-    title: (detail) => `A part of this recording is too large to hold in a browser${/^\d+$/.test(detail) ? ` (${formatSize(Number(detail))})` : ""}`,
+    title: (detail) => `A part of this recording is too large for a browser${/^\d+$/.test(detail) ? ` (${formatSize(Number(detail))})` : ""}`,
     remedy: DOWNLOAD,
   },
   compressed_whole: {
-    title: (detail) => `This file is compressed as a whole (${formatSize(Number(detail))}): all of it must be read and decompressed to see any of it, which is more than a browser can hold`,
-    remedy: "Download it and run `zstd -d` on it, or read it with the Python SDK. A recording with compressed chunks inside, such as MCAP with zstd, can be looked into here whatever its size.",
+    title: (detail) => `The whole file is compressed (${formatSize(Number(detail))}). To read any part, a browser would have to decompress all of it, which needs too much memory`,
+    remedy: "Download it and run `zstd -d`, or read it with the Python SDK. Recordings with compressed chunks, such as MCAP with zstd, can be previewed at any size.",
   },
-  chunk_damaged: { title: (detail) => `This part of the recording is damaged${INSIDE(detail)}`, remedy: "Try another time or topic: other parts may be whole." },
+  chunk_damaged: { title: (detail) => `This part of the recording is damaged${INSIDE(detail)}`, remedy: "Try another time or topic. Other parts can be intact." },
   index_damaged: { title: (detail) => `The index of this recording is damaged${INSIDE(detail)}`, remedy: DOWNLOAD },
-  topic_unknown: { title: () => "The recording's own index does not know this topic", remedy: "Choose another topic." },
-  topic_silent: { title: () => "This topic holds no message", remedy: "Choose another topic." },
-  encoding_unknown: { title: (detail) => `Messages of this topic are written in a way that is not read here${INSIDE(detail)}`, remedy: DOWNLOAD },
+  topic_unknown: { title: () => "The index of the recording does not contain this topic", remedy: "Choose another topic." },
+  topic_silent: { title: () => "This topic has no messages", remedy: "Choose another topic." },
+  encoding_unknown: { title: (detail) => `The preview does not support the encoding of this topic${INSIDE(detail)}`, remedy: DOWNLOAD },
   definition_unreadable: {
-    title: (detail) => `The recording does not say how messages of this topic are made up${INSIDE(detail)}`,
+    title: (detail) => `The message definition of this topic is not readable${INSIDE(detail)}`,
     remedy: DOWNLOAD,
   },
-  message_damaged: { title: (detail) => `A message does not fit its definition${INSIDE(detail)}`, remedy: "Try another time or topic." },
-  not_a_picture: { title: () => "Messages of this topic are no pictures", remedy: "Choose another topic." },
-  picture_unreadable: { title: (detail) => `This picture cannot be read${INSIDE(detail)}`, remedy: "Try another time: other pictures may be whole." },
-  picture_too_large: { title: (detail) => `This picture is too large to show (${detail})`, remedy: DOWNLOAD },
-  pixels_unknown: { title: (detail) => `Pictures of this kind are not shown here${INSIDE(detail)}`, remedy: DOWNLOAD },
+  message_damaged: { title: (detail) => `A message does not match its definition${INSIDE(detail)}`, remedy: "Try another time or topic." },
+  not_a_picture: { title: () => "Messages of this topic are not images", remedy: "Choose another topic." },
+  picture_unreadable: { title: (detail) => `This image is not readable${INSIDE(detail)}`, remedy: "Try another time. Other images can be intact." },
+  picture_too_large: { title: (detail) => `This image is too large to display (${detail})`, remedy: DOWNLOAD },
+  pixels_unknown: { title: (detail) => `The preview does not support this image format${INSIDE(detail)}`, remedy: DOWNLOAD },
   store_unreachable: {
-    title: () => "The store of the bytes does not answer this browser",
-    remedy: "Look at your network and try again. If downloads work and this does not, an admin should look at the store's rules for browsers (CORS).",
+    title: () => "The object store does not respond to this browser",
+    remedy: "Check your network connection and try again. If downloads work, ask an admin to check the CORS rules of the store.",
   },
-  store_refused: { title: (detail) => `The store refused to give the bytes (status ${detail})`, remedy: "Try again; if it stays, tell an admin." },
-  file_changed: { title: () => "The store gave other bytes than this file's", remedy: "Load the page anew; if it stays, tell an admin." },
-  link_refused: { title: () => "The server gives no address for these bytes", remedy: "Load the page anew; your right to read may have ended." },
+  store_refused: { title: (detail) => `The store rejected the request (status ${detail})`, remedy: "Try again. If the problem persists, contact an admin." },
+  file_changed: { title: () => "The store returned a different file", remedy: "Reload the page. If the problem persists, contact an admin." },
+  link_refused: { title: () => "The server returned no download URL", remedy: "Reload the page. Your right to read may have expired." },
   worker_ended: {
-    title: () => "The reader stopped: this recording took more than the browser gave it",
-    remedy: "It is started anew when you try again. Ask for less at once, or download the file.",
+    title: () => "The reader stopped because it ran out of memory",
+    remedy: "Try again with a shorter time range, or download the file.",
   },
-  worker_silent: { title: () => "The reader was busy for too long and was ended", remedy: "It is started anew when you try again, or choose another topic." },
-  cancelled: { title: () => "Reading was ended", remedy: "" },
+  worker_silent: { title: () => "The reader took too long and was stopped", remedy: "Try again, or choose another topic." },
+  cancelled: { title: () => "Reading was cancelled", remedy: "" },
 };
 
 /** Failures that may be gone when one tries again. */
@@ -66,35 +66,35 @@ export const worthAnotherTry: ReadonlySet<FailureCode> = new Set<FailureCode>([
 export function whyNot(format: string | null): string | null {
   if (format === "mcap" || format === "rosbag1") return null;
   if (format === "db3") {
-    return "A rosbag2 database (db3) has no index that could be read from afar: finding anything takes the whole file. Download it, or record MCAP, which can be looked into here.";
+    return "A rosbag2 database (db3) has no index that supports remote reading. Download the file, or record MCAP, which supports previews.";
   }
-  return "This is no recording with an index that can be read from afar. Download the file to look at it.";
+  return "Previews are available for MCAP files and ROS 1 bags. Download the file to open it.";
 }
 
 export const texts = {
-  title: "First look",
+  title: "Preview",
   topic: "Topic",
-  noTopics: "This recording holds no message.",
+  noTopics: "This recording has no messages.",
   mended: (until: number, size: number) =>
     until < 0.9 * size
-      ? `This recording was never closed and has no index. This is its beginning: ${formatSize(until)} of ${formatSize(size)}.`
-      : "This recording was never closed and has no index. This is what could be read of it.",
+      ? `This recording was not closed and has no index. The preview shows its beginning: ${formatSize(until)} of ${formatSize(size)}.`
+      : "This recording was not closed and has no index. The preview shows all readable data.",
   read: (bytes: number, size: number) => `${formatSize(bytes)} of ${formatSize(size)} read`,
-  readTitle: "What this page has fetched of the file, straight from the store",
-  pictureOf: (topic: string, seconds: string, width: number, height: number) => `Picture of ${topic} at ${seconds}, ${width} by ${height} pixels`,
+  readTitle: "Amount of data that this page has read from the store",
+  pictureOf: (topic: string, seconds: string, width: number, height: number) => `Image of ${topic} at ${seconds}, ${width} by ${height} pixels`,
   pictureAt: "Time",
-  previous: "Previous picture",
-  next: "Next picture",
-  keys: "Arrow keys go from picture to picture, with Shift by a second, Page keys by a tenth.",
+  previous: "Previous image",
+  next: "Next image",
+  keys: "Arrow keys: previous and next image. Shift+arrow keys: one second. Page keys: one tenth of the recording.",
   size: (width: number, height: number) => `${width} × ${height}`,
-  range: (least: string, greatest: string) => `black is ${least}, white ${greatest}`,
+  range: (least: string, greatest: string) => `black: ${least}, white: ${greatest}`,
   seconds: (seconds: number) => `${seconds.toFixed(3)} s`,
   secondsOf: (seconds: number, whole: number) => `${seconds.toFixed(3)} s of ${whole.toFixed(3)} s`,
   fields: "Fields",
   fieldsOf: (topic: string) => `Numeric fields of ${topic}`,
-  noFields: "Messages of this topic hold no numbers to plot.",
+  noFields: "Messages of this topic have no numeric fields.",
   hidden: (count: number) => `and ${count} more`,
-  mostFields: (count: number) => `At most ${count} at once.`,
+  mostFields: (count: number) => `Select at most ${count}.`,
   cancel: "Cancel",
   again: "Try again",
   damaged: (parts: readonly DamagedPart[]) => {
@@ -102,22 +102,22 @@ export const texts = {
     if (first === undefined) return "";
     const span = first.toSeconds - first.fromSeconds < 0.001 ? `at ${first.fromSeconds.toFixed(3)} s` : `from ${first.fromSeconds.toFixed(3)} s to ${first.toSeconds.toFixed(3)} s`;
     return parts.length === 1
-      ? `A part of this recording is damaged and left out: ${span}.`
-      : `${counted(parts.length, "part")} of this recording are damaged and left out, the first ${span}.`;
+      ? `A part of this recording is damaged and not shown: ${span}.`
+      : `${counted(parts.length, "part")} of this recording are damaged and not shown, the first ${span}.`;
   },
-  partial: (seconds: string, whole: number) => `This is the beginning, up to ${seconds}. All of it needs ${formatSize(whole)} to be read.`,
+  partial: (seconds: string, whole: number) => `Showing the beginning, up to ${seconds}. The full range requires reading ${formatSize(whole)}.`,
   readAll: (whole: number) => `Read all ${formatSize(whole)}`,
   points: (messages: number, isWhole: boolean) =>
-    isWhole ? `${counted(messages, "message")}, every one drawn` : `${counted(messages, "message")}, drawn by the least and greatest of each instant`,
+    isWhole ? `${counted(messages, "message")}, all shown` : `${counted(messages, "message")}, shown as minimum and maximum per pixel`,
   curve: (field: string, least: string, greatest: string) => `${field} from ${least} to ${greatest}`,
   plotOf: (topic: string, curves: string) => `Plot of ${topic} over time: ${curves}`,
-  zoom: "Drag to look closer, double-click to go back.",
+  zoom: "Drag to zoom in. Double-click to reset.",
   showValues: "Show values",
   hideValues: "Hide values",
   valuesOf: (topic: string) => `Values of ${topic}`,
   saveCsv: "Save as CSV",
   secondsColumn: "Seconds",
   rows: (from: number, to: number, count: number) => `${from} to ${to} of ${count}`,
-  earlier: "Earlier values",
-  later: "Later values",
+  earlier: "Previous page",
+  later: "Next page",
 } as const;

@@ -1,18 +1,18 @@
-// The words of the page of sessions.
+// Texts of the sessions page.
 export const texts = {
   title: "Sessions",
-  lead: "Browsers that are signed in as you. Programs are signed in by tokens.",
+  lead: "Browsers that are signed in to your account. Programs use tokens instead.",
   label: "Sessions",
   tokens: "Your tokens",
-  columns: { browser: "Browser", method: "Signed in with", used: "Last used", ends: "Ends", act: "End" },
+  columns: { browser: "Browser", method: "Sign-in method", used: "Last used", ends: "Expires", act: "Sign out" },
   here: "This browser",
   unknownBrowser: "Unknown browser",
   on: (browser: string, system: string) => `${browser} on ${system}`,
-  methods: { password: "Password", link: "One-time link", bootstrap: "Bootstrap code" } as Readonly<Record<string, string>>,
+  methods: { password: "Password", link: "One-time link", bootstrap: "Setup code" } as Readonly<Record<string, string>>,
   since: "since",
-  end: "End",
-  ended: (browser: string) => `${browser} is signed out.`,
+  end: "Sign out",
+  ended: (browser: string) => `${browser} signed out.`,
   endAll: "Sign out everywhere",
   endAllTitle: "Sign out everywhere?",
-  endAllWhy: "All browsers, this one too, are signed out at once. Tokens stay: revoke those of a machine that was lost as well.",
+  endAllWhy: "This immediately signs out all browsers, including this one. Tokens stay valid; revoke the tokens of lost machines separately.",
 } as const;

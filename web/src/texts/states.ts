@@ -1,4 +1,4 @@
-// The words for states, and what they mean.
+// Texts of states and rights, with their meaning.
 import type { BlobState, ContentState, Right } from "@/api/types";
 
 interface Named {
@@ -7,24 +7,24 @@ interface Named {
 }
 
 export const contentTexts: Readonly<Record<ContentState, Named>> = {
-  pending: { label: "Not read yet", why: "Nobody has read yet what is in this file." },
-  indexed: { label: "Whole", why: "What is in this file is known, and all of it is there." },
-  recovered: { label: "Recovered", why: "The file is damaged or was never closed; what is readable of it is known." },
-  broken: { label: "Broken", why: "Nothing in this file can be read as a recording. Its bytes are safe." },
-  opaque: { label: "Other file", why: "This is no recording; it is kept as it is." },
-  error: { label: "Could not be read", why: "Reading it failed on our side; it is tried again." },
+  pending: { label: "Not read yet", why: "The server has not read this file yet." },
+  indexed: { label: "Intact", why: "The content of this file is known and complete." },
+  recovered: { label: "Recovered", why: "The file is damaged or was not closed. The readable content is known." },
+  broken: { label: "Broken", why: "Nothing in this file is readable as a recording. The bytes are stored safely." },
+  opaque: { label: "Other file", why: "Not a recording. The file is stored as is." },
+  error: { label: "Read error", why: "The server failed to read this file and will retry." },
 };
 
 export const blobTexts: Readonly<Record<BlobState, Named>> = {
-  stored: { label: "Stored", why: "The store's own checksums agreed when it came in." },
-  verified: { label: "Verified", why: "The server has read every byte and holds their checksums." },
-  lost: { label: "Lost", why: "The store no longer has these bytes." },
-  corrupt: { label: "Corrupt", why: "The bytes in the store are not those that came in." },
+  stored: { label: "Stored", why: "The store verified its checksum during the upload." },
+  verified: { label: "Verified", why: "The server has read every byte and computed its checksums." },
+  lost: { label: "Lost", why: "The store no longer has this file." },
+  corrupt: { label: "Corrupt", why: "The stored bytes differ from the uploaded bytes." },
 };
 
 export const rightTexts: Readonly<Record<Right, Named>> = {
   READ: { label: "Read", why: "See and download." },
-  CREATE: { label: "Create", why: "Also upload and make missions." },
-  WRITE: { label: "Write", why: "Also change, share and say who may." },
+  CREATE: { label: "Create", why: "Also upload and create missions." },
+  WRITE: { label: "Write", why: "Also edit, share, and grant rights." },
   DELETE: { label: "Own", why: "Also delete, and everything else." },
 };

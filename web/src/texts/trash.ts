@@ -1,4 +1,4 @@
-// The words of the trash.
+// Texts of the trash page.
 import type { Trashed } from "@/api/types";
 import { counted } from "@/components/format";
 
@@ -6,18 +6,18 @@ const nouns: Readonly<Record<Trashed["noun"], string>> = { project: "Project", m
 
 export const texts = {
   title: "Trash",
-  lead: "What was deleted, of all that you may delete. It can be put back until the day it is dropped; then its bytes go too.",
-  label: "What lies in the trash",
-  what: "What",
-  everything: "Everything",
+  lead: "Deleted objects that you can restore. On the date shown, they are deleted permanently.",
+  label: "Trash",
+  what: "Type",
+  everything: "All types",
   only: { project: "Projects", mission: "Missions", file: "Files" },
   nouns,
-  columns: { name: "Name", noun: "What", holds: "Holds", deleted: "Deleted", drops: "Dropped", act: "Put back" },
+  columns: { name: "Name", noun: "Type", holds: "Content", deleted: "Deleted", drops: "Deleted permanently", act: "Restore" },
   files: (count: number) => counted(count, "file"),
   by: (name: string) => `by ${name}`,
-  restore: "Put back",
-  restored: (name: string) => `${name} is back.`,
+  restore: "Restore",
+  restored: (name: string) => `${name} restored.`,
   open: "Open",
   empty: "The trash is empty.",
-  emptyText: "What somebody deletes lies here for a while before it is dropped for good.",
+  emptyText: "Deleted objects stay here for a limited time.",
 } as const;

@@ -1,6 +1,6 @@
-// The words for how long something holds.
+// Texts of expiry dates.
 import type { Span } from "@/components/until";
 
 const spans: Readonly<Record<Span, string>> = { 1: "Until tomorrow", 30: "For 30 days", 90: "For 90 days", 365: "For a year" };
 
-export const texts = { never: "Without an end", spans, day: "Until a day …", dayLabel: "Last day" } as const;
+export const texts = { never: "No expiry", spans, day: "Until a date…", dayLabel: "Last day" } as const;

@@ -7,7 +7,6 @@ import type { components } from "@/api/schema";
 export type Setting = components["schemas"]["SettingRead"];
 export type FailedJob = components["schemas"]["FailedJob"];
 export type JobAmount = components["schemas"]["JobAmount"];
-export type Scrub = components["schemas"]["ScrubRead"];
 export type Storage = components["schemas"]["AdminStorage"];
 
 const AGAIN_MS = 10_000;

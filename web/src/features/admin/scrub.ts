@@ -1,7 +1,8 @@
 // Where a scrub stands.
-import type { Scrub } from "./queries";
+import type { components } from "@/api/schema";
 import type { Tone } from "@/components/tones";
 
+export type Scrub = components["schemas"]["ScrubRead"];
 export type Standing = "waits" | "on" | "stopped" | "done";
 
 export const standingTones: Readonly<Record<Standing, Tone>> = { waits: "plain", on: "accent", stopped: "bad", done: "good" };

@@ -5,7 +5,7 @@ import type { Setting } from "./queries";
 const setting = (name: string, value: unknown, more: Partial<Setting> = {}): Setting => ({ name, value, is_set: false, is_secret: false, ...more });
 
 it("shows no secret, only whether there is one", () => {
-  expect(valueOf(setting("s3_secret_key", "never sent", { is_secret: true, is_set: true }))).toBe("set, and not shown");
+  expect(valueOf(setting("s3_secret_key", "never sent", { is_secret: true, is_set: true }))).toBe("set (hidden)");
   expect(valueOf(setting("s3_secret_key", null, { is_secret: true }))).toBe("not set");
 });
 

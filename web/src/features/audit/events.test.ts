@@ -33,9 +33,9 @@ describe("differences", () => {
 
 it("says who did it, where that is known", () => {
   expect(doerOf(event)).toBe("Ada");
-  expect(doerOf({ ...event, actor: null, share: { id: "s", name: "review" } })).toBe("Who has the link review");
-  expect(doerOf({ ...event, actor: null, request_id: null })).toBe("Kleinkram itself");
-  expect(doerOf({ ...event, actor: null, address: "10.0.0.1" })).toBe("Somebody unknown");
+  expect(doerOf({ ...event, actor: null, share: { id: "s", name: "review" } })).toBe("Link review");
+  expect(doerOf({ ...event, actor: null, request_id: null })).toBe("Kleinkram");
+  expect(doerOf({ ...event, actor: null, address: "10.0.0.1" })).toBe("Unknown person");
 });
 
 it("says what was done, and the name of an act that it does not know", () => {
@@ -45,7 +45,7 @@ it("says what was done, and the name of an act that it does not know", () => {
 
 it("says what an admin saw of the whole server", () => {
   const look = { ...event, operation: "admin.look", noun: "server", noun_name: "list_people" };
-  expect(`${deedOf(look)} ${objectOf(look)}`).toBe("looked, as an admin, at the list of people");
+  expect(`${deedOf(look)} ${objectOf(look)}`).toBe("viewed as an admin the list of people");
   expect(objectOf({ ...look, noun: "project", noun_name: "list_people" })).toBe("list_people");
   expect(objectOf({ ...look, noun_name: "get_what_is_new" })).toBe("get_what_is_new");
 });

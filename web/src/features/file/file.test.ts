@@ -1,9 +1,9 @@
 import { describe, expect, it, vi } from "vitest";
 import { commandsOf, quoted, viewerAddress } from "./commands";
 import { coverage } from "./coverage";
-import { chosenFields, chosenTopic } from "./look/choose";
-import { latest } from "./look/latest";
-import { csvOf, rangeOf, rowsOf, shortNumber } from "./look/values";
+import { chosenFields, chosenTopic } from "./viewer/defaults";
+import { latest } from "./viewer/latest";
+import { csvOf, rangeOf, rowsOf, shortNumber } from "./viewer/values";
 import { reaches } from "./queries";
 import type { File, Topic } from "@/api/types";
 import { fieldTree } from "@/recordings/decoding/fields";

@@ -12,8 +12,8 @@ it("names who has a right, and what gives it", () => {
 });
 
 it("says so where nobody in particular has it, or nobody is known", () => {
-  expect(holderOf({ ...given, person: null, to: team })).toBe("Whoever is in field-team");
-  expect(holderOf({ ...given, person: null, to: { kind: "email", id: null, name: "eve@x.example" } })).toBe("Whoever has eve@x.example");
-  expect(holderOf({ ...given, person: null, to: null, through: "public" })).toBe("Everybody, without an account");
+  expect(holderOf({ ...given, person: null, to: team })).toBe("Members of field-team");
+  expect(holderOf({ ...given, person: null, to: { kind: "email", id: null, name: "eve@x.example" } })).toBe("Owner of eve@x.example");
+  expect(holderOf({ ...given, person: null, to: null, through: "public" })).toBe("Everyone, without an account");
   expect(holderOf({ ...given, person: null, to: null, through: "admin" })).toBe("All admins");
 });

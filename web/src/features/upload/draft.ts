@@ -1,7 +1,7 @@
 // What was chosen and is not begun yet; kept outside of any view, so that a look at another page loses nothing.
 import { shallowReactive } from "vue";
 import { chosen, entriesOf, walk } from "./engine/entries";
-import type { Found, LeftOut, UploadPlan } from "./engine/nouns";
+import type { Found, LeftOut, UploadPlan } from "./engine/types";
 import { planUpload } from "./engine/plan";
 
 export type Layout = "tree" | "contents";

@@ -9,7 +9,7 @@ import type { Mission, MetadataFields, Page, Project } from "@/api/types";
 import { beginning, judge, type Values } from "@/components/metadata";
 import { carriedBy, useTemplate } from "@/features/project/creating";
 import { texts } from "@/texts/upload";
-import type { MissionPlace } from "./engine/nouns";
+import type { MissionPlace } from "./engine/types";
 
 const LISTED = 200;
 const NEW = "new";

@@ -1,7 +1,7 @@
 // What uploads of earlier visits left unfinished, as this browser's journal says; and how a folder chosen anew fits.
 import { type Ref, shallowRef } from "vue";
 import { type Journal, type JournalFile, type JournalHead, lockName } from "./engine/journal";
-import { partSizeBytes, type PlannedFile } from "./engine/nouns";
+import { partSizeBytes, type PlannedFile } from "./engine/types";
 
 /** An upload that did not come to its end. */
 export interface Unfinished {

@@ -2,9 +2,9 @@
 // which is fetched when the first upload begins.
 import { computed, shallowReactive } from "vue";
 import { signInAgain } from "@/api/signing-in";
-import type { Phase, Report } from "./engine/desk";
+import type { Phase, Report } from "./engine/uploadQueue";
 import type { JournalHead } from "./engine/journal";
-import type { Failure, FileProgress, FileState, PlannedFile, Trouble } from "./engine/nouns";
+import type { Failure, FileProgress, FileState, PlannedFile, Trouble } from "./engine/types";
 import type { Command } from "./engine/protocol";
 
 export type Counts = Readonly<Record<FileState, number>>;

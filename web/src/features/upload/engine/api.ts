@@ -1,8 +1,8 @@
 // The upload protocol as an upload asks it: every question is tried again until the server answers.
 
-import type { PartToSign, ProblemDocument, SignedPart, UploadDecision, UploadFile, UploadFinish, UploadOutcome } from "./nouns";
+import type { PartToSign, ProblemDocument, SignedPart, UploadDecision, UploadFile, UploadFinish, UploadOutcome } from "./types";
 import type { Gate } from "./flow";
-import type { Patience, Troubles } from "./patience";
+import type { Backoff, Troubles } from "./backoff";
 import type { Clock } from "./flow";
 
 /** What the server answered: what was asked for, its problem, or nothing at all (`null`). */
@@ -35,7 +35,7 @@ const AWAY_STATUS = new Set([502, 503, 504]);
 export interface Surroundings {
   readonly clock: Clock;
   readonly gate: Gate;
-  readonly patience: Patience;
+  readonly backoff: Backoff;
   readonly troubles: Troubles;
   /** The session has ended: the upload is paused until the person has signed in again. */
   readonly signedOut: () => void;
@@ -67,8 +67,8 @@ export class Asking {
 
   /** @throws ApiProblem, Stopped */
   private async insist<T>(ask: () => Promise<Answer<T>>): Promise<T> {
-    const { clock, gate, patience, troubles } = this.around;
-    const tries = patience.begin();
+    const { clock, gate, backoff, troubles } = this.around;
+    const tries = backoff.begin();
     for (;;) {
       await gate.passed();
       const answer = await ask();
@@ -80,7 +80,7 @@ export class Asking {
         troubles.note("server", clock.now());
         await tries.pause();
       } else if (answer.problem.code === "rate_limited") {
-        await patience.wait(1000 * Number(answer.problem["retry_after_s"] ?? 1));
+        await backoff.wait(1000 * Number(answer.problem["retry_after_s"] ?? 1));
       } else if (answer.problem.code === "not_authenticated") {
         gate.close();
         this.around.signedOut();

@@ -1,6 +1,6 @@
 // Which files are announced together.
 
-import type { PlannedFile } from "./nouns";
+import type { PlannedFile } from "./types";
 
 const FIRST_BATCH_FILES = 16;
 const BATCH_FILES = 100;

@@ -2,8 +2,8 @@
 
 import type { Hashing, WholeSums } from "./checksums";
 import type { JournalFile } from "./journal";
-import type { PlannedFile, UploadFile } from "./nouns";
-import { MIN_PART_BYTES } from "./nouns";
+import type { PlannedFile, UploadFile } from "./types";
+import { MIN_PART_BYTES } from "./types";
 import { checkUnchanged, slices } from "./reading";
 
 export class Candidate {

@@ -1,8 +1,8 @@
 // @vitest-environment node
 import { describe, expect, it } from "vitest";
 import { Hashing, newChecksum } from "./checksums";
-import { Meter } from "./meter";
-import { MIN_PART_BYTES, partSizeBytes } from "./nouns";
+import { RateMeter } from "./rateMeter";
+import { MIN_PART_BYTES, partSizeBytes } from "./types";
 import { etagOf, meaningOf } from "./store";
 
 const CHECK = new TextEncoder().encode("123456789");
@@ -54,7 +54,7 @@ describe("what a store's answer means", () => {
 
 describe("a meter", () => {
   it("says nothing before anything moved, then the rate of the last seconds", () => {
-    const meter = new Meter();
+    const meter = new RateMeter();
     expect(meter.at(0, 100)).toEqual({ bytesPerS: null, leftS: null });
     meter.moved(1000);
     expect(meter.at(60_000, 9000).bytesPerS).toBeNull();

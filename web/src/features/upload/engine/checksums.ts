@@ -6,7 +6,7 @@
 
 import type { IHasher } from "hash-wasm";
 import { createCRC64, createMD5, createSHA256 } from "hash-wasm";
-import type { ChecksumKind } from "./nouns";
+import type { ChecksumKind } from "./types";
 
 const NVME_REVERSED = "9a6c9329ac4bc9b5";
 

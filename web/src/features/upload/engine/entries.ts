@@ -1,7 +1,7 @@
 // From what a browser hands over when something is dropped or chosen, to files with their paths. Empty folders are no
 // files; links are followed by the browser itself, or not at all.
 
-import type { Found } from "./nouns";
+import type { Found } from "./types";
 
 /** Return the files that one chose; of a chosen folder with their paths from that folder on. */
 export function chosen(files: Iterable<File>): Found[] {

@@ -3,7 +3,7 @@
 import createClient from "openapi-fetch";
 import type { components, paths } from "@/api/schema";
 import type { Answer, UploadApi } from "./api";
-import type { ProblemDocument } from "./nouns";
+import type { ProblemDocument } from "./types";
 
 type Schemas = components["schemas"];
 

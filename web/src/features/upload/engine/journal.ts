@@ -4,7 +4,7 @@
 // here and the store still has the etag. Kept by person and mission, so that who signs in next is told nothing.
 
 import type { components } from "@/api/schema";
-import type { MissionPlace } from "./nouns";
+import type { MissionPlace } from "./types";
 
 export type StoredPart = components["schemas"]["StoredPart"];
 

@@ -4,17 +4,13 @@
 // itself. So memory is a few slices, and a part whose bytes changed in between is refused by the store, which checks it
 // against the checksum that the server signed. At most `AHEAD_BYTES` are hashed and not yet sent.
 
-import { ApiProblem, type Asking, type Surroundings } from "./api";
-import type { Hashing } from "./checksums";
+import { ApiProblem } from "./api";
 import { Budget, Queue, Stopped, checkStopped } from "./flow";
-import type { Journal } from "./journal";
 import { Leases } from "./leases";
-import type { Failure, ProblemDocument, SignedPart, UploadOutcome } from "./nouns";
+import type { Failure, ProblemDocument, SignedPart, UploadOutcome } from "./types";
 import { FileFailure, checkUnchanged } from "./reading";
 import { type Part, type Sending, toSign } from "./sending";
-import { StoreRefused, sendPart } from "./sendpart";
-import type { Store } from "./store";
-import type { Watcher } from "./watcher";
+import { type Parts, StoreRefused, sendPart } from "./sendPart";
 
 const AHEAD_BYTES = 128 * 1024 * 1024;
 const PART_COST = 512 * 1024; // what the smallest part counts, so that files under way are bounded too
@@ -28,16 +24,6 @@ export interface Ends {
   uploaded(sending: Sending, fileId: string | null): Promise<void>;
   failed(sending: Sending, failure: Failure): Promise<void>;
   again(sending: Sending, problem: ProblemDocument): Promise<void>;
-}
-
-export interface Parts {
-  readonly asking: Asking;
-  readonly store: Store;
-  readonly journal: Journal;
-  readonly hashing: Hashing;
-  readonly watcher: Watcher;
-  readonly around: Surroundings;
-  readonly stop: AbortController;
 }
 
 const BEGUN_ANEW = new Set(["upload_gone", "not_found", "upload_incomplete"]);

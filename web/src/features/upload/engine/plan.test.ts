@@ -1,7 +1,7 @@
 // @vitest-environment node
 import { describe, expect, it } from "vitest";
 import { chosen, entriesOf, walk } from "./entries";
-import type { Found } from "./nouns";
+import type { Found } from "./types";
 import { planUpload } from "./plan";
 
 const NOW = 1_000_000;
@@ -53,7 +53,7 @@ describe("a plan", () => {
     const planned = await plan([found("a\u0007.bag"), found("CAM.bag"), found("cam.bag")]);
     expect(planned.files.map(({ path }) => path)).toEqual(["CAM.bag"]);
     expect(planned.leftOut).toEqual([
-      { path: "a\u0007.bag", reason: "name", detail: "its name holds the control character U+0007; rename it" },
+      { path: "a\u0007.bag", reason: "name", detail: "the name contains the control character U+0007; rename the file" },
       { path: "cam.bag", reason: "collides", detail: "CAM.bag" },
     ]);
   });

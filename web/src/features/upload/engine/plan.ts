@@ -1,7 +1,7 @@
 // From what a person dropped to files of a mission, before a byte is read. What is left out is named, never dropped.
 
-import type { Found, Identity, LeftOut, PlannedFile, UploadPlan } from "./nouns";
-import { MAX_FILE_BYTES } from "./nouns";
+import type { Found, Identity, LeftOut, PlannedFile, UploadPlan } from "./types";
+import { MAX_FILE_BYTES } from "./types";
 import type { PathProblem } from "./paths";
 import { checkFilePath, nameKey } from "./paths";
 import { pathProblem } from "@/texts/upload";

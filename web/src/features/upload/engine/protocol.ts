@@ -1,8 +1,8 @@
 // What a page and the worker of its uploads say to each other.
 
-import type { Report } from "./desk";
+import type { Report } from "./uploadQueue";
 import type { JournalHead } from "./journal";
-import type { PlannedFile } from "./nouns";
+import type { PlannedFile } from "./types";
 
 export type Command =
   | { readonly kind: "start"; readonly head: JournalHead; readonly files: readonly PlannedFile[] }

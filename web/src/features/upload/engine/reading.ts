@@ -1,6 +1,6 @@
 // Reading a chosen file in slices, and finding out whether it is still the file that was chosen.
 
-import type { PlannedFile } from "./nouns";
+import type { PlannedFile } from "./types";
 
 const SLICE_BYTES = 2 * 1024 * 1024;
 

@@ -2,7 +2,7 @@
 
 import type { Hashing, WholeSums } from "./checksums";
 import type { StoredPart, JournalPart } from "./journal";
-import type { PartToSign, PlannedFile, UploadFinish, UploadRead } from "./nouns";
+import type { PartToSign, PlannedFile, UploadFinish, UploadRead } from "./types";
 import { slices } from "./reading";
 
 /** A part that is to be sent. */

@@ -1,6 +1,6 @@
 // The door to the object store: a PUT of a signed address, with what each answer means. Knows nothing of uploads.
 
-import type { SignedPart } from "./nouns";
+import type { SignedPart } from "./types";
 
 /** `called_back`: the upload was paused or cancelled while the bytes were on their way. */
 export type Meaning = "taken" | "try_again" | "sign_again" | "gone" | "refused" | "called_back";

@@ -1,6 +1,6 @@
 // The worker in which uploads run: hashing holds up no page, and a tab in the background does not sleep here.
 
-import { Desk } from "./desk";
+import { UploadQueue } from "./uploadQueue";
 import { realClock } from "./flow";
 import { httpApi } from "./http";
 import { openJournal } from "./indexeddb";
@@ -29,9 +29,9 @@ async function kept(): Promise<Journal> {
   }
 }
 
-const desk = kept().then(
+const queue = kept().then(
   (journal) =>
-    new Desk({
+    new UploadQueue({
       api: httpApi(self.location.origin),
       store: realStore,
       journal,
@@ -42,7 +42,7 @@ const desk = kept().then(
 );
 
 self.addEventListener("message", ({ data }: MessageEvent<Command>) => {
-  void desk.then((at) => {
+  void queue.then((at) => {
     if (data.kind === "start") return at.start(data.head, data.files);
     if (data.kind === "pause") at.pause(data.id);
     if (data.kind === "go_on") at.goOn(data.id);
@@ -50,4 +50,4 @@ self.addEventListener("message", ({ data }: MessageEvent<Command>) => {
     return undefined;
   });
 });
-self.addEventListener("online", () => void desk.then((at) => at.nudge()));
+self.addEventListener("online", () => void queue.then((at) => at.nudge()));

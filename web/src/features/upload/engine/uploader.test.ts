@@ -1,12 +1,12 @@
 // @vitest-environment node
 import { beforeEach, describe, expect, it, vi } from "vitest";
-import { Desk, type Report } from "./desk";
+import { UploadQueue, type Report } from "./uploadQueue";
 import type { JournalHead } from "./journal";
 import { MemoryJournal } from "./memory";
-import type { FileProgress, PlannedFile, Trouble } from "./nouns";
+import type { FileProgress, PlannedFile, Trouble } from "./types";
 import { identityOf } from "./plan";
 import { FastClock } from "./testing/clock";
-import { House, problem, sum } from "./testing/house";
+import { House, problem, sum } from "./testing/fakeServer";
 
 const HEAD: JournalHead = {
   id: "ada/m", personId: "ada", layout: "tree", roots: ["day1"], beganMs: 0,
@@ -39,14 +39,14 @@ function planned(path: string, bytes: Uint8Array, modifiedMs = 1000): PlannedFil
   return { path, file, identity: identityOf(file) };
 }
 
-function desk(on: (report: Report, desk: Desk) => void = () => undefined): Desk {
+function queue(on: (report: Report, queue: UploadQueue) => void = () => undefined): UploadQueue {
   const heard = reports;
   const report = (told: Report) => {
     heard.push(told);
     on(told, made);
   };
   const alone = async (_: string, run: () => Promise<void>) => (await run(), true);
-  const made = new Desk({ api: house, store: house, journal, clock, report, alone });
+  const made = new UploadQueue({ api: house, store: house, journal, clock, report, alone });
   return made;
 }
 
@@ -69,7 +69,7 @@ function troubles(): Set<Trouble> {
 describe("an upload", () => {
   it("brings every byte, in one part or many or none, and leaves no journal", async () => {
     const all = [planned("day1/a", bytesOf(3500)), planned("day1/b", bytesOf(10)), planned("day1/empty", bytesOf(0))];
-    await desk().start(HEAD, all);
+    await queue().start(HEAD, all);
     for (const { path, file } of all) arrived(path, new Uint8Array(await file.arrayBuffer()));
     expect(last()).toMatchObject({ phase: "over", snapshot: { doneBytes: 3510, totalBytes: 3510 } });
     expect([...ends().values()].map(({ state }) => state)).toEqual(["uploaded", "uploaded", "uploaded"]);
@@ -80,7 +80,7 @@ describe("an upload", () => {
   it("reads a large file once, and states both checksums of the whole", async () => {
     house.partBytes = 4 * 1024 * 1024;
     const large = bytesOf(LARGE);
-    await desk().start(HEAD, [planned("large", large)]);
+    await queue().start(HEAD, [planned("large", large)]);
     expect(house.asked).toMatchObject([{ path: "large", sha256: null }]);
     expect(house.puts).toHaveLength(3);
     arrived("large", large);
@@ -88,27 +88,27 @@ describe("an upload", () => {
 
   it.each(["sha256", "md5"] as const)("goes to stores that verify parts by %s", async (kind) => {
     house.checksum = kind;
-    await desk().start(HEAD, [planned("a", bytesOf(2500)), planned("b", bytesOf(7))]);
+    await queue().start(HEAD, [planned("a", bytesOf(2500)), planned("b", bytesOf(7))]);
     expect([...house.files.keys()].sort()).toEqual(["a", "b"]);
   });
 
   it("sends nothing that is there already, and says so", async () => {
     house.files.set("a", bytesOf(50));
-    await desk().start(HEAD, [planned("a", bytesOf(50))]);
+    await queue().start(HEAD, [planned("a", bytesOf(50))]);
     expect(house.puts).toEqual([]);
     expect(ends().get("a")?.state).toBe("present");
   });
 
   it("reads a large file first where the server asks for its checksum", async () => {
     house.files.set("a", bytesOf(LARGE));
-    await desk().start(HEAD, [planned("a", bytesOf(LARGE))]);
+    await queue().start(HEAD, [planned("a", bytesOf(LARGE))]);
     expect(house.asked.map(({ sha256 }) => sha256 != null)).toEqual([false, true]);
     expect(ends().get("a")?.state).toBe("present");
   });
 
   it("refuses a name with other content, with both hashes, and brings the others", async () => {
     house.files.set("a", bytesOf(50, 2));
-    await desk().start(HEAD, [planned("a", bytesOf(50)), planned("b", bytesOf(60))]);
+    await queue().start(HEAD, [planned("a", bytesOf(50)), planned("b", bytesOf(60))]);
     const failure = ends().get("a")?.failure;
     const [theirs, ours] = [await sum("sha256", bytesOf(50, 2)), await sum("sha256", bytesOf(50))];
     expect(failure).toMatchObject({ problem: { code: "file_exists", existing_sha256: theirs, sent_sha256: ours } });
@@ -119,7 +119,7 @@ describe("an upload", () => {
 
   it("refuses what has no room, and keeps it for another day", async () => {
     house.trouble = (what) => (what === "begin" ? { problem: problem("quota_exceeded", 507) } : "fine");
-    await desk().start(HEAD, [planned("a", bytesOf(50))]);
+    await queue().start(HEAD, [planned("a", bytesOf(50))]);
     expect(ends().get("a")?.failure).toMatchObject({ problem: { code: "quota_exceeded" } });
     expect(await journal.files(HEAD.id)).toMatchObject([{ path: "a", state: "waiting" }]);
   });
@@ -130,7 +130,7 @@ describe("an upload", () => {
     const slice = changed.file.slice.bind(changed.file);
     changed.file.slice = (from = 0, to = 0) =>
       from < 5_000_000 ? slice(from, to) : ({ arrayBuffer: () => Promise.reject(new DOMException("", "NotReadableError")) } as Blob);
-    await desk().start(HEAD, [changed, planned("b", bytesOf(9))]);
+    await queue().start(HEAD, [changed, planned("b", bytesOf(9))]);
     expect(ends().get("a")?.failure).toMatchObject({ kind: "file_changed" });
     expect(house.aborted).toEqual(["upload-1"]);
     expect(house.openUploads).toEqual([]);
@@ -140,7 +140,7 @@ describe("an upload", () => {
   it("stops at what concerns all files, and keeps what was sent", async () => {
     house.trouble = (what) => (what === "complete" ? { problem: problem("internal_error", 500) } : "fine");
     house.partBytes = 1_000_000;
-    await desk().start(HEAD, [planned("a", bytesOf(LARGE))]);
+    await queue().start(HEAD, [planned("a", bytesOf(LARGE))]);
     expect(last()).toMatchObject({ phase: "failed", failure: { problem: { code: "internal_error", request_id: "r1" } } });
     expect(ends().get("a")?.state).toBe("left");
     expect(await journal.files(HEAD.id)).toMatchObject([{ state: "sending" }]);
@@ -157,7 +157,7 @@ describe("after a reload", () => {
       if (house.puts.length < parts) return "fine";
       return { meaning: "try_again", etag: "", reason: "" };
     };
-    const first = desk(({ phase, snapshot }, at) => {
+    const first = queue(({ phase, snapshot }, at) => {
       if (phase === "running" && snapshot.troubles.includes("store")) at.pause(HEAD.id); // as a page that is closed: it does nothing more
     });
     void first.start(HEAD, [planned("a", whole), planned("b", bytesOf(5))]);
@@ -172,7 +172,7 @@ describe("after a reload", () => {
 
   it("sends only the parts that the store does not hold", async () => {
     await interrupted(4);
-    await desk().start(HEAD, [planned("a", whole), planned("b", bytesOf(5))]);
+    await queue().start(HEAD, [planned("a", whole), planned("b", bytesOf(5))]);
     arrived("a", whole);
     expect(house.puts.filter((url) => url.startsWith("upload-1/"))).toHaveLength(10 - 4);
   });
@@ -181,14 +181,14 @@ describe("after a reload", () => {
     await interrupted(4);
     const other = whole.slice();
     other[10] = 99;
-    await desk().start(HEAD, [planned("a", other, 2000), planned("b", bytesOf(5))]);
+    await queue().start(HEAD, [planned("a", other, 2000), planned("b", bytesOf(5))]);
     arrived("a", other);
     expect(house.puts.filter((url) => url.startsWith("upload-1/"))).toHaveLength(10 - 3);
   });
 
   it("begins a file anew that has another size now", async () => {
     await interrupted(4);
-    await desk().start(HEAD, [planned("a", bytesOf(LARGE + 1), 2000)]);
+    await queue().start(HEAD, [planned("a", bytesOf(LARGE + 1), 2000)]);
     expect(house.aborted).toEqual(["upload-1"]);
     arrived("a", bytesOf(LARGE + 1));
   });
@@ -199,7 +199,7 @@ describe("after a reload", () => {
     house.files.set("b", bytesOf(5));
     const unread = planned("b", bytesOf(5));
     unread.file.slice = () => { throw new Error("it is read"); };
-    await desk().start(HEAD, [planned("a", whole), unread]);
+    await queue().start(HEAD, [planned("a", whole), unread]);
     expect(ends().get("b")?.state).toBe("present");
   });
 });
@@ -208,7 +208,7 @@ describe("trouble", () => {
   it("waits for a server that is away, says so, and goes on", async () => {
     let tries = 0;
     house.trouble = (what) => (what === "begin" && ++tries < 9 ? null : "fine");
-    await desk().start(HEAD, [planned("a", bytesOf(5))]);
+    await queue().start(HEAD, [planned("a", bytesOf(5))]);
     expect(tries).toBe(9);
     expect(troubles()).toEqual(new Set(["server"]));
     expect(last().snapshot.troubles).toEqual([]);
@@ -221,7 +221,7 @@ describe("trouble", () => {
       if (what === "put" && ++tries < 6) return { meaning: "try_again", etag: "", reason: "" };
       return what === "complete" && ++tries < 12 ? { problem: problem("store_unavailable", 503) } : "fine";
     };
-    await desk().start(HEAD, [planned("a", bytesOf(5))]);
+    await queue().start(HEAD, [planned("a", bytesOf(5))]);
     expect(last()).toMatchObject({ phase: "over", snapshot: { doneBytes: 5, totalBytes: 5 } });
     expect(troubles()).toEqual(new Set(["store", "server"]));
   });
@@ -234,7 +234,7 @@ describe("trouble", () => {
       return { problem: problem("rate_limited", 429, { retry_after_s: 40 }) };
     };
     const before = clock.now();
-    await desk().start(HEAD, [planned("a", bytesOf(5))]);
+    await queue().start(HEAD, [planned("a", bytesOf(5))]);
     expect(clock.now() - before).toBeGreaterThanOrEqual(40_000);
     expect(house.files.has("a")).toBe(true);
   });
@@ -248,14 +248,14 @@ describe("trouble", () => {
       late = false;
       return signed;
     };
-    await desk().start(HEAD, [planned("a", bytesOf(5))]);
+    await queue().start(HEAD, [planned("a", bytesOf(5))]);
     expect(house.puts).toHaveLength(1);
     expect(house.files.has("a")).toBe(true);
   });
 
   it("gives up a part that the store refuses again and again", async () => {
     house.trouble = (what) => (what === "put" ? { meaning: "refused", etag: "", reason: "400 BadDigest" } : "fine");
-    await desk().start(HEAD, [planned("a", bytesOf(5))]);
+    await queue().start(HEAD, [planned("a", bytesOf(5))]);
     expect(house.puts).toHaveLength(4);
     expect(ends().get("a")?.failure).toEqual({ kind: "transfer_failed", detail: "400 BadDigest" });
   });
@@ -269,7 +269,7 @@ describe("trouble", () => {
       }
       return "fine";
     };
-    await desk().start(HEAD, [planned("a", bytesOf(2500)), planned("b", bytesOf(5))]);
+    await queue().start(HEAD, [planned("a", bytesOf(2500)), planned("b", bytesOf(5))]);
     arrived("a", bytesOf(2500));
     expect(last().snapshot).toMatchObject({ doneBytes: 2505, totalBytes: 2505 });
   });
@@ -282,7 +282,7 @@ describe("trouble", () => {
       leases.push(...house.openUploads.map((upload) => upload.leaseMs - clock.now()));
       return { meaning: "try_again", etag: "", reason: "" };
     };
-    await desk().start(HEAD, [planned("a", bytesOf(2500))]);
+    await queue().start(HEAD, [planned("a", bytesOf(2500))]);
     expect(Math.min(...leases)).toBeGreaterThan(0);
     expect(house.files.has("a")).toBe(true);
   });
@@ -294,7 +294,7 @@ describe("trouble", () => {
       if (what === "begin" && house.asked.length > 0) alive.leaseMs = clock.now() + 60_000;
       return "fine";
     };
-    await desk().start(HEAD, [planned("dead", bytesOf(5)), planned("alive", bytesOf(5))]);
+    await queue().start(HEAD, [planned("dead", bytesOf(5)), planned("alive", bytesOf(5))]);
     expect(house.files.has("dead")).toBe(true);
     expect(ends().get("alive")?.failure).toMatchObject({ problem: { code: "name_leased" } });
     expect(troubles()).toContain("lease");
@@ -305,7 +305,7 @@ describe("a person", () => {
   it("pauses, when nothing is sent, and goes on", async () => {
     house.partBytes = 1_000_000;
     let atPause = -1;
-    const at = desk();
+    const at = queue();
     house.trouble = (what) => {
       if (what === "put" && house.puts.length === 3 && atPause < 0) {
         at.pause(HEAD.id);
@@ -329,7 +329,7 @@ describe("a person", () => {
       if (house.puts.length === 2 && what === "put") isSignedIn = false;
       return what !== "put" && !isSignedIn ? { problem: problem("not_authenticated", 401) } : "fine";
     };
-    const at = desk(({ phase }) => {
+    const at = queue(({ phase }) => {
       if (phase !== "signed_out" || isSignedIn) return;
       house.trouble = () => "fine";
       isSignedIn = true;
@@ -342,7 +342,7 @@ describe("a person", () => {
 
   it("cancels: what came in stays, names are free, and nothing is remembered", async () => {
     house.partBytes = 1_000_000;
-    const at = desk();
+    const at = queue();
     house.trouble = (what) => {
       if (what === "put" && house.puts.length === 3) at.cancel(HEAD.id);
       return "fine";
@@ -356,14 +356,14 @@ describe("a person", () => {
 
   it("says that it failed where the browser has no room to remember it, and leaves all files to be tried again", async () => {
     journal.begin = () => Promise.reject(new DOMException("no room", "QuotaExceededError"));
-    await desk().start(HEAD, [planned("a", bytesOf(5))]);
+    await queue().start(HEAD, [planned("a", bytesOf(5))]);
     expect(last()).toMatchObject({ phase: "failed", failure: { detail: "no room" } });
     expect(ends().get("a")?.state).toBe("left");
     expect(house.files.size).toBe(0);
   });
 
   it("adds files to an upload that runs: they come after it", async () => {
-    const at = desk();
+    const at = queue();
     await Promise.all([at.start(HEAD, [planned("a", bytesOf(5))]), at.start(HEAD, [planned("b", bytesOf(6))])]);
     expect([...house.files.keys()]).toEqual(["a", "b"]);
     expect(await journal.heads("ada")).toEqual([]);

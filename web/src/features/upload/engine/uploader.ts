@@ -7,10 +7,10 @@ import { batches } from "./batches";
 import { Candidate } from "./candidate";
 import { Stopped } from "./flow";
 import type { JournalFile, JournalHead } from "./journal";
-import { Leased } from "./leased";
-import type { Failure, PlannedFile, ProblemDocument, UploadDecision, UploadFile } from "./nouns";
+import { NameConflicts } from "./nameConflicts";
+import type { Failure, PlannedFile, ProblemDocument, UploadDecision, UploadFile } from "./types";
 import { Pipeline } from "./pipeline";
-import type { Parts } from "./pipeline";
+import type { Parts } from "./sendPart";
 import { FileFailure } from "./reading";
 import { Sending } from "./sending";
 
@@ -24,14 +24,14 @@ export class Uploader {
   private readonly pipeline: Pipeline;
   private remembered = new Map<string, JournalFile>();
   private readonly beginnings = new Map<string, number>();
-  private readonly leased: Leased;
+  private readonly leased: NameConflicts;
   private anew: PlannedFile[] = [];
 
   constructor(
     private readonly head: JournalHead,
     private readonly parts: Parts,
   ) {
-    this.leased = new Leased(parts.around);
+    this.leased = new NameConflicts(parts.around);
     this.pipeline = new Pipeline(parts, {
       uploaded: (sending, fileId) => this.uploaded(sending, fileId),
       failed: (sending, failure) => this.failed(sending, failure),

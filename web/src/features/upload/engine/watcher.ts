@@ -1,6 +1,6 @@
 // Hears what an upload does, file by file. Must return at once.
 
-import type { Failure, FileState, Trouble } from "./nouns";
+import type { Failure, FileState, Trouble } from "./types";
 
 export interface Watcher {
   state(path: string, state: FileState): void;

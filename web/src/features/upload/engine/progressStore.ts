@@ -1,8 +1,8 @@
 // What an upload has come to, file by file and in all; told on in pieces, so that ten thousand files cost no more to
 // show than the few that changed.
 
-import { Meter } from "./meter";
-import type { Failure, FileProgress, FileState, PlannedFile, Trouble } from "./nouns";
+import { RateMeter } from "./rateMeter";
+import type { Failure, FileProgress, FileState, PlannedFile, Trouble } from "./types";
 import type { Watcher } from "./watcher";
 
 export interface Snapshot {
@@ -26,8 +26,8 @@ interface Line {
   failure: Failure | null;
 }
 
-export class Ledger implements Watcher {
-  readonly meter = new Meter();
+export class ProgressStore implements Watcher {
+  readonly meter = new RateMeter();
   private readonly lines = new Map<string, Line>();
   private readonly changed = new Set<Line>();
   private readonly troubles = new Set<Trouble>();

@@ -1,14 +1,27 @@
 // Sending one part until the store has taken it, or has said often enough that it will not.
 
-import { ApiProblem } from "./api";
-import type { SignedPart } from "./nouns";
-import type { Parts } from "./pipeline";
+import { ApiProblem, type Asking, type Surroundings } from "./api";
+import type { Hashing } from "./checksums";
+import type { Journal } from "./journal";
+import type { SignedPart } from "./types";
 import { checkUnchanged } from "./reading";
 import type { Part } from "./sending";
 import { toSign } from "./sending";
-import type { PutAnswer } from "./store";
+import type { PutAnswer, Store } from "./store";
+import type { Watcher } from "./watcher";
 
 const REFUSALS = 4;
+
+/** What an upload works with. */
+export interface Parts {
+  readonly asking: Asking;
+  readonly store: Store;
+  readonly journal: Journal;
+  readonly hashing: Hashing;
+  readonly watcher: Watcher;
+  readonly around: Surroundings;
+  readonly stop: AbortController;
+}
 
 /** The store would not take a part, for its own reason. */
 export class StoreRefused extends Error {
@@ -23,7 +36,7 @@ export class StoreRefused extends Error {
 export async function sendPart(part: Part, first: SignedPart, parts: Parts): Promise<void> {
   const { asking, around } = parts;
   const signAgain = async () => (await asking.sign([toSign(part)]))[0] as SignedPart;
-  const tries = around.patience.begin();
+  const tries = around.backoff.begin();
   let signed = first;
   let refusals = 0;
   while (!part.sending.ended) {

@@ -4,7 +4,7 @@
 import type { Answer, UploadApi } from "../api";
 import { newChecksum } from "../checksums";
 import type { Clock } from "../flow";
-import type { ChecksumKind, PartToSign, ProblemDocument, SignedPart, UploadDecision, UploadFile, UploadFinish, UploadOutcome } from "../nouns";
+import type { ChecksumKind, PartToSign, ProblemDocument, SignedPart, UploadDecision, UploadFile, UploadFinish, UploadOutcome } from "../types";
 import type { PutAnswer, Store } from "../store";
 
 const LEASE_MS = 60_000;

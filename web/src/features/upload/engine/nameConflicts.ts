@@ -2,7 +2,7 @@
 // meanwhile belongs to a client that lives, and its file is refused at once.
 
 import type { Surroundings } from "./api";
-import type { PlannedFile, ProblemDocument } from "./nouns";
+import type { PlannedFile, ProblemDocument } from "./types";
 
 const PATIENCE_MS = 90_000;
 const POLL_MS = 2_000;
@@ -12,7 +12,7 @@ interface Waiting {
   readonly problem: ProblemDocument;
 }
 
-export class Leased {
+export class NameConflicts {
   private waiting: Waiting[] = [];
 
   constructor(private readonly around: Surroundings) {}
@@ -27,11 +27,11 @@ export class Leased {
     refuse: (file: PlannedFile, problem: ProblemDocument) => void,
   ): Promise<void> {
     if (this.waiting.length === 0) return;
-    const { clock, patience, troubles } = this.around;
+    const { clock, backoff, troubles } = this.around;
     const givesUpMs = clock.now() + PATIENCE_MS;
     troubles.note("lease", clock.now());
     while (this.waiting.length > 0 && clock.now() < givesUpMs) {
-      await patience.wait(POLL_MS);
+      await backoff.wait(POLL_MS);
       const then = this.waiting.splice(0);
       await announce(then.map(({ file }) => file));
       const ends = new Map(then.map(({ file, problem }) => [file.path, problem["lease_ends_at"]]));

@@ -3,7 +3,7 @@
 
 import { checkStopped } from "./flow";
 import type { Clock, Gate } from "./flow";
-import type { Trouble } from "./nouns";
+import type { Trouble } from "./types";
 
 const FIRST_WAIT_MS = 250;
 const LONGEST_WAIT_MS = 8_000;
@@ -26,7 +26,7 @@ export class Troubles {
 }
 
 /** The waits of all things that are tried again; the network's return cuts them short. */
-export class Patience {
+export class Backoff {
   private nudged = new AbortController();
 
   constructor(

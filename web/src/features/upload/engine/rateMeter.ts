@@ -9,7 +9,7 @@ export interface Rate {
 }
 
 /** The rate over the last seconds in which anything was expected to move. */
-export class Meter {
+export class RateMeter {
   private samples: { readonly atMs: number; readonly bytes: number }[] = [];
   private sent = 0;
 

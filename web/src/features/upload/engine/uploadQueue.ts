@@ -6,10 +6,10 @@ import { Hashing } from "./checksums";
 import type { Clock } from "./flow";
 import { Gate } from "./flow";
 import { type Journal, type JournalHead, lockName } from "./journal";
-import type { Snapshot } from "./ledger";
-import { Ledger } from "./ledger";
-import type { Failure, PlannedFile } from "./nouns";
-import { Patience, Troubles } from "./patience";
+import type { Snapshot } from "./progressStore";
+import { ProgressStore } from "./progressStore";
+import type { Failure, PlannedFile } from "./types";
+import { Backoff, Troubles } from "./backoff";
 import type { Store } from "./store";
 import { Uploader } from "./uploader";
 
@@ -28,7 +28,7 @@ export interface Report {
   readonly snapshot: Snapshot;
 }
 
-export interface DeskParts {
+export interface UploadQueueParts {
   readonly api: UploadApi;
   readonly store: Store;
   readonly journal: Journal;
@@ -40,19 +40,19 @@ export interface DeskParts {
 
 interface Run {
   readonly id: string;
-  readonly ledger: Ledger;
+  readonly progress: ProgressStore;
   readonly stop: AbortController;
   readonly gate: Gate;
-  readonly patience: Patience;
+  readonly backoff: Backoff;
   phase: Phase;
   failure: Failure | null;
 }
 
-export class Desk {
+export class UploadQueue {
   private readonly runs = new Map<string, Run>();
   private readonly ends = new Map<string, Promise<void>>();
 
-  constructor(private readonly parts: DeskParts) {}
+  constructor(private readonly parts: UploadQueueParts) {}
 
   /** Upload files into a mission, after what is being uploaded into it already; resolves when it is over. */
   async start(head: JournalHead, files: readonly PlannedFile[]): Promise<void> {
@@ -62,9 +62,9 @@ export class Desk {
         files.map(({ path, identity }) => ({ id: head.id, path, ...identity, state: "waiting", uploadId: null, sha256: null })),
       );
     } catch (error) {
-      const ledger = new Ledger(files);
-      ledger.leave();
-      this.parts.report({ id: head.id, phase: "failed", failure: asFailure(error), snapshot: ledger.snapshot(this.parts.clock.now()) });
+      const progress = new ProgressStore(files);
+      progress.leave();
+      this.parts.report({ id: head.id, phase: "failed", failure: asFailure(error), snapshot: progress.snapshot(this.parts.clock.now()) });
       return;
     }
     const before = this.ends.get(head.id) ?? Promise.resolve();
@@ -85,9 +85,9 @@ export class Desk {
     const run = this.runs.get(id);
     if (run === undefined) return;
     run.phase = "running";
-    run.ledger.meter.restart();
+    run.progress.meter.restart();
     run.gate.open();
-    run.patience.nudge();
+    run.backoff.nudge();
     this.tell(run);
   }
 
@@ -101,7 +101,7 @@ export class Desk {
 
   /** The network is back: whoever waits tries now. */
   nudge(): void {
-    for (const run of this.runs.values()) run.patience.nudge();
+    for (const run of this.runs.values()) run.backoff.nudge();
   }
 
   private async run(head: JournalHead, files: readonly PlannedFile[]): Promise<void> {
@@ -113,26 +113,26 @@ export class Desk {
     run.stop.abort();
     await telling;
     this.runs.delete(head.id);
-    if (run.phase !== "over") run.ledger.leave();
-    this.parts.report({ id: run.id, phase: run.phase, failure: run.failure, snapshot: run.ledger.snapshot(clock.now()) });
+    if (run.phase !== "over") run.progress.leave();
+    this.parts.report({ id: run.id, phase: run.phase, failure: run.failure, snapshot: run.progress.snapshot(clock.now()) });
   }
 
   private opened(head: JournalHead, files: readonly PlannedFile[]): Run {
     const stop = new AbortController();
     const gate = new Gate(stop.signal);
-    const patience = new Patience(this.parts.clock, stop.signal, gate);
-    return { id: head.id, ledger: new Ledger(files), stop, gate, patience, phase: "running", failure: null };
+    const backoff = new Backoff(this.parts.clock, stop.signal, gate);
+    return { id: head.id, progress: new ProgressStore(files), stop, gate, backoff, phase: "running", failure: null };
   }
 
   private async upload(run: Run, head: JournalHead, files: readonly PlannedFile[]): Promise<void> {
     const { api, store, journal, clock } = this.parts;
-    const { ledger: watcher, gate, patience, stop } = run;
+    const { progress: watcher, gate, backoff, stop } = run;
     const troubles = new Troubles((trouble, isOver) => watcher.trouble(trouble, isOver));
     const signedOut = () => {
       run.phase = "signed_out";
       this.tell(run);
     };
-    const around: Surroundings = { clock, gate, patience, troubles, signedOut };
+    const around: Surroundings = { clock, gate, backoff, troubles, signedOut };
     const asking = new Asking(api, around);
     try {
       const hashing = await Hashing.ready();
@@ -168,8 +168,8 @@ export class Desk {
   }
 
   private tell(run: Run): void {
-    const { id, phase, failure, ledger } = run;
-    this.parts.report({ id, phase, failure, snapshot: ledger.snapshot(this.parts.clock.now()) });
+    const { id, phase, failure, progress } = run;
+    this.parts.report({ id, phase, failure, snapshot: progress.snapshot(this.parts.clock.now()) });
   }
 }
 
