@@ -104,7 +104,7 @@ def test_a_database_without_room_says_so_and_comes_back_when_there_is_some(
     assert not findings["disk of the database"]["ok"]
     coming = _file(tmp_path / "coming.bin", 9 * MIB)
     unanswered = terminal.run("project", "list", code=_EXIT_UNREACHABLE).err
-    assert "The database cannot be used" in unanswered
+    assert "The database is not available" in unanswered
     small.make_room()
     wait_until(lambda: terminal.run("project", "list", code=None).code == 0, "the database to be back")
     terminal.run("upload", "-p", "p", "-m", "m", coming)

@@ -107,7 +107,7 @@ def test_the_second_time_it_is_the_same_account(place: Place, chromium: Chromium
     sign_in(place, chromium, "grace")
     chromium.do("fresh")
     sign_in(place, chromium, "grace")
-    chromium.see("The only way left to sign in: it stays.")
+    chromium.see("Your only sign-in method; it cannot be removed.")
     found = place.ask("GET", "/audit?operation=person.create&limit=100")["items"]
     assert [each["noun_name"] for each in found].count("grace") == 1
 
@@ -115,8 +115,8 @@ def test_the_second_time_it_is_the_same_account(place: Place, chromium: Chromium
 def test_a_refused_consent_is_told_plainly(place: Place, chromium: Chromium) -> None:
     go_to_provider(place, chromium, "no")
     chromium.click("text=Cancel")
-    chromium.see("did not agree")
-    assert "did not agree" in place.refusals()[0]
+    chromium.see("denied access")
+    assert "denied access" in place.refusals()[0]
 
 
 def test_a_wrong_state_signs_nobody_in(place: Place, chromium: Chromium) -> None:
@@ -171,7 +171,7 @@ def test_a_provider_that_dies_on_the_way_is_told_plainly(place: Place, chromium:
     place.provider.end()
     try:
         chromium.goto(back)
-        chromium.see("The Lab could not be asked who you are")
+        chromium.see("The sign-in with The Lab failed")
         assert "cannot be reached" in place.refusals()[0]
         chromium.goto(f"{place.url}/account")
         chromium.arrive("/sign-in")
@@ -205,7 +205,7 @@ def test_an_invited_person_links_the_provider_to_their_account(place: Place, chr
     chromium.see("Signed in as Some One")
     chromium.click("[data-methods] [aria-label='Unlink The Lab']")
     chromium.click("dialog[open] [type=submit]")
-    chromium.see("The Lab is unlinked.")
+    chromium.see("The Lab unlinked.")
     chromium.do("fresh")
     go_to_provider(place, chromium, "linked")
     chromium.click("button[type=submit]")
@@ -221,7 +221,7 @@ def test_the_owner_s_link_signs_in_once(place: Place, chromium: Chromium) -> Non
     chromium.see("Signed in as owner")
     chromium.do("fresh")
     chromium.goto(link)
-    chromium.see("This link or code is not good")
+    chromium.see("This link or code is not valid")
 
 
 def test_a_program_on_this_machine_signs_in_when_somebody_agrees(place: Place, chromium: Chromium) -> None:
