@@ -291,7 +291,7 @@ await look(stranger, "link", { path: "/sign-in/link#not-a-code", allows: REFUSED
 await look(stranger, "callback", { path: `/sign-in/callback/${encodeURIComponent("<img src=x>")}?error=${encodeURIComponent(texts.label)}`, allows: REFUSED });
 await look(stranger, "share", { path: new URL(share).pathname + new URL(share).hash, ready: "#files tr", shows: [project, mission, texts.recording] });
 await stranger.goto("about:blank");
-await look(stranger, "share-ended", { path: "/s#not-a-secret", ready: "#said:not([hidden])", allows: REFUSED });
+await look(stranger, "share-ended", { path: "/s#not-a-secret", ready: "#message:not([hidden])", allows: REFUSED });
 
 seen.inline = {};
 for (const path of ["/", "/public", "/sign-in", "/s"]) seen.inline[path] = await runs(strangers, path === "/" ? "/search" : path);

@@ -80,7 +80,7 @@ await look(page, "lists-share");
 const { page: other } = await somebody(() => true);
 await other.goto(invitation);
 await other.getByLabel(/password/i).fill("a long enough password");
-await other.getByRole("button", { name: "Make my account" }).click();
+await other.getByRole("button", { name: "Create my account" }).click();
 await other.waitForURL((url) => url.pathname === "/");
 await other.locator("[data-no-access]").waitFor();
 seen.noAccess = [await other.locator("[data-no-access]").innerText()];

@@ -48,7 +48,7 @@ seen.drawnAtEnd = await page.getByRole("row").count();
 const { page: other } = await somebody(() => true);
 await other.goto(invitation);
 await other.getByLabel(/password/i).fill("a long enough password");
-await other.getByRole("button", { name: "Make my account" }).click();
+await other.getByRole("button", { name: "Create my account" }).click();
 await other.waitForURL((url) => url.pathname === "/");
 await other.goto(`${address}/missions/${mission}`);
 seen.before = await other.getByRole("alert").first().innerText();

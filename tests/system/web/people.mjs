@@ -38,7 +38,7 @@ await ben.goto(await secretOf(owner));
 await owner.getByRole("button", { name: "I saved it" }).click();
 await ben.getByLabel("Your name").fill(HOSTILE);
 await ben.getByLabel(/password/i).fill("a long enough password");
-await ben.getByRole("button", { name: "Make my account" }).click();
+await ben.getByRole("button", { name: "Create my account" }).click();
 await ben.waitForURL((url) => url.pathname === "/");
 const asBen = async (path) => (await bensBrowser.request.get(`${address}/api/v1${path}`)).status();
 
@@ -150,7 +150,7 @@ await again.goto(await secretOf(owner));
 await owner.getByRole("button", { name: "I saved it" }).click();
 await owner.getByRole("dialog").waitFor({ state: "detached" });
 await again.getByLabel(/password/i).fill("another long password");
-await again.getByRole("button", { name: "Keep this password" }).click();
+await again.getByRole("button", { name: "Set this password" }).click();
 const signIn = async (password) => {
   await again.goto(`${address}/sign-in`);
   await again.getByLabel("E-mail address").fill("ben@lab.example");
@@ -168,8 +168,8 @@ await owner.getByRole("dialog").getByRole("button", { name: "Deactivate" }).clic
 await owner.getByRole("button", { name: "Reactivate" }).waitFor();
 seen.left = await owner.getByText("is deactivated. Revoked:").innerText();
 await signIn("another long password");
-await again.locator("#said:not([hidden])").waitFor();
-seen.gone = [await asBenAgain(), await again.locator("#said").innerText()];
+await again.locator("#message:not([hidden])").waitFor();
+seen.gone = [await asBenAgain(), await again.locator("#message").innerText()];
 await owner.getByRole("button", { name: "Reactivate" }).click();
 await owner.getByRole("dialog").getByRole("button", { name: "Reactivate" }).click();
 await owner.getByRole("button", { name: "Deactivate" }).waitFor();
