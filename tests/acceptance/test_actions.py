@@ -67,7 +67,7 @@ def test_errors_name_what_cannot_be_run(terminal: Terminal, mission: tuple[str, 
     script = tmp_path / "look.py"
     run = ["action", "run-local", script, *mission, "--out", tmp_path / "out"]
     for header, code, why in (
-        ('dependencies = ["nonsense-that-nobody-made>=2"]', 14, "needs what is not installed here: nonsense"),
+        ('dependencies = ["nonsense-that-nobody-made>=2"]', 14, "are not installed here: nonsense-that-nobody-made"),
         ('[tool.kleinkram]\n# inputs = {paths = ["*.csv"]}', 3, "No file of the mission drive is an input of look"),
         ("[tool.kleinkram]\n# privileged = true", 2, "privileged: there is no such field"),
         ("dependencies = [", 2, "its header is not TOML"),

@@ -68,7 +68,7 @@ def test_in_by_a_code_that_is_typed_elsewhere_unless_it_is_refused(away: Termina
     assert "Signed in" in agreed.err
     (saved_endpoint,) = saved(away)["endpoints"].values()
     assert (saved_endpoint["person"], browser.status_of(saved_endpoint["token"])) == ("owner", 200)
-    assert "refused" in refused.err
+    assert "denied" in refused.err
     assert not endpoints_file(other).exists()
 
 

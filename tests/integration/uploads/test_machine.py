@@ -24,7 +24,7 @@ def _machine(start_api: StartApi) -> Iterator[type[Machine]]:
     """The machine on an API of its own."""
     api: Api = start_api(sweep_grace_s=0)
     site = SiteThread(api)
-    yield type("MachineHere", (Machine,), {"api": api, "site": site})
+    yield type("MachineHere", (Machine,), {"api": api, "context": site})
     site.close()
 
 

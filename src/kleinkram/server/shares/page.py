@@ -26,7 +26,7 @@ _HEAD = (
     f'<script src="{SHARE_PAGE}/static/share.js" defer></script></head><body>'
 )
 _MAIN = (
-    '<main><h1>Shared with you</h1><p id="said" role="status" hidden></p><p id="what"></p>'
+    '<main><h1>Shared with you</h1><p id="message" role="status" hidden></p><p id="what"></p>'
     '<div id="all" hidden><button type="button" id="download" class="primary"></button>'
     '<p id="progress" role="status"></p><p>With the command line: <code id="command"></code></p></div>'
     '<div id="about" hidden><img id="picture" alt="" hidden><dl id="metadata"></dl></div>'

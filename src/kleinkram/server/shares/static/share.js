@@ -9,9 +9,9 @@ const OPEN_TOPICS = 30;
 const MOST_PICTURE_BYTES = 20_000_000;
 
 function say(text) {
-  const said = document.getElementById("said");
-  said.textContent = text;
-  said.hidden = false;
+  const message = document.getElementById("message");
+  message.textContent = text;
+  message.hidden = false;
 }
 
 async function ask(method, path, body) {
