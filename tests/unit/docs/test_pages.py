@@ -95,3 +95,10 @@ def test_paths_on_a_page_exist(page: Path) -> None:
     if page.name != "CHANGELOG.md":
         paths = _PATH.findall(page.read_text(encoding="utf-8"))
         assert not [path for path in paths if "NOUN" not in path and not (ROOT / path).exists()]
+
+
+def test_the_reading_paths_exist() -> None:
+    section = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").partition("## Three reading paths")[2]
+    paths = re.findall(r"`([\w/]+\.py)`", section.partition("\n## ")[0])
+    assert len(paths) >= 30
+    assert not [path for path in paths if not (ROOT / "src" / "kleinkram" / path).is_file()]
