@@ -55,7 +55,7 @@ def test_a_script_runs_on_a_mission(terminal: Terminal, mission: tuple[str, ...]
     assert (tmp_path / "out" / "tables" / "counts.csv").read_text() == "topic,count"
 
     again = terminal.run(*command, tmp_path / "out", code=2)
-    assert "holds something already" in again.err
+    assert "it is not empty" in again.err
     failed = terminal.run(*command, tmp_path / "failed", "--set", "code=3", code=14)
     assert "the exit code 3" in failed.err
     unknown = terminal.run(*command, tmp_path / "unknown", "--set", "topc=/imu", code=2)

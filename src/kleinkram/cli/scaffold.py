@@ -137,7 +137,7 @@ def _name(directory: Path) -> str:
     name = re.sub(r"[^a-z0-9]+", "-", directory.resolve().name.lower()).strip("-")
     if not name:
         raise InvalidInput(
-            what=f"The folder {str(directory)!r}", reason="gives the action no name of letters or digits"
+            what=f"The folder {str(directory)!r}", reason="it gives the action no name of letters or digits"
         )
     return name[:64]
 
@@ -145,7 +145,7 @@ def _name(directory: Path) -> str:
 def _write(directory: Path, files: dict[str, str]) -> None:
     if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
         raise InvalidInput(
-            what=f"The folder {str(directory)!r}", reason="is there already; say one that is new or empty"
+            what=f"The folder {str(directory)!r}", reason="it exists already; name a new or empty one"
         )
     try:
         directory.mkdir(parents=True, exist_ok=True)

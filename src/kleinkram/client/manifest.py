@@ -58,7 +58,7 @@ def _of_yaml(file: Path, text: str) -> dict[str, Any]:
     except (YAMLError, ValueError, RecursionError) as error:
         raise InvalidInput(what=str(file), reason=f"is not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(fields, dict):
-        raise InvalidInput(what=str(file), reason="is not a mapping of names to values")
+        raise InvalidInput(what=str(file), reason="it is not a mapping of names to values")
     return fields
 
 

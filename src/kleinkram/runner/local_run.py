@@ -56,7 +56,7 @@ def run_locally(
     except ValueError as error:
         raise InvalidInput(what="The parameters", reason=str(error)) from error
     if out.exists() and any(out.iterdir()):
-        raise InvalidInput(what=f"The folder {str(out)!r}", reason="is not empty")
+        raise InvalidInput(what=f"The folder {str(out)!r}", reason="it is not empty")
     with _job_directory() as directory:
         files = matching_files(client, action, mission)
         if not files:
