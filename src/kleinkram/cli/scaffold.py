@@ -144,9 +144,7 @@ def _name(directory: Path) -> str:
 
 def _write(directory: Path, files: dict[str, str]) -> None:
     if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
-        raise InvalidInput(
-            what=f"The folder {str(directory)!r}", reason="it exists already; name a new or empty one"
-        )
+        raise InvalidInput(what=f"The folder {str(directory)!r}", reason="it exists already; name a new or empty one")
     try:
         directory.mkdir(parents=True, exist_ok=True)
         for path, text in files.items():
