@@ -1,7 +1,6 @@
-import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
-import { api, call } from "./client";
+import { afterEach, beforeEach, describe, expect, it, test, vi } from "vitest";
+import { api, call, ifStill, isAskingToSignIn, ledTo, noteSignedIn, settle, signInAddress } from "./client";
 import { Problem } from "./problem";
-import { isAskingToSignIn, noteSignedIn, settle, signInAddress } from "./signing-in";
 
 const ENDED = { type: "x", title: "x", status: 401, detail: "The session has ended.", code: "not_authenticated" };
 const fetched = vi.fn<(request: Request) => Promise<Response>>();
@@ -68,4 +67,18 @@ it("says so where nothing answers", async () => {
 
 it("comes back from signing in to where one was", () => {
   expect(signInAddress("/missions/1?tab=topics&x=a b")).toBe("/sign-in?return_to=%2Fmissions%2F1%3Ftab%3Dtopics%26x%3Da+b");
+});
+
+test("a change names the etag that was looked at", () => {
+  expect(ifStill("a0")).toEqual({ "If-Match": '"a0"' });
+  expect(ifStill(undefined)).toEqual({});
+});
+
+test("what this page made of it counts as looked at, and going back ends nowhere", () => {
+  ledTo("b0", "b1");
+  ledTo("b1", "b2");
+  expect(ifStill("b0")).toEqual({ "If-Match": '"b2"' });
+  ledTo("b2", "b0");
+  expect(ifStill("b1")).toEqual({ "If-Match": '"b0"' });
+  expect(ifStill("b0")).toEqual({ "If-Match": '"b0"' });
 });

@@ -1,5 +1,5 @@
 // One change for many items: what fails is named item by item, and the others are still done.
-import { type Ref, ref } from "vue";
+import { ref, type Ref } from "vue";
 import { toProblem } from "@/api/problem";
 
 export interface Item {

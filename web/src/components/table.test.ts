@@ -1,5 +1,7 @@
-import { describe, expect, it } from "vitest";
+import { describe, expect, it, test } from "vitest";
 import { afterClick, columnsFor, drawnAfter, inSight, nextSort, placesOf, rowAfter, sortedAs, tracks } from "./table";
+import { mount } from "@vue/test-utils";
+import ColumnChooser from "./ColumnChooser.vue";
 
 const columns = [
   { key: "name", title: "Name", sort: "name" },
@@ -105,4 +107,13 @@ describe("rows that come into sight", () => {
   it("begin with the one that has the focus, then those in the middle", () => {
     expect(drawnAfter([7], [100, 101, 102, 103, 104], 104, 3).filter((index) => index > 7)).toEqual([101, 102, 104]);
   });
+});
+
+test("a click on a box changes that column alone, also where columns of another time are remembered", async () => {
+  const columns = ["by", "took"].map((key) => ({ key, title: key }));
+  const wrapper = mount(ColumnChooser, { props: { columns, modelValue: ["metric.of_another_list", "by"] } });
+  const [by, took] = wrapper.findAll("input");
+  await took?.trigger("change");
+  await by?.trigger("change");
+  expect(wrapper.emitted("update:modelValue")).toEqual([[["metric.of_another_list", "by", "took"]], [["metric.of_another_list", "took"]]]);
 });

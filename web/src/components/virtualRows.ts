@@ -1,7 +1,7 @@
 // Which rows of a long table are drawn: those in sight. The table scrolls with the page, or within a height of its own.
 // When many come into sight at once, as beneath a scroll bar that is pulled, each frame draws some: none takes long.
 // While it scrolls no element changes its place among its siblings, which would cost more than all else.
-import { onMounted, onScopeDispose, readonly, ref, type Ref, shallowRef, watch } from "vue";
+import { onMounted, onScopeDispose, readonly, ref, shallowRef, watch, type Ref } from "vue";
 import { drawnAfter, inSight } from "./table";
 
 const MOST_A_FRAME = 6;

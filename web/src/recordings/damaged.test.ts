@@ -7,9 +7,7 @@ import { joined } from "./formats/recording";
 import { MOST_WHOLE_PACKED } from "./limits";
 import type { CurvesRequest } from "./protocol";
 import { Session } from "./session";
-import { madeBag } from "./testing/made_bag";
-import { madeMcap } from "./testing/made_mcap";
-import { storeOf } from "./testing/store";
+import { madeBag, madeMcap, storeOf } from "./testing/recordings";
 
 const COUNT = 1000;
 const VECTOR = "float64 x\n";

@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import { BLOCK, MOST_READ_AT_ONCE } from "./limits";
-import { storeOf } from "./testing/store";
+import { storeOf } from "./testing/recordings";
 
 const BYTES = Uint8Array.from({ length: 5 * BLOCK + 17 }, (_, at) => (at * 7 + (at >> 8)) & 255);
 

@@ -1,7 +1,6 @@
 import { describe, expect, it, vi } from "vitest";
 import type { FromWorker, ToWorker } from "./protocol";
-import { RecordingReader } from "./reader";
-import type { WorkerLike } from "./reader";
+import { RecordingReader, type WorkerLike } from "./reader";
 
 /** A worker that does what the test says. */
 class ToldWorker implements WorkerLike {

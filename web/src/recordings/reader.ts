@@ -1,18 +1,8 @@
 /** The page's side of the reading worker: asks, cancels, and starts another where one dies or falls silent. */
 
-import { ReadFailure } from "./failures";
-import type { FailureCode } from "./failures";
+import { ReadFailure, type FailureCode } from "./failures";
 import { WORKER_PATIENCE_MS } from "./limits";
-import type {
-  Answers,
-  CurvesRequest,
-  DrawnCurves,
-  FromWorker,
-  OpenRequest,
-  PictureRequest,
-  Request,
-  ToWorker,
-} from "./protocol";
+import type { Answers, CurvesRequest, DrawnCurves, FromWorker, OpenRequest, PictureRequest, Request, ToWorker } from "./protocol";
 import type { Address } from "./ranges";
 
 /** What of a Worker is used. */

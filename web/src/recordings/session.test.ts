@@ -4,14 +4,9 @@ import { MessageWriter as Ros2Writer } from "@foxglove/rosmsg2-serialization";
 import { describe, expect, it } from "vitest";
 import { ReadFailure } from "./failures";
 import { openRecording } from "./formats/open";
-import type { DrawnCurves } from "./protocol";
-import type { CurvesRequest } from "./protocol";
+import type { CurvesRequest, DrawnCurves } from "./protocol";
 import { Session } from "./session";
-import { madeBag } from "./testing/made_bag";
-import type { BagMessage } from "./testing/made_bag";
-import { madeMcap } from "./testing/made_mcap";
-import type { MadeMessage } from "./testing/made_mcap";
-import { storeOf } from "./testing/store";
+import { madeBag, madeMcap, storeOf, type BagMessage, type MadeMessage } from "./testing/recordings";
 
 const START = 1_700_000_000_000_000_000n;
 const RATE_HZ = 100;

@@ -1,15 +1,12 @@
 /** One opened recording: answers the page's questions, one after the other. Runs in the worker; knows no messages. */
 
 import { CurveCollector } from "./curves/curves";
-import { decoderOf } from "./decoding/decoder";
+import { decoderOf, type Decode, type Value } from "./decoding/decoder";
 import { fieldTree, numberAt, stepsOf } from "./decoding/fields";
-import type { Decode, Value } from "./decoding/value";
 import { ReadFailure } from "./failures";
-import { cost } from "./formats/recording";
-import type { Message, OnDamage, Order, Piece, Recording, Schema, Span } from "./formats/recording";
+import { cost, type Message, type OnDamage, type Order, type Piece, type Recording, type Schema, type Span } from "./formats/recording";
 import { MOST_DAMAGED, READ_AHEAD } from "./limits";
-import { pictureOf } from "./pictures/picture";
-import type { Picture } from "./pictures/picture";
+import { pictureOf, type Picture } from "./pictures/picture";
 import type { CurvesRequest, DamagedPart, DrawnCurves, OfferedFields, Opened, PictureRequest } from "./protocol";
 
 export interface FoundPicture {

@@ -5,10 +5,8 @@ import { openRecording } from "./formats/open";
 import { checkCompressed } from "./pictures/picture";
 import { pixelsOf } from "./pictures/pixels";
 import type { FromWorker, Request, ShownPicture, ToWorker } from "./protocol";
-import { Ranges } from "./ranges";
-import type { Address } from "./ranges";
-import { Session } from "./session";
-import type { FoundPicture } from "./session";
+import { Ranges, type Address } from "./ranges";
+import { Session, type FoundPicture } from "./session";
 
 const SAY_READ_EVERY_MS = 200;
 

@@ -5,7 +5,7 @@ import { followLeaving } from "./query";
 import { routes } from "./routes";
 import { toProblem } from "@/api/problem";
 import { meQuery } from "@/api/session";
-import { signInAddress } from "@/api/signing-in";
+import { signInAddress } from "@/api/client";
 import { arrive } from "@/components/titles";
 import { tell } from "@/components/toasts";
 import { texts } from "@/texts/shell";

@@ -1,6 +1,6 @@
 // What a view is narrowed to stands in its address: filters, orders, tabs. So every view is a link, and back works.
 import { computed, type WritableComputedRef } from "vue";
-import { type LocationQueryRaw, type Router, useRoute, useRouter } from "vue-router";
+import { useRoute, useRouter, type LocationQueryRaw, type Router } from "vue-router";
 
 export type Way = "push" | "replace";
 

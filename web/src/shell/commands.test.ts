@@ -1,6 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { commandsFor, matches, searchCommand } from "./commands";
-import { placesFor } from "./places";
+import { commandsFor, matches, placesFor, searchCommand } from "./commands";
 
 const ADMIN = { isSignedIn: true, isAdmin: true };
 

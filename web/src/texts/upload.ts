@@ -1,7 +1,7 @@
 // Texts of the upload page.
 import type { Phase } from "@/features/upload/engine/uploadQueue";
 import type { FileState, LeftOutReason, LocalFailure, Trouble } from "@/features/upload/engine/types";
-import type { PathProblem } from "@/features/upload/engine/paths";
+import type { PathProblem } from "@/features/upload/engine/plan";
 import { counted, formatShare, formatSize, formatSpeed } from "@/components/format";
 
 export const pathProblem: Readonly<Record<PathProblem["problem"], (detail: string) => string>> = {

@@ -1,9 +1,7 @@
 // What the pages of actions ask the server.
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
-import { api, call } from "@/api/client";
-import { ifStill, ledTo, type Looked } from "@/api/etags";
-import { keys } from "@/api/keys";
-import { usePages } from "@/api/pages";
+import { api, call, ifStill, ledTo, type Looked } from "@/api/client";
+import { keys, usePages } from "@/api/queries";
 import type { Action, ActionVersion } from "@/api/types";
 import { globOf } from "@/components/glob";
 

@@ -1,6 +1,6 @@
 import { expect, it } from "vitest";
 import { askedBy, exportAddress } from "./queries";
-import { startOfDay } from "@/components/until";
+import { startOfDay } from "@/components/time";
 
 it("asks for what the address says, and for nothing that says nothing", () => {
   expect(askedBy({ person: "ada", noun: "", until: "2026-11-21", as_admin: "yes", token_id: "t", other: "x" })).toEqual({

@@ -1,13 +1,12 @@
 // What is asked of the record: the address of the page says it, and so does the export.
 import { useQuery } from "@tanstack/vue-query";
 import { computed, type ComputedRef } from "vue";
-import { type LocationQuery, useRoute } from "vue-router";
+import { useRoute, type LocationQuery } from "vue-router";
 import { api, call } from "@/api/client";
-import { keys } from "@/api/keys";
-import { usePages } from "@/api/pages";
+import { keys, usePages } from "@/api/queries";
 import type { operations } from "@/api/schema";
 import { globOf } from "@/components/glob";
-import { startOfDay } from "@/components/until";
+import { startOfDay } from "@/components/time";
 
 export type AuditQuery = NonNullable<operations["export_audit_events"]["parameters"]["query"]>;
 

@@ -1,7 +1,7 @@
 // @vitest-environment node
 import { createHash } from "node:crypto";
 import { describe, expect, it, vi } from "vitest";
-import { reasons, safePath, saveToFolder, type Source, type Target, zipOf } from "./save";
+import { reasons, safePath, saveToFolder, zipOf, type Source, type Target } from "./save";
 import { commandOf, isNested, targetsOf } from "./selection";
 import type { Mission } from "@/api/types";
 

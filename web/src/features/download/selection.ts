@@ -1,6 +1,5 @@
 // What is downloaded: files, whole missions, or what a search finds; where each file goes; the command that does the same.
-import type { Source, Target } from "./save";
-import { safePath } from "./save";
+import { safePath, type Source, type Target } from "./save";
 import { api, call } from "@/api/client";
 import type { operations } from "@/api/schema";
 import type { Mission } from "@/api/types";

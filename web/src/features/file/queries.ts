@@ -1,9 +1,8 @@
 // What the page of a file asks the server, and what it has it do.
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import type { Ref } from "vue";
-import { api, call } from "@/api/client";
-import { ifStill, ledTo, type Looked } from "@/api/etags";
-import { keys } from "@/api/keys";
+import { api, call, ifStill, ledTo, type Looked } from "@/api/client";
+import { keys } from "@/api/queries";
 import type { components } from "@/api/schema";
 import type { File, Topic } from "@/api/types";
 import { tell } from "@/components/toasts";

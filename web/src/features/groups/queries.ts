@@ -1,9 +1,7 @@
 // What the pages of groups ask the server, and what they have it do.
 import { useQuery, useQueryClient } from "@tanstack/vue-query";
-import { api, call } from "@/api/client";
-import { ifStill, ledTo } from "@/api/etags";
-import { keys } from "@/api/keys";
-import { usePages } from "@/api/pages";
+import { api, call, ifStill, ledTo } from "@/api/client";
+import { keys, usePages } from "@/api/queries";
 import type { components } from "@/api/schema";
 import { globOf } from "@/components/glob";
 

@@ -1,6 +1,5 @@
 import { expect, it } from "vitest";
-import type { UnfinishedUpload } from "./queries";
-import { byMission } from "./unfinished";
+import { byMission, type UnfinishedUpload } from "./queries";
 
 function upload(mission: string, sent_bytes: number | null, expires_at: string): UnfinishedUpload {
   return {

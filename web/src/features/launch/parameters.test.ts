@@ -1,5 +1,5 @@
 import { expect, it } from "vitest";
-import { judgeAll, judgeParameter, sent } from "./parameters";
+import { judgeAll, judgeParameter, sent } from "./queries";
 import type { Parameter } from "@/api/types";
 
 function parameter(name: string, type: Parameter["type"], more: Partial<Parameter> = {}): Parameter {

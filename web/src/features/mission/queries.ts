@@ -1,10 +1,12 @@
 // What the page of a mission asks the server, and what it has it do.
 import { keepPreviousData, useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
-import { api, call } from "@/api/client";
-import { ifStill, ledTo, type Looked } from "@/api/etags";
-import { keys } from "@/api/keys";
+import { api, call, ifStill, ledTo, type Looked } from "@/api/client";
+import { keys } from "@/api/queries";
 import type { components } from "@/api/schema";
-import type { File, Recording } from "@/api/types";
+import type { File, Mission, Recording } from "@/api/types";
+import type { Problem } from "@/components/problems";
+import { problemsOfFile } from "@/features/file/problems";
+import { texts } from "@/texts/mission";
 
 type Schemas = components["schemas"];
 export type MissionChange = Schemas["MissionUpdate"];
@@ -161,4 +163,21 @@ export function useMissionChanges(missionId: string) {
     onSuccess: old,
   });
   return { update, remove, restore, old };
+}
+
+function ofRecording(recording: Recording): Problem[] {
+  const place = { source: recording.name, fileId: null };
+  return [
+    ...recording.missing.map((path) => ({ code: "member-missing", message: texts.missingFile(path), where: "", ...place })),
+    ...recording.surplus.map((path) => ({ code: "member-surplus", message: texts.surplusFile(path), where: "", ...place })),
+    ...recording.problems.map(({ code, message, where }) => ({ code, message, where, ...place })),
+  ];
+}
+
+/** Returns all problems of a mission. */
+export function problemsOfMission(mission: Mission | undefined, recordings: readonly Recording[], files: readonly File[]): readonly Problem[] {
+  const ofMetadata = (mission?.metadata_problems ?? []).map(({ field, message }) => (
+    { code: "metadata", message: texts.metadataProblem(field, message), where: "", source: "", fileId: null }
+  ));
+  return [...ofMetadata, ...recordings.flatMap(ofRecording), ...files.flatMap(problemsOfFile)];
 }

@@ -1,5 +1,5 @@
 import { expect, it } from "vitest";
-import { holderOf, sourceOf } from "./access";
+import { holderOf, sourceOf } from "./queries";
 import type { Access } from "@/api/types";
 
 const ada = { id: "a", name: "Ada" };

@@ -1,10 +1,10 @@
 // What the pages of people ask the server, and what they have it do.
 import { useQuery, useQueryClient } from "@tanstack/vue-query";
 import { api, call } from "@/api/client";
-import { keys } from "@/api/keys";
-import { usePages } from "@/api/pages";
+import { keys, usePages } from "@/api/queries";
 import type { operations } from "@/api/schema";
 import type { Access, Project } from "@/api/types";
+import { texts } from "@/texts/people";
 
 export type PeopleQuery = NonNullable<operations["list_people"]["parameters"]["query"]>;
 
@@ -112,4 +112,20 @@ export function useReach(personId: string) {
       return { rows, projects: projects.length };
     },
   });
+}
+
+/** Returns who has it by that. */
+export function holderOf(access: Access): string {
+  if (access.person !== null) return access.person.name;
+  if (access.to === null) return access.through === "admin" ? texts.access.admins : texts.access.everybody;
+  if (access.to.kind === "email") return texts.access.address(access.to.name);
+  return access.to.kind === "group" ? texts.access.members(access.to.name) : access.to.name;
+}
+
+/** Returns what gives it to them. */
+export function sourceOf(access: Access): string {
+  const through = texts.access.through[access.through];
+  if (access.to === null) return through;
+  const how = access.to.kind === "group" && access.person !== null ? texts.access.byGroup(access.to.name) : "";
+  return how === "" ? through : `${through}, ${how}`;
 }

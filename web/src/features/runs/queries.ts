@@ -2,8 +2,7 @@
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { computed } from "vue";
 import { api, call } from "@/api/client";
-import { keys } from "@/api/keys";
-import { usePages } from "@/api/pages";
+import { keys, usePages } from "@/api/queries";
 import type { components, operations } from "@/api/schema";
 import type { Artifact, Run, RunState } from "@/api/types";
 

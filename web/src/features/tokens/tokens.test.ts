@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { type Draft, ending, isContained, isReady, scopesOf, wanted } from "./tokens";
+import { ending, isContained, isReady, scopesOf, wanted, type Draft } from "./queries";
 import type { Token } from "@/api/types";
 
 const draft: Draft = { name: " anymal-3 ", kind: "robot", scopes: ["upload"], projectIds: ["p"], missionIds: [], until: null, labels: "" };

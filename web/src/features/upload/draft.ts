@@ -1,8 +1,12 @@
 // What was chosen and is not begun yet; kept outside of any view, so that a look at another page loses nothing.
-import { shallowReactive } from "vue";
-import { chosen, entriesOf, walk } from "./engine/entries";
+import { shallowReactive, watch } from "vue";
+import { chosen, entriesOf, walk } from "./engine/reading";
 import type { Found, LeftOut, UploadPlan } from "./engine/types";
 import { planUpload } from "./engine/plan";
+import { useQuery } from "@tanstack/vue-query";
+import { useRoute } from "vue-router";
+import { api, call } from "@/api/client";
+import { keys } from "@/api/queries";
 
 export type Layout = "tree" | "contents";
 
@@ -18,7 +22,7 @@ export interface Draft {
 }
 
 const BEGINNING: Draft = { plan: null, layout: "tree", roots: [], isLooking: false, seen: 0, isEmpty: false };
-const watch = {
+const clock = {
   now: () => Date.now(),
   wait: (milliseconds: number) => new Promise<void>((resolve) => setTimeout(resolve, milliseconds)),
 };
@@ -47,7 +51,7 @@ export function openDraft(layout: Layout = BEGINNING.layout): OpenDraft {
   async function plan(): Promise<void> {
     const mine = (turn += 1);
     const areInFolders = all.found.every(({ path }) => path.includes("/"));
-    const planned = await planUpload(all.found, { layout: areInFolders ? made.layout : "tree", watch });
+    const planned = await planUpload(all.found, { layout: areInFolders ? made.layout : "tree", watch: clock });
     if (mine !== turn) return;
     const unreadable = all.unreadable.map((path): LeftOut => ({ path, reason: "unreadable", detail: "" }));
     const leftOut = [...planned.leftOut, ...unreadable];
@@ -86,3 +90,31 @@ export function openDraft(layout: Layout = BEGINNING.layout): OpenDraft {
 }
 
 export const draft = openDraft();
+
+const LISTED = 200;
+
+/** Returns how files of these paths are laid out to go on with those wanted: without their folder where only so one is. */
+export function layoutFor(paths: readonly string[], wanted: ReadonlySet<string>): Layout {
+  const isWanted = (path: string) => wanted.has(path);
+  const within = paths.map((path) => path.slice(path.indexOf("/") + 1));
+  return !paths.some(isWanted) && within.some(isWanted) ? "contents" : "tree";
+}
+
+/** Lays out what is chosen as what is unfinished in the mission that the address names. What one then chooses oneself, stays. */
+export function useFittingLayout(draft: OpenDraft): void {
+  const asked = useRoute().query.mission;
+  const missionId = typeof asked === "string" ? asked : "";
+  const { data: uploads } = useQuery({
+    queryKey: keys.uploads(missionId),
+    queryFn: ({ signal }) =>
+      call(api.GET("/api/v1/missions/{mission_id}/uploads", { params: { path: { mission_id: missionId }, query: { limit: LISTED } }, signal })),
+    enabled: missionId !== "",
+  });
+  let seen: readonly string[] | null = null;
+  watch([() => draft.plan, uploads], ([plan, told]) => {
+    if (plan === null || told === undefined || seen === draft.roots) return;
+    seen = draft.roots;
+    const layout = layoutFor(plan.files.map(({ path }) => path), new Set(told.items.map(({ path }) => path)));
+    if (draft.layout === "tree" && layout === "contents") void draft.arrange(layout);
+  }, { immediate: true });
+}

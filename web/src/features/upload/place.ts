@@ -1,13 +1,13 @@
 // Where files go: a project and a mission that are there, or made for it. What was typed stays until it is sent.
 import { keepPreviousData, useQuery } from "@tanstack/vue-query";
-import { computed, type ComputedRef, onScopeDispose, reactive, type Ref, ref, shallowReactive, watch } from "vue";
+import { computed, onScopeDispose, reactive, ref, shallowReactive, watch, type ComputedRef, type Ref } from "vue";
 import { useRoute } from "vue-router";
 import { api, call } from "@/api/client";
-import { keys } from "@/api/keys";
-import { type Problem, toProblem } from "@/api/problem";
-import type { Mission, MetadataFields, Page, Project } from "@/api/types";
+import { keys } from "@/api/queries";
+import { toProblem, type Problem } from "@/api/problem";
+import type { MetadataFields, Mission, Page, Project } from "@/api/types";
 import { beginning, judge, type Values } from "@/components/metadata";
-import { carriedBy, useTemplate } from "@/features/project/creating";
+import { carriedBy, useTemplate } from "@/features/project/fields";
 import { texts } from "@/texts/upload";
 import type { MissionPlace } from "./engine/types";
 

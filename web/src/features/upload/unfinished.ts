@@ -1,6 +1,6 @@
 // What uploads of earlier visits left unfinished, as this browser's journal says; and how a folder chosen anew fits.
-import { type Ref, shallowRef } from "vue";
-import { type Journal, type JournalFile, type JournalHead, lockName } from "./engine/journal";
+import { shallowRef, type Ref } from "vue";
+import { lockName, type Journal, type JournalFile, type JournalHead } from "./engine/journal";
 import { partSizeBytes, type PlannedFile } from "./engine/types";
 
 /** An upload that did not come to its end. */
@@ -60,7 +60,7 @@ let opening: Promise<Journal | null> | null = null;
 
 /** Return the journal; null where this browser keeps nothing for the page. */
 function journal(): Promise<Journal | null> {
-  opening ??= import("./engine/indexeddb").then(({ openJournal }) => openJournal()).catch(() => null);
+  opening ??= import("./engine/journal").then(({ openJournal }) => openJournal()).catch(() => null);
   return opening;
 }
 
@@ -97,7 +97,7 @@ export function useUnfinished(): UnfinishedUploads {
     const kept = await journal();
     await kept?.drop(head.id);
     all.value = all.value.filter((each) => each.head.id !== head.id);
-    const { httpApi } = await import("./engine/http");
+    const { httpApi } = await import("./engine/api");
     const api = httpApi(globalThis.location.origin);
     // Names are free at once; what this cannot say runs out by itself.
     for (const { uploadId } of left) if (uploadId !== null) await api.abort(uploadId);

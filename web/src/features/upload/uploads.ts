@@ -1,11 +1,10 @@
 // The uploads of this page, outside of any view: they go on while one looks at other pages. The work is the worker's,
 // which is fetched when the first upload begins.
 import { computed, shallowReactive } from "vue";
-import { signInAgain } from "@/api/signing-in";
+import { signInAgain } from "@/api/client";
 import type { Phase, Report } from "./engine/uploadQueue";
 import type { JournalHead } from "./engine/journal";
-import type { Failure, FileProgress, FileState, PlannedFile, Trouble } from "./engine/types";
-import type { Command } from "./engine/protocol";
+import type { Command, Failure, FileProgress, FileState, PlannedFile, Trouble } from "./engine/types";
 
 export type Counts = Readonly<Record<FileState, number>>;
 

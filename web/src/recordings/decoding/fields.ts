@@ -1,8 +1,7 @@
 /** The numeric fields of a message: which there are, how they are called, and how to get at one. */
 
 import { MOST_DEPTH, MOST_ELEMENTS, MOST_FIELDS } from "../limits";
-import { isFields, isNumbers } from "./value";
-import type { Value } from "./value";
+import { isFields, isNumbers, type Value } from "./decoder";
 
 export type Step = string | number;
 

@@ -1,14 +1,22 @@
 /** ROS 1 bags by their own index: the connections and chunk infos at the end, then only chunks that hold the topic. */
 
 import { unpack } from "../compression/unpack";
-import { ReadFailure } from "../failures";
-import type { FailureCode } from "../failures";
+import { ReadFailure, type FailureCode } from "../failures";
 import { READ_AHEAD } from "../limits";
 import type { Source } from "../ranges";
 import { fieldsOf, headAt, MAGIC, Op, recordAt, text, timeAt, uint32, uint64 } from "./bag_records";
-import { inOrder } from "./in_order";
-import type { ChunkContent } from "./in_order";
-import type { Message, OnDamage, Order, Piece, RecordedTopic, Recording, Schema, Span } from "./recording";
+import {
+  inOrder,
+  type ChunkContent,
+  type Message,
+  type OnDamage,
+  type Order,
+  type Piece,
+  type RecordedTopic,
+  type Recording,
+  type Schema,
+  type Span,
+} from "./recording";
 
 const HEADER = 4096 + MAGIC.length;
 const DAMAGED: ReadonlySet<FailureCode> = new Set<FailureCode>(["chunk_damaged", "index_damaged", "too_large"]);

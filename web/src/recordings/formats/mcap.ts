@@ -6,11 +6,20 @@ import { unpack } from "../compression/unpack";
 import { failureOf, ReadFailure } from "../failures";
 import { MOST_HELD, MOST_READ_AT_ONCE, READ_AHEAD } from "../limits";
 import type { ByteSource, Source } from "../ranges";
-import { inOrder } from "./in_order";
-import type { ChunkContent } from "./in_order";
+import {
+  inOrder,
+  mostHeld,
+  type ChunkContent,
+  type Message,
+  type OnDamage,
+  type Order,
+  type Piece,
+  type RecordedTopic,
+  type Recording,
+  type Schema,
+  type Span,
+} from "./recording";
 import { Fields, mendMcap, OP } from "./mcap_mended";
-import { mostHeld } from "./recording";
-import type { Message, OnDamage, Order, Piece, RecordedTopic, Recording, Schema, Span } from "./recording";
 
 const TAIL = 512 * 1024;
 

@@ -1,10 +1,8 @@
 /** The picture inside a message: compressed (JPEG, PNG, WebP) or raw. */
 
 import { ReadFailure } from "../failures";
-import { isFields, isNumbers } from "../decoding/value";
-import type { Value } from "../decoding/value";
-import { checkSize } from "./pixels";
-import type { RawPicture } from "./pixels";
+import { isFields, isNumbers, type Value } from "../decoding/decoder";
+import { checkSize, type RawPicture } from "./pixels";
 
 export interface Compressed {
   kind: "compressed";

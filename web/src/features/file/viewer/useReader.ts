@@ -6,8 +6,7 @@ import type { File } from "@/api/types";
 import { ReadFailure } from "@/recordings/failures";
 import type { ReadableFormat } from "@/recordings/protocol";
 import type { Address } from "@/recordings/ranges";
-import { RecordingReader } from "@/recordings/reader";
-import type { WorkerLike } from "@/recordings/reader";
+import { RecordingReader, type WorkerLike } from "@/recordings/reader";
 
 export interface FileReader {
   readonly reader: RecordingReader;

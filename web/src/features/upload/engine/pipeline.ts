@@ -3,14 +3,11 @@
 // Each byte is read once for its checksums; a PUT's body is a slice of the file, which the browser reads again by
 // itself. So memory is a few slices, and a part whose bytes changed in between is refused by the store, which checks it
 // against the checksum that the server signed. At most `AHEAD_BYTES` are hashed and not yet sent.
-
-import { ApiProblem } from "./api";
-import { Budget, Queue, Stopped, checkStopped } from "./flow";
-import { Leases } from "./leases";
+import { ApiProblem, type Asking, type Surroundings } from "./api";
+import { Budget, checkStopped, Queue, Stopped } from "./flow";
 import type { Failure, ProblemDocument, SignedPart, UploadOutcome } from "./types";
-import { FileFailure, checkUnchanged } from "./reading";
-import { type Part, type Sending, toSign } from "./sending";
-import { type Parts, StoreRefused, sendPart } from "./sendPart";
+import { checkUnchanged, FileFailure } from "./reading";
+import { sendPart, StoreRefused, toSign, type Part, type Parts, type Sending } from "./sending";
 
 const AHEAD_BYTES = 128 * 1024 * 1024;
 const PART_COST = 512 * 1024; // what the smallest part counts, so that files under way are bounded too
@@ -232,5 +229,44 @@ export class Pipeline {
   private release(sending: Sending): void {
     this.leases.letGo(sending);
     this.underWay.release(1);
+  }
+}
+
+const RENEW_MS = 20_000;
+
+export class Leases {
+  private readonly held = new Set<Sending>();
+
+  constructor(
+    private readonly asking: Asking,
+    private readonly around: Surroundings,
+    private readonly signal: AbortSignal,
+  ) {}
+
+  hold(sending: Sending): void {
+    this.held.add(sending);
+  }
+
+  letGo(sending: Sending): void {
+    this.held.delete(sending);
+  }
+
+  /** Renew what is due, for ever; `failed` hears of what one upload's renewal said. @throws Stopped */
+  async renewing(failed: (sending: Sending, error: unknown) => Promise<void>): Promise<never> {
+    for (;;) {
+      await this.around.clock.wait(RENEW_MS, this.signal);
+      checkStopped(this.signal);
+      const due = this.around.clock.now() - RENEW_MS;
+      for (const sending of this.held) {
+        // A paused upload holds no names: they may be taken by whoever goes on.
+        if (this.around.gate.isShut || sending.ended || sending.latest === null || sending.renewedMs >= due) continue;
+        sending.renewedMs = this.around.clock.now();
+        try {
+          await this.asking.sign([sending.latest]);
+        } catch (error) {
+          await failed(sending, error);
+        }
+      }
+    }
   }
 }

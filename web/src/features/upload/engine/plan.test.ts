@@ -1,8 +1,8 @@
 // @vitest-environment node
 import { describe, expect, it } from "vitest";
-import { chosen, entriesOf, walk } from "./entries";
+import { chosen, entriesOf, walk } from "./reading";
 import type { Found } from "./types";
-import { planUpload } from "./plan";
+import { checkFilePath, nameKey, planUpload } from "./plan";
 
 const NOW = 1_000_000;
 const watch = { now: () => NOW, wait: () => Promise.resolve() };
@@ -87,5 +87,40 @@ describe("what is dropped", () => {
     expect(entriesOf({ items } as unknown as DataTransfer)).toHaveLength(1);
     const files = ["", "day1/b.bag"].map((webkitRelativePath) => Object.assign(new File([], "a.bag"), { webkitRelativePath }));
     expect(chosen(files).map(({ path }) => path)).toEqual(["a.bag", "day1/b.bag"]);
+  });
+});
+
+describe("a path in a mission", () => {
+  it.each(["a", "day1/cam.mcap", "tänzerin/ärger.bag", "a b/c (1).bag", "x".repeat(255)])("may be %s", (path) => {
+    expect(checkFilePath(path)).toBe(path);
+  });
+
+  it("is told in one Unicode form", () => {
+    expect(checkFilePath("a\u0308.bag")).toBe("\u00e4.bag");
+  });
+
+  // The same as `contract/names.py` refuses.
+  it.each([
+    ["", "not_relative"],
+    ["/a", "not_relative"],
+    ["a/", "not_relative"],
+    ["a\\b", "backslash"],
+    ["a//b", "part"],
+    ["a/../b", "part"],
+    ["./a", "part"],
+    ["a\u0007b", "control"],
+    ["a\u202eb", "control"],
+    ["a\ud800b", "control"],
+    ["x".repeat(256), "long_part"],
+    ["ä".repeat(128), "long_part"],
+    [`${"y/".repeat(600)}z`, "too_long"],
+    [`${"語".repeat(80)}/`.repeat(11) + "z", "too_many_bytes"],
+  ])("may not be %j", (path, problem) => {
+    expect(checkFilePath(path)).toMatchObject({ problem });
+  });
+
+  it("is the same in any case and form", () => {
+    expect(nameKey("Straße/CAM.MCAP")).toBe(nameKey("STRASSE/cam.mcap"));
+    expect(nameKey("a\u0308")).toBe(nameKey("\u00c4"));
   });
 });

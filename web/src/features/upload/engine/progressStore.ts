@@ -1,9 +1,6 @@
 // What an upload has come to, file by file and in all; told on in pieces, so that ten thousand files cost no more to
 // show than the few that changed.
-
-import { RateMeter } from "./rateMeter";
 import type { Failure, FileProgress, FileState, PlannedFile, Trouble } from "./types";
-import type { Watcher } from "./watcher";
 
 export interface Snapshot {
   readonly changed: readonly FileProgress[];
@@ -107,4 +104,55 @@ export class ProgressStore implements Watcher {
     if (line === undefined) throw new Error(`${path} is no file of this upload`);
     return line;
   }
+}
+
+const WINDOW_MS = 10_000;
+const SOONEST_MS = 1_500;
+
+export interface Rate {
+  readonly bytesPerS: number | null;
+  readonly leftS: number | null;
+}
+
+/** The rate over the last seconds in which anything was expected to move. */
+export class RateMeter {
+  private samples: { readonly atMs: number; readonly bytes: number }[] = [];
+  private sent = 0;
+
+  /** Bytes that moved; negative when they must move again. */
+  moved(sizeBytes: number): void {
+    this.sent += sizeBytes;
+  }
+
+  /** Forget the past: after a pause it says nothing of what comes. */
+  restart(): void {
+    this.samples = [];
+  }
+
+  /** Return the rate now, and how long `leftBytes` take at it; null where too little is known. */
+  at(nowMs: number, leftBytes: number): Rate {
+    if (this.sent === 0) return { bytesPerS: null, leftS: null }; // it still reads: that says nothing of sending
+    this.samples.push({ atMs: nowMs, bytes: this.sent });
+    while (this.samples.length > 2 && (this.samples[1]?.atMs ?? nowMs) < nowMs - WINDOW_MS) this.samples.shift();
+    const first = this.samples[0];
+    if (first === undefined || nowMs - first.atMs < SOONEST_MS) return { bytesPerS: null, leftS: null };
+    const bytesPerS = Math.max(0, ((this.sent - first.bytes) * 1000) / (nowMs - first.atMs));
+    return { bytesPerS, leftS: bytesPerS > 0 ? leftBytes / bytesPerS : null };
+  }
+}
+
+export interface Watcher {
+  state(path: string, state: FileState): void;
+  /** So many more bytes were read for the checksums of the whole, before anything is sent; 0 begins anew. */
+  read(path: string, sizeBytes: number): void;
+  /** So many more bytes are at the store; negative when they must be sent again. */
+  moved(path: string, sizeBytes: number): void;
+  /** So many bytes need not be sent: the other side has them. */
+  held(path: string, sizeBytes: number): void;
+  /** A file is done, well or not. */
+  ended(path: string, state: FileState, fileId: string | null, failure: Failure | null): void;
+  /** Nothing that was sent of a file counts any more. */
+  reset(path: string): void;
+  /** Whom it waits for, or that this is over. */
+  trouble(trouble: Trouble, isOver: boolean): void;
 }

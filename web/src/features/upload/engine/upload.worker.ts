@@ -2,11 +2,9 @@
 
 import { UploadQueue } from "./uploadQueue";
 import { realClock } from "./flow";
-import { httpApi } from "./http";
-import { openJournal } from "./indexeddb";
-import type { Journal } from "./journal";
-import { MemoryJournal } from "./memory";
-import type { Command } from "./protocol";
+import { httpApi } from "./api";
+import { MemoryJournal, openJournal, type Journal } from "./journal";
+import type { Command } from "./types";
 import { realStore } from "./store";
 
 async function alone(name: string, run: () => Promise<void>): Promise<boolean> {

@@ -1,15 +1,11 @@
 // The uploads of a page: one a mission at a time, each by itself. Begins them, pauses them, ends them, and tells of them.
 
-import type { Surroundings, UploadApi } from "./api";
-import { ApiProblem, Asking } from "./api";
+import { ApiProblem, Asking, Backoff, Troubles, type Surroundings, type UploadApi } from "./api";
 import { Hashing } from "./checksums";
-import type { Clock } from "./flow";
-import { Gate } from "./flow";
-import { type Journal, type JournalHead, lockName } from "./journal";
-import type { Snapshot } from "./progressStore";
-import { ProgressStore } from "./progressStore";
+import { Gate, type Clock } from "./flow";
+import { lockName, type Journal, type JournalHead } from "./journal";
+import { ProgressStore, type Snapshot } from "./progressStore";
 import type { Failure, PlannedFile } from "./types";
-import { Backoff, Troubles } from "./backoff";
 import type { Store } from "./store";
 import { Uploader } from "./uploader";
 

@@ -1,8 +1,7 @@
 // @vitest-environment node
 import { beforeEach, describe, expect, it, vi } from "vitest";
 import { UploadQueue, type Report } from "./uploadQueue";
-import type { JournalHead } from "./journal";
-import { MemoryJournal } from "./memory";
+import { MemoryJournal, type JournalHead } from "./journal";
 import type { FileProgress, PlannedFile, Trouble } from "./types";
 import { identityOf } from "./plan";
 import { FastClock } from "./testing/clock";

@@ -1,18 +1,14 @@
 // Announcing files to the server, and acting on what it decides for each. The bytes are the pipeline's.
 //
 // Files are announced a batch at a time, just before they are sent, so that no lease runs out while others are sent.
-
-import { ApiProblem } from "./api";
-import { batches } from "./batches";
-import { Candidate } from "./candidate";
+import { ApiProblem, type Surroundings } from "./api";
+import { batches } from "./plan";
+import { Candidate, FileFailure } from "./reading";
 import { Stopped } from "./flow";
 import type { JournalFile, JournalHead } from "./journal";
-import { NameConflicts } from "./nameConflicts";
 import type { Failure, PlannedFile, ProblemDocument, UploadDecision, UploadFile } from "./types";
 import { Pipeline } from "./pipeline";
-import type { Parts } from "./sendPart";
-import { FileFailure } from "./reading";
-import { Sending } from "./sending";
+import { Sending, type Parts } from "./sending";
 
 export const CONNECTIONS = 4;
 const BEGINNINGS = 4;
@@ -231,5 +227,46 @@ export class Uploader {
   ): JournalFile {
     const { sizeBytes, modifiedMs } = planned.identity;
     return { id: this.head.id, path: planned.path, sizeBytes, modifiedMs, state, uploadId, sha256 };
+  }
+}
+
+const PATIENCE_MS = 90_000;
+const POLL_MS = 2_000;
+
+interface Waiting {
+  readonly file: PlannedFile;
+  readonly problem: ProblemDocument;
+}
+
+export class NameConflicts {
+  private waiting: Waiting[] = [];
+
+  constructor(private readonly around: Surroundings) {}
+
+  add(file: PlannedFile, problem: ProblemDocument): void {
+    this.waiting.push({ file, problem });
+  }
+
+  /** Announce them again until each is free or refused; whoever announces adds those that are still held. @throws Stopped */
+  async settle(
+    announce: (files: readonly PlannedFile[]) => Promise<void>,
+    refuse: (file: PlannedFile, problem: ProblemDocument) => void,
+  ): Promise<void> {
+    if (this.waiting.length === 0) return;
+    const { clock, backoff, troubles } = this.around;
+    const givesUpMs = clock.now() + PATIENCE_MS;
+    troubles.note("lease", clock.now());
+    while (this.waiting.length > 0 && clock.now() < givesUpMs) {
+      await backoff.wait(POLL_MS);
+      const then = this.waiting.splice(0);
+      await announce(then.map(({ file }) => file));
+      const ends = new Map(then.map(({ file, problem }) => [file.path, problem["lease_ends_at"]]));
+      for (const each of this.waiting.splice(0)) {
+        if (ends.get(each.file.path) === each.problem["lease_ends_at"]) this.waiting.push(each);
+        else refuse(each.file, each.problem);
+      }
+    }
+    for (const { file, problem } of this.waiting.splice(0)) refuse(file, problem);
+    troubles.over("lease");
   }
 }

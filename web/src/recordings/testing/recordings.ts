@@ -1,6 +1,8 @@
 /** Small ROS 1 bags, written by hand after wiki.ros.org/Bags/Format/2.0. */
 
 import { joined } from "../formats/recording";
+import { McapWriter } from "@mcap/core";
+import { Ranges } from "../ranges";
 
 export interface BagMessage {
   connection: number;
@@ -115,4 +117,88 @@ function u64(value: number): Uint8Array {
 
 function time(ns: bigint): Uint8Array {
   return joined([u32(Number(ns / 1_000_000_000n)), u32(Number(ns % 1_000_000_000n))]);
+}
+
+export interface MadeMessage {
+  topic: string;
+  logTimeNs: bigint;
+  data: Uint8Array;
+}
+
+export interface MadeTopic {
+  name: string;
+  schema: { name: string; encoding: string; data: Uint8Array };
+  messageEncoding: string;
+}
+
+export async function madeMcap(topics: MadeTopic[], messages: MadeMessage[], { chunkSize = 4096, isClosed = true } = {}): Promise<Uint8Array> {
+  const parts: Uint8Array[] = [];
+  let position = 0n;
+  const writable = {
+    position: () => position,
+    write: (bytes: Uint8Array) => {
+      parts.push(bytes.slice());
+      position += BigInt(bytes.length);
+      return Promise.resolve();
+    },
+  };
+  const writer = new McapWriter({ writable, chunkSize });
+  await writer.start({ profile: "", library: "test" });
+  const channels = new Map<string, number>();
+  for (const { name, schema, messageEncoding } of topics) {
+    const schemaId = await writer.registerSchema(schema);
+    channels.set(name, await writer.registerChannel({ topic: name, schemaId, messageEncoding, metadata: new Map() }));
+  }
+  for (const [sequence, { topic, logTimeNs, data }] of messages.entries()) {
+    const channelId = channels.get(topic) ?? -1;
+    await writer.addMessage({ channelId, sequence, logTime: logTimeNs, publishTime: logTimeNs, data });
+  }
+  if (isClosed) await writer.end();
+  return joined(parts);
+}
+
+export interface TestStore {
+  ranges: Ranges;
+  /** Bytes of each answer. */
+  answers: number[];
+  /** How often an address was asked for. */
+  renewals: () => number;
+  /** From now on, addresses given before are refused. */
+  expire: () => void;
+  change: (bytes: Uint8Array) => void;
+}
+
+export function storeOf(bytes: Uint8Array, { lifeMs = 3_600_000 } = {}): TestStore {
+  let held = bytes;
+  let etag = '"1"';
+  let renewals = 0;
+  let valid = 0;
+  const answers: number[] = [];
+  const answer: typeof fetch = (url, options) => {
+    options?.signal?.throwIfAborted();
+    if (Number(new URL(url as string).searchParams.get("n")) < valid) return Promise.resolve(new Response("", { status: 403 }));
+    const [, from = "0", to = "0"] = /bytes=(\d+)-(\d+)/.exec(new Headers(options?.headers).get("range") ?? "") ?? [];
+    const body = held.slice(Number(from), Number(to) + 1);
+    answers.push(body.length);
+    const headers = { "content-range": `bytes ${from}-${to}/${held.length}`, etag };
+    return Promise.resolve(new Response(body, { status: 206, headers }));
+  };
+  const ranges = new Ranges({
+    sizeBytes: bytes.length,
+    renew: () => {
+      renewals += 1;
+      return Promise.resolve({ url: `http://store.test/file?n=${renewals}`, expiresAtMs: Date.now() + lifeMs });
+    },
+    fetch: answer,
+  });
+  return {
+    ranges,
+    answers,
+    renewals: () => renewals,
+    expire: () => (valid = renewals + 1),
+    change: (changed) => {
+      held = changed;
+      etag = '"2"';
+    },
+  };
 }

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { datesOf, shareOf, ticks } from "./timeScale";
+import { datesOf, dayOf, densityPath, endOfDay, longestGap, shareOf, spanEnd, startOfDay, ticks } from "./time";
 
 const NOON = Date.UTC(2026, 4, 1, 12, 0, 0);
 
@@ -43,4 +43,36 @@ it("keeps to the span", () => {
   expect(shareOf(-5, 0, 10)).toBe(0);
   expect(shareOf(50, 0, 10)).toBe(1);
   expect(shareOf(5, 10, 10)).toBe(0);
+});
+
+it("a day holds to its end, where the viewer is", () => {
+  expect(new Date(endOfDay("2026-11-21")).getHours()).toBe(23);
+  expect(dayOf(new Date(endOfDay("2026-11-21")))).toBe("2026-11-21");
+});
+
+it("days follow one another without a gap", () => {
+  expect(startOfDay("2026-12-31", 1)).toBe(startOfDay("2027-01-01"));
+  expect(Date.parse(startOfDay("2026-03-29", 1))).toBeGreaterThan(Date.parse(endOfDay("2026-03-29")));
+});
+
+it("spans are whole days", () => {
+  expect(dayOf(new Date(spanEnd("30", new Date("2026-11-21T12:00:00"))))).toBe("2026-12-21");
+});
+
+it("draws nothing of nothing", () => {
+  expect(densityPath([])).toBe("");
+  expect(densityPath([0, 0])).toBe("");
+});
+
+it("draws equal neighbours as one, and leaves gaps open", () => {
+  expect(densityPath([4, 4, 0, 4])).toBe("M0 1V0.000H2V1ZM3 1V0.000H4V1Z");
+});
+
+it("lets a lone message be seen beside many", () => {
+  expect(densityPath([1, 10_000])).toContain("M0 1V0.800H1V1Z");
+});
+
+it("finds the longest gap between, not before or after", () => {
+  expect(longestGap([0, 0, 0, 1, 0, 0, 1, 0, 1, 0])).toBeCloseTo(0.2);
+  expect(longestGap([0, 0])).toBe(0);
 });

@@ -1,5 +1,5 @@
 import { expect, it } from "vitest";
-import { keysOf } from "./changes";
+import { keysOf } from "./live";
 
 const change = { noun: "file", change: "changed", id: "f", mission_id: "m", project_id: "p" };
 
