@@ -12,7 +12,7 @@ import { madeBag, madeMcap, storeOf } from "./testing/recordings";
 const COUNT = 1000;
 const VECTOR = "float64 x\n";
 const timeOf = (number: number): bigint => 1_700_000_000_000_000_000n + BigInt(number) * 10_000_000n;
-const ALL: CurvesRequest = { kind: "curves", topic: "/wave", fields: ["x"], fromNs: 0n, toNs: timeOf(COUNT), mostBytes: Infinity };
+const ALL: CurvesRequest = { topic: "/wave", fields: ["x"], fromNs: 0n, toNs: timeOf(COUNT), mostBytes: Infinity };
 const quiet = { signal: new AbortController().signal, onCurves: () => undefined };
 
 function mcap(): Promise<Uint8Array> {

@@ -74,7 +74,7 @@ async function opened(format: keyof typeof MADE): Promise<{ session: Session; re
 }
 
 function request(more: Partial<CurvesRequest> = {}): CurvesRequest {
-  return { kind: "curves", topic: "/wave", fields: ["x", "y"], fromNs: START, toNs: timeOf(COUNT), mostBytes: Infinity, ...more };
+  return { topic: "/wave", fields: ["x", "y"], fromNs: START, toNs: timeOf(COUNT), mostBytes: Infinity, ...more };
 }
 
 const quiet = { signal: new AbortController().signal, onCurves: () => undefined };
@@ -93,7 +93,7 @@ describe.each(["mcap", "rosbag1"] as const)("a session with %s", (format) => {
 
   it("shows the first picture at or after a time, and its neighbours", async () => {
     const { session } = await opened(format);
-    const at = (atNs: bigint, step: "here" | "next" | "previous") => session.picture({ kind: "picture", topic: "/camera", atNs, step });
+    const at = (atNs: bigint, step: "here" | "next" | "previous") => session.picture({ topic: "/camera", atNs, step });
     const first = await at(START, "here");
     expect(first.logTimeNs).toBe(timeOf(300));
     expect(shade(first)).toBe(300 % 256);
@@ -130,7 +130,7 @@ describe.each(["mcap", "rosbag1"] as const)("a session with %s", (format) => {
   it("says in a word what does not work", async () => {
     const { session } = await opened(format);
     await expect(session.fields("/nowhere")).rejects.toMatchObject({ code: "topic_unknown" });
-    await expect(session.picture({ kind: "picture", topic: "/wave", atNs: START, step: "here" })).rejects.toMatchObject({ code: "not_a_picture" });
+    await expect(session.picture({ topic: "/wave", atNs: START, step: "here" })).rejects.toMatchObject({ code: "not_a_picture" });
     const ended = new AbortController();
     ended.abort();
     const told: DrawnCurves[] = [];
@@ -150,7 +150,7 @@ describe.each(["mcap", "rosbag1"] as const)("a session with %s", (format) => {
       try {
         const session = new Session(await openRecording(format, storeOf(bytes).ranges));
         await session.curves(request(), quiet);
-        await session.picture({ kind: "picture", topic: "/camera", atNs: START, step: "here" });
+        await session.picture({ topic: "/camera", atNs: START, step: "here" });
       } catch (thrown) {
         expect(thrown).toBeInstanceOf(ReadFailure);
       }
@@ -168,7 +168,7 @@ describe.each(["mcap", "rosbag1"] as const)("a session with %s", (format) => {
     const { seconds, values } = await session.curves(request(), quiet);
     expect(seconds.length).toBeGreaterThan(COUNT * 0.6);
     expect(values[0]).toEqual(seconds.map((each) => wave(Math.round(each * RATE_HZ))));
-    const found = await session.picture({ kind: "picture", topic: "/camera", atNs: START, step: "here" });
+    const found = await session.picture({ topic: "/camera", atNs: START, step: "here" });
     expect(shade(found)).toBe(300 % 256);
     const little = storeOf(cut).ranges;
     const beginning = new Session(await openRecording(format, little, cut.length / 4));
@@ -199,7 +199,7 @@ describe("a session", () => {
     const messages = Array.from({ length: 200 }, (_, number) => ({ topic: number === 120 ? "/camera" : "/bulk", logTimeNs: timeOf(number), data: number === 120 ? picture : bulk }));
     const { ranges } = storeOf(await madeMcap(topics, messages, { chunkSize: 500_000 }));
     const session = new Session(await openRecording("mcap", ranges));
-    const found = await session.picture({ kind: "picture", topic: "/camera", atNs: START, step: "here" });
+    const found = await session.picture({ topic: "/camera", atNs: START, step: "here" });
     expect(found.logTimeNs).toBe(timeOf(120));
     expect(ranges.bytesRead).toBeLessThan(ranges.sizeBytes / 10);
   });

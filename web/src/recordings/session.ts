@@ -1,4 +1,4 @@
-/** One opened recording: answers the page's questions, one after the other. Runs in the worker; knows no messages. */
+/** One open recording and the requests that it answers, one at a time. Runs in the worker. */
 
 import { CurveCollector } from "./curves/curves";
 import { decoderOf, type Decode, type Value } from "./decoding/decoder";
@@ -9,20 +9,20 @@ import { MOST_DAMAGED, READ_AHEAD } from "./limits";
 import { pictureOf, type Picture } from "./pictures/picture";
 import type { CurvesRequest, DamagedPart, DrawnCurves, OfferedFields, Opened, PictureRequest } from "./protocol";
 
-export interface FoundPicture {
+export interface PictureMessage {
   logTimeNs: bigint;
   picture: Picture;
   /** Parts between what was asked for and this that could not be read. */
   damaged: DamagedPart[];
 }
 
-/** What a long reading tells, and how it is ended. */
-export interface Listener {
+/** Receives curves while they are read; `signal` cancels. */
+export interface Observer {
   signal: AbortSignal;
   onCurves: (curves: DrawnCurves) => void;
 }
 
-const TELL_EVERY_MS = 400;
+const REPORT_EVERY_MS = 400;
 const SECOND_NS = 1e9;
 /** Where the pieces that are wanted are most of what lies between them, reading ahead saves requests. */
 const DENSE = 0.5;
@@ -39,7 +39,7 @@ export class Session {
   }
 
   /** @throws ReadFailure topic_silent, not_a_picture, and whatever reading may. */
-  async picture({ topic, atNs, step }: PictureRequest): Promise<FoundPicture> {
+  async picture({ topic, atNs, step }: PictureRequest): Promise<PictureMessage> {
     const span = this.span(topic);
     const noticed = new Damages(span.fromNs);
     const after = { fromNs: step === "next" ? atNs + 1n : atNs, toNs: span.toNs };
@@ -66,7 +66,7 @@ export class Session {
   }
 
   /** Curves of fields against seconds since the start of the recording, as far as `mostBytes` reach. */
-  async curves(request: CurvesRequest, { signal, onCurves }: Listener): Promise<DrawnCurves> {
+  async curves(request: CurvesRequest, { signal, onCurves }: Observer): Promise<DrawnCurves> {
     const start = this.span(request.topic).fromNs;
     const asked = { fromNs: request.fromNs, toNs: request.toNs };
     const pieces = this.recording.pieces(request.topic, asked);
@@ -82,7 +82,7 @@ export class Session {
       for await (const message of this.recording.messages(request.topic, span, "forward", noticed.note)) {
         const value = this.decodeOrNote(message, noticed);
         collector.add(seconds(message.logTimeNs), paths.map((path) => (value === null ? null : numberAt(value, path))));
-        if (Date.now() - told < TELL_EVERY_MS) continue;
+        if (Date.now() - told < REPORT_EVERY_MS) continue;
         onCurves(drawn());
         await breath(); // lets a cancellation in
         if (signal.aborted) throw new ReadFailure("cancelled");

@@ -19,7 +19,7 @@ import {
   type Schema,
   type Span,
 } from "./recording";
-import { Fields, mendMcap, OP } from "./mcap_mended";
+import { Fields, mendMcap, OP } from "./mcap_reindex";
 
 const TAIL = 512 * 1024;
 

@@ -4,10 +4,10 @@
  */
 
 import { McapRecordBuilder } from "@mcap/core";
-import { unpack } from "../compression/unpack";
-import { ReadFailure } from "../failures";
-import { MOST_READ_AT_ONCE } from "../limits";
-import type { ByteSource } from "../ranges";
+import { unpack } from "@/recordings/compression/unpack";
+import { ReadFailure } from "@/recordings/failures";
+import { MOST_READ_AT_ONCE } from "@/recordings/limits";
+import type { ByteSource } from "@/recordings/ranges";
 
 const MAGIC_LENGTH = 8;
 const RECORD_HEAD = 9;
