@@ -58,7 +58,7 @@ const JUDGES: Readonly<Record<MetadataField["type"], Judge>> = {
   date: judgeDate,
   link: judgeLink,
   location: judgePlace,
-  choice: (value, field) => ((field.choices ?? []).some((each) => each === value) ? null : texts.wantsChoice),
+  choice: (value, field) => ((field.choices ?? []).some((item) => item === value) ? null : texts.wantsChoice),
 };
 
 /** Returns what is wrong with the value of one field; null where nothing is. */

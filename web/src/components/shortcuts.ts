@@ -57,11 +57,11 @@ function onKey(event: KeyboardEvent): void {
   const isWithCtrl = name.startsWith("mod+");
   const isDialogOpen = document.querySelector("dialog[open]") !== null;
   if (!isWithCtrl && (!areShortcutsOn.value || isTyping(event.target) || isDialogOpen)) return;
-  const found = shortcuts.findLast((each) => each.keys === name);
+  const found = shortcuts.findLast((shortcut) => shortcut.keys === name);
   if (found !== undefined) {
     event.preventDefault();
     found.run();
-  } else if (shortcuts.some((each) => each.keys.startsWith(`${name} `))) {
+  } else if (shortcuts.some((shortcut) => shortcut.keys.startsWith(`${name} `))) {
     first = name;
     firstAt = event.timeStamp;
   }
@@ -72,7 +72,7 @@ export function useShortcuts(wanted: readonly Shortcut[]): void {
   if (shortcuts.length === 0) window.addEventListener("keydown", onKey);
   shortcuts.push(...wanted);
   onScopeDispose(() => {
-    for (const each of wanted) shortcuts.splice(shortcuts.indexOf(each), 1);
+    for (const item of wanted) shortcuts.splice(shortcuts.indexOf(item), 1);
     if (shortcuts.length === 0) window.removeEventListener("keydown", onKey);
   });
 }

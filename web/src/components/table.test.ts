@@ -11,13 +11,13 @@ const columns = [
 
 describe("columns", () => {
   it("leaves out what there is no room for", () => {
-    expect(columnsFor(columns, 360).map((each) => each.key)).toEqual(["name"]);
-    expect(columnsFor(columns, 700).map((each) => each.key)).toEqual(["name", "size"]);
+    expect(columnsFor(columns, 360).map((item) => item.key)).toEqual(["name"]);
+    expect(columnsFor(columns, 700).map((item) => item.key)).toEqual(["name", "size"]);
     expect(columnsFor(columns, 1200)).toHaveLength(3);
   });
   it("leaves out those that have no room, the last ones first", () => {
     const many = Array.from({ length: 8 }, (_, at) => ({ key: String(at), title: "", width: "minmax(150px, 1fr)", ...(at > 0 && { from: "tablet" as const }) }));
-    expect(columnsFor(many, 800).map((each) => each.key)).toEqual(["0", "1", "2", "3"]);
+    expect(columnsFor(many, 800).map((item) => item.key)).toEqual(["0", "1", "2", "3"]);
   });
   it("has a track for each, and one for the boxes", () => {
     expect(tracks(columnsFor(columns, 700), true)).toBe("36px minmax(0, 1fr) 100px");

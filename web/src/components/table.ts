@@ -93,9 +93,9 @@ export function afterClick(
   if (key === undefined) return result;
   const isAdding = !selected.has(key);
   const [from, to] = anchor === null ? [clicked, clicked] : [Math.min(anchor, clicked), Math.max(anchor, clicked)];
-  for (const each of keys.slice(from, to + 1)) {
-    if (isAdding) result.add(each);
-    else result.delete(each);
+  for (const item of keys.slice(from, to + 1)) {
+    if (isAdding) result.add(item);
+    else result.delete(item);
   }
   return result;
 }
@@ -154,7 +154,7 @@ export interface Columns<Row> {
 function read(key: string): readonly string[] | null {
   try {
     const stored: unknown = JSON.parse(localStorage.getItem(key) ?? "null");
-    return Array.isArray(stored) ? stored.filter((each): each is string => typeof each === "string") : null;
+    return Array.isArray(stored) ? stored.filter((item): item is string => typeof item === "string") : null;
   } catch {
     return null; // no storage, or not what was written: the usual columns are shown
   }

@@ -60,7 +60,7 @@ function labelOf(at: number, step: number): string {
 export function ticks(start: number, end: number, most: number): Tick[] {
   const span = end - start;
   if (!(span > 0) || most < 1) return [];
-  const step = STEPS.find((each) => span / each <= most) ?? span;
+  const step = STEPS.find((item) => span / item <= most) ?? span;
   const zone = new Date(start).getTimezoneOffset() * MIN; // so that days begin at the viewer's midnight
   const first = Math.ceil((start - zone) / step) * step + zone;
   const found: Tick[] = [];

@@ -68,7 +68,7 @@ describe("a recording with a damaged chunk", () => {
     expect(drawn.messages).toBeGreaterThan(COUNT / 2);
     const middle = ((part?.fromSeconds ?? 0) + (part?.toSeconds ?? 0)) / 2;
     expect(drawn.values[0]?.[drawn.seconds.indexOf(middle)]).toBeNull();
-    const inside = drawn.seconds.filter((each) => each >= (part?.fromSeconds ?? 0) && each <= (part?.toSeconds ?? 0));
+    const inside = drawn.seconds.filter((second) => second >= (part?.fromSeconds ?? 0) && second <= (part?.toSeconds ?? 0));
     expect(inside).toEqual(expect.arrayContaining([middle]));
     expect(drawn.values[0]?.at(-1)).toBe(COUNT - 1);
   });

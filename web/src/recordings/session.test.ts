@@ -167,7 +167,7 @@ describe.each(["mcap", "rosbag1"] as const)("a session with %s", (format) => {
     expect(span?.fromNs).toBe(START);
     const { seconds, values } = await session.curves(request(), quiet);
     expect(seconds.length).toBeGreaterThan(COUNT * 0.6);
-    expect(values[0]).toEqual(seconds.map((each) => wave(Math.round(each * RATE_HZ))));
+    expect(values[0]).toEqual(seconds.map((item) => wave(Math.round(item * RATE_HZ))));
     const found = await session.picture({ topic: "/camera", atNs: START, step: "here" });
     expect(shade(found)).toBe(300 % 256);
     const little = storeOf(cut).ranges;

@@ -57,7 +57,7 @@ export function useQueryList(name: string, way: Way = "replace"): WritableComput
   return computed({
     get: () => {
       const value = route.query[name];
-      return (Array.isArray(value) ? value : [value]).filter((each): each is string => typeof each === "string");
+      return (Array.isArray(value) ? value : [value]).filter((item): item is string => typeof item === "string");
     },
     set: (value) => change(router, name, value.length === 0 ? undefined : value, way),
   });

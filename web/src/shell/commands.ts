@@ -74,7 +74,7 @@ export function commandsFor(typed: string, viewer: Viewer): readonly Command[] {
   const places = placesFor(viewer.isSignedIn, viewer.isAdmin).map(going);
   const further = viewer.isSignedIn ? [...furtherPlaces.map(going), ...acts()] : [];
   if (typed === "") return [...places, ...further.slice(0, furtherPlaces.length)];
-  return [...places, ...further].filter((each) => matches(each.label, typed));
+  return [...places, ...further].filter((item) => matches(item.label, typed));
 }
 
 /** Returns projects and missions as places to go to. */
@@ -152,7 +152,7 @@ export const publicPlaces: readonly Place[] = [place("public", iconPublic, "b"),
 
 /** Returns the places of somebody. */
 export function placesFor(isSignedIn: boolean, isAdmin: boolean): readonly Place[] {
-  return isSignedIn ? places.filter((each) => isAdmin || each.forAdmins !== true) : publicPlaces;
+  return isSignedIn ? places.filter((item) => isAdmin || item.forAdmins !== true) : publicPlaces;
 }
 
 /** Says whether the page of that name belongs to a place. */

@@ -12,7 +12,7 @@ export function inputsOf({ inputs }: Definition): string {
     inputs.paths.length > 0 ? texts.paths(inputs.paths.join(", ")) : "",
     inputs.topics.length > 0 ? texts.topics(inputs.topics.join(", ")) : "",
     inputs.message_types.length > 0 ? texts.types(inputs.message_types.join(", ")) : "",
-  ].filter((each) => each !== "");
+  ].filter((item) => item !== "");
   return said.length === 0 ? texts.all : said.join(", ");
 }
 

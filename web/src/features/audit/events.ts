@@ -25,7 +25,7 @@ function flattened(values: Values, path = ""): Map<string, string> {
 
 function said(value: Json): string {
   if (typeof value === "string") return value;
-  if (Array.isArray(value) && value.every((each) => typeof each === "string")) return value.join(", ");
+  if (Array.isArray(value) && value.every((item) => typeof item === "string")) return value.join(", ");
   return JSON.stringify(value);
 }
 
@@ -36,7 +36,7 @@ export function differences(before: Values, after: Values): readonly Difference[
   const fields = [...new Set([...was.keys(), ...is.keys()])].sort();
   return fields
     .map((field) => ({ field, before: was.get(field) ?? null, after: is.get(field) ?? null }))
-    .filter((each) => each.before !== each.after);
+    .filter((item) => item.before !== item.after);
 }
 
 /** Returns who did it. */

@@ -72,7 +72,7 @@ describe("a download into a folder", () => {
     expect(await saveToFolder(folder.handle, targets, source, progress)).toEqual({ written: 3, skipped: 0, failures: [] });
     const written = await folder.folders.get("a")?.files.get("b.bag")?.arrayBuffer();
     expect(Buffer.from(written ?? new ArrayBuffer()).equals(LARGE)).toBe(true);
-    expect(asked.filter((each) => each.startsWith("a/b.bag"))).toEqual(["a/b.bag bytes=0-8388607", "a/b.bag bytes=8388608-9437183"]);
+    expect(asked.filter((item) => item.startsWith("a/b.bag"))).toEqual(["a/b.bag bytes=0-8388607", "a/b.bag bytes=8388608-9437183"]);
     asked.length = 0;
     expect(await saveToFolder(folder.handle, targets, source, progress)).toMatchObject({ written: 0, skipped: 3 });
     expect(asked).toEqual([]);

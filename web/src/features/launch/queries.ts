@@ -28,7 +28,7 @@ export function useMissionsNamed(ids: () => readonly string[]) {
     queryKey: ["missions", "named", ids],
     queryFn: async ({ signal }): Promise<readonly Mission[]> => {
       const asked = ids().map((id) => call(api.GET("/api/v1/missions/{mission_id}", { params: { path: { mission_id: id } }, signal })));
-      return (await Promise.allSettled(asked)).flatMap((each) => (each.status === "fulfilled" ? [each.value] : []));
+      return (await Promise.allSettled(asked)).flatMap((item) => (item.status === "fulfilled" ? [item.value] : []));
     },
     placeholderData: keepPreviousData,
   });
@@ -68,9 +68,9 @@ export function judgeParameter(parameter: Parameter, value: Value | null | undef
 
 /** Returns what is wrong with each parameter. */
 export function judgeAll(parameters: readonly Parameter[], given: Given): ReadonlyMap<string, string> {
-  return new Map(parameters.flatMap((each) => {
-    const wrong = judgeParameter(each, given[each.name]);
-    return wrong === null ? [] : [[each.name, wrong] as const];
+  return new Map(parameters.flatMap((item) => {
+    const wrong = judgeParameter(item, given[item.name]);
+    return wrong === null ? [] : [[item.name, wrong] as const];
   }));
 }
 

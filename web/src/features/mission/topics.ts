@@ -4,8 +4,8 @@ import type { RouteLocationRaw } from "vue-router";
 
 /** Returns how many stretches without messages lie between a topic's first and last, and their share of all of it. */
 export function silences(counts: readonly number[]): { readonly count: number; readonly share: number } {
-  const first = counts.findIndex((each) => each > 0);
-  const last = counts.findLastIndex((each) => each > 0);
+  const first = counts.findIndex((item) => item > 0);
+  const last = counts.findLastIndex((item) => item > 0);
   let [count, empty] = [0, 0];
   for (let at = first; at >= 0 && at <= last; at += 1) {
     if (counts[at] !== 0) continue;

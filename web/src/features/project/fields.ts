@@ -53,7 +53,7 @@ export function emptyDraft(): Draft {
 }
 
 function choicesOf(draft: Draft): string[] {
-  return [...new Set(draft.choices.split("\n").map((each) => each.trim()).filter((each) => each !== ""))];
+  return [...new Set(draft.choices.split("\n").map((item) => item.trim()).filter((item) => item !== ""))];
 }
 
 /** Returns what is wrong, by the key of the field and the name of what is typed. */
@@ -158,7 +158,7 @@ export function sortOf(text: string): string {
 export function valueText(value: unknown, unit = ""): string {
   if (value === undefined || value === null) return "";
   if (typeof value === "boolean") return value ? projectTexts.missions.yes : projectTexts.missions.no;
-  if (Array.isArray(value)) return value.map((each) => valueText(each)).join(", ");
+  if (Array.isArray(value)) return value.map((item) => valueText(item)).join(", ");
   if (typeof value === "object") {
     const { name, latitude, longitude } = value as Record<string, unknown>;
     if (typeof name === "string" && name !== "") return name;

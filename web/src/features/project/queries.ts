@@ -142,9 +142,9 @@ export function barsOf(overview: Overview, measure: Measure): readonly Bar[] {
     return { label, row: stats, isNothing: !isRange && value === null };
   });
   const rows = [
-    ...named.filter((each) => !each.isNothing),
+    ...named.filter((item) => !item.isNothing),
     ...(overview.other === null ? [] : [{ label: texts.other, row: overview.other }]),
-    ...named.filter((each) => each.isNothing),
+    ...named.filter((item) => item.isNothing),
   ];
   const most = rows.reduce((high, { row }) => Math.max(high, row[measure]), 0);
   return rows.map(({ label, row }, at) => ({ key: `${at} ${label}`, label, row, share: most === 0 ? 0 : row[measure] / most }));

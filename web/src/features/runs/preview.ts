@@ -110,12 +110,12 @@ function collect(value: unknown, lines: Position[][], lone: Position[], depth: n
   if (Array.isArray(value)) {
     const positions = value.filter(isPosition);
     if (positions.length > 0) lines.push(positions);
-    else for (const each of value) collect(each, lines, lone, depth + 1);
+    else for (const item of value) collect(item, lines, lone, depth + 1);
     return;
   }
   const { type, geometry, geometries, features, coordinates } = value as Record<string, unknown>;
   if (type === "Point" && isPosition(coordinates)) lone.push(coordinates);
-  else for (const each of [features, geometries, geometry, coordinates]) collect(each, lines, lone, depth + 1);
+  else for (const item of [features, geometries, geometry, coordinates]) collect(item, lines, lone, depth + 1);
 }
 
 /** Returns what can be drawn of a document; null where there is nothing. */
@@ -163,7 +163,7 @@ type Key = "cpu_s" | "memory_bytes" | "read_bytes" | "written_bytes";
 
 /** Returns what was used at each moment. */
 export function levels(samples: readonly Sample[], key: Key): Curve {
-  return { at: samples.map((each) => each.at_s), values: samples.map((each) => each.usage[key]) };
+  return { at: samples.map((item) => item.at_s), values: samples.map((item) => item.usage[key]) };
 }
 
 /** Returns how fast a sum grew from moment to moment. */

@@ -76,5 +76,5 @@ export function metricText(run: Run, name: string): string {
   const metric = metrics.find(({ file }) => file === null || file === undefined) ?? (metrics.length === 1 ? metrics[0] : undefined);
   if (metric === undefined) return metrics.length === 0 ? "" : texts.ofFiles(metrics.length);
   const format = Math.abs(metric.value) < LARGE ? small : large;
-  return [format.format(metric.value), metric.unit ?? ""].filter((each) => each !== "").join(" ");
+  return [format.format(metric.value), metric.unit ?? ""].filter((item) => item !== "").join(" ");
 }

@@ -37,7 +37,7 @@ async function page() {
   });
   await settled();
   const results = () => wrapper.find("[data-found]");
-  const counts = () => wrapper.findAll("[data-found] nav .count").map((each) => each.text());
+  const counts = () => wrapper.findAll("[data-found] nav .count").map((item) => item.text());
   const type = async (text: string) => wrapper.get("input").setValue(text);
   return { wrapper, results, counts, type };
 }

@@ -99,7 +99,7 @@ export function scopesOf(kind: TokenKind): { readonly offered: readonly Scope[];
 
 /** Says whether a scope is had anyway by another one that was chosen. */
 export function isContained(scope: Scope, chosen: readonly Scope[]): boolean {
-  return chosen.some((each) => CONTAINED[each]?.includes(scope) === true);
+  return chosen.some((item) => CONTAINED[item]?.includes(scope) === true);
 }
 
 /** Says whether a draft has all that the server will ask for. */

@@ -88,7 +88,7 @@ export function usePlace(): PlaceChoice {
   const isShown = ref(false);
   const problem = ref<Problem | null>(null);
   const asked = useRoute().query;
-  const [mission, project] = [asked.mission, asked.project].map((each) => (typeof each === "string" ? each : ""));
+  const [mission, project] = [asked.mission, asked.project].map((item) => (typeof item === "string" ? item : ""));
   const left = new AbortController();
   onScopeDispose(() => left.abort());
   const isPreselected = preselect(mission ?? "", project ?? "", left.signal).catch((thrown: unknown) => {

@@ -96,7 +96,7 @@ export function useUnfinished(): UnfinishedUploads {
   async function forget({ head, left }: Unfinished): Promise<void> {
     const kept = await journal();
     await kept?.drop(head.id);
-    all.value = all.value.filter((each) => each.head.id !== head.id);
+    all.value = all.value.filter((item) => item.head.id !== head.id);
     const { httpApi } = await import("./engine/api");
     const api = httpApi(globalThis.location.origin);
     // Names are free at once; what this cannot say runs out by itself.

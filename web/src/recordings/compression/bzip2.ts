@@ -110,7 +110,7 @@ class Codes {
     }
     for (let bitLength = 1; bitLength <= MOST_BITS; bitLength++) {
       for (let symbol = 0; symbol < size; symbol++) if (lengths[symbol] === bitLength) this.symbols.push(symbol);
-      this.counts[bitLength] = lengths.filter((each) => each === bitLength).length;
+      this.counts[bitLength] = lengths.filter((item) => item === bitLength).length;
     }
   }
 

@@ -106,7 +106,7 @@ function decode(data: Uint8Array, fields: Fields, types: Map<string, Fields>, bu
     const found = one(field, record, types, budget);
     const before = value[field.name];
     if (!field.isRepeated) value[field.name] = found[0] ?? null;
-    else if (Array.isArray(before)) for (const each of found) before.push(each);
+    else if (Array.isArray(before)) for (const item of found) before.push(item);
     budget.values -= found.length;
     if (budget.values < 0) throw new ReadFailure("message_damaged", "it holds too many values");
   }

@@ -121,7 +121,7 @@ export async function* inOrder<Chunk extends Placed>(
     const within = messages.filter(({ logTimeNs }) => logTimeNs >= span.fromNs && logTimeNs <= span.toNs);
     if (!isForward) within.reverse();
     waiting = waiting.concat(within.map((message, place) => ({ message, heldBytes: place === 0 ? heldBytes : 0 })));
-    if (waiting.reduce((sum, each) => sum + each.heldBytes, 0) > MOST_HELD) throw new ReadFailure("too_large");
+    if (waiting.reduce((sum, item) => sum + item.heldBytes, 0) > MOST_HELD) throw new ReadFailure("too_large");
     waiting.sort(({ message: a }, { message: b }) => byTime(a, b, isForward));
     const next = sorted[number + 1];
     // Messages that none of the next chunk can come before are ready.

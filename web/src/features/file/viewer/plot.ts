@@ -9,7 +9,7 @@ export interface Row {
 
 /** Returns the points of a plot as rows; what only breaks a curve is none. */
 export function rowsOf(seconds: readonly number[], values: readonly (readonly (number | null | undefined)[])[]): Row[] {
-  const rows = seconds.map((each, row) => ({ seconds: each, values: values.map((curve) => curve[row]) }));
+  const rows = seconds.map((second, row) => ({ seconds: second, values: values.map((curve) => curve[row]) }));
   return rows.filter((row) => row.values.some((value) => value !== null && value !== undefined));
 }
 

@@ -138,7 +138,7 @@ export class Pipeline {
   private async signApart(parts: readonly Part[], error: ApiProblem): Promise<void> {
     const sendings = new Set(parts.map((part) => part.sending));
     if (sendings.size > 1) {
-      for (const each of sendings) await this.sign(parts.filter((part) => part.sending === each));
+      for (const item of sendings) await this.sign(parts.filter((part) => part.sending === item));
       return;
     }
     for (const part of parts) {

@@ -38,17 +38,17 @@ export async function planUpload(found: readonly Found[], { layout, watch }: Pla
   const leftOut: LeftOut[] = [];
   const byKey = new Map<string, { found: Found; planned: PlannedFile }>();
   let breathedMs = watch.now();
-  for (const each of found) {
+  for (const item of found) {
     if (watch.now() - breathedMs > BREATH_MS) {
       await watch.wait(0);
       breathedMs = watch.now();
     }
-    const planned = judged(each, layout === "tree" ? each.path : withoutRoot(each.path), leftOut);
+    const planned = judged(item, layout === "tree" ? item.path : withoutRoot(item.path), leftOut);
     if (planned === null) continue;
     const key = nameKey(planned.path);
     const other = byKey.get(key);
-    if (other === undefined) byKey.set(key, { found: each, planned });
-    else leftOut.push({ path: each.path, reason: "collides", detail: other.found.path });
+    if (other === undefined) byKey.set(key, { found: item, planned });
+    else leftOut.push({ path: item.path, reason: "collides", detail: other.found.path });
   }
   const growing = await growingPaths([...byKey.values()], watch);
   const files: PlannedFile[] = [];

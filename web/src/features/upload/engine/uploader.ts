@@ -261,9 +261,9 @@ export class NameConflicts {
       const then = this.waiting.splice(0);
       await announce(then.map(({ file }) => file));
       const ends = new Map(then.map(({ file, problem }) => [file.path, problem["lease_ends_at"]]));
-      for (const each of this.waiting.splice(0)) {
-        if (ends.get(each.file.path) === each.problem["lease_ends_at"]) this.waiting.push(each);
-        else refuse(each.file, each.problem);
+      for (const item of this.waiting.splice(0)) {
+        if (ends.get(item.file.path) === item.problem["lease_ends_at"]) this.waiting.push(item);
+        else refuse(item.file, item.problem);
       }
     }
     for (const { file, problem } of this.waiting.splice(0)) refuse(file, problem);

@@ -1,9 +1,9 @@
 import { expect, it } from "vitest";
-import { useEach } from "./each";
+import { useBulkChange } from "./bulk";
 import { Problem } from "@/api/problem";
 
 it("does what it can, and names each item that failed with the server's reason", async () => {
-  const { run, failures, finished, isRunning } = useEach();
+  const { run, failures, finished, isRunning } = useBulkChange();
   const items = Array.from({ length: 9 }, (_, at) => ({ id: String(at), name: `mission ${at}` }));
   const did: string[] = [];
   const succeeded = await run(items, async (id) => {

@@ -11,7 +11,7 @@ export interface Failure extends Item {
   readonly detail: string;
 }
 
-export interface Each {
+export interface BulkChange {
   readonly isRunning: Ref<boolean>;
   readonly finished: Ref<number>;
   readonly total: Ref<number>;
@@ -22,7 +22,7 @@ export interface Each {
 
 const AT_ONCE = 4;
 
-export function useEach(): Each {
+export function useBulkChange(): BulkChange {
   const isRunning = ref(false);
   const finished = ref(0);
   const total = ref(0);
