@@ -20,8 +20,8 @@ async function send(request: Request): Promise<Response> {
 /** Says whether the session has ended (a wrong password or code is refused with 401 as well), or began too long ago. */
 async function whySignInAgain(answer: Response): Promise<"ended" | "too old" | null> {
   if (answer.status !== NOT_AUTHENTICATED && answer.status !== FORBIDDEN) return null;
-  const told: unknown = await answer.clone().json().catch(() => null);
-  const code = typeof told === "object" && told !== null && "code" in told ? told.code : "";
+  const body: unknown = await answer.clone().json().catch(() => null);
+  const code = typeof body === "object" && body !== null && "code" in body ? body.code : "";
   if (code === "sign_in_too_old") return "too old";
   const isWrong = code === "sign_in_failed" || code === "second_factor_needed" || code === "second_factor_wrong";
   return answer.status === NOT_AUTHENTICATED && !isWrong ? "ended" : null;
@@ -30,7 +30,7 @@ async function whySignInAgain(answer: Response): Promise<"ended" | "too old" | n
 /** The API, one method a verb: `call(api.GET("/api/v1/projects", { params }))`. */
 export const api = createClient<paths>({ baseUrl: globalThis.location.origin, fetch: send });
 
-interface Told<Data> {
+interface ApiResponse<Data> {
   readonly data?: Data;
   readonly error?: unknown;
   readonly response: Response;
@@ -41,16 +41,16 @@ interface Told<Data> {
  *
  * @throws {Problem} it failed, or nothing answered.
  */
-export async function call<Data>(asked: Promise<Told<Data>>): Promise<Data> {
-  let told: Told<Data>;
+export async function call<Data>(pending: Promise<ApiResponse<Data>>): Promise<Data> {
+  let body: ApiResponse<Data>;
   try {
-    told = await asked;
+    body = await pending;
   } catch (thrown) {
     if (thrown instanceof DOMException && thrown.name === "AbortError") throw thrown;
     throw toProblem(thrown);
   }
-  if (!told.response.ok) throw problemOf(told.error, told.response);
-  return told.data as Data;
+  if (!body.response.ok) throw problemOf(body.error, body.response);
+  return body.data as Data;
 }
 
 const CHANNEL = "kleinkram.session";
@@ -59,11 +59,11 @@ type Outcome = (isSignedIn: boolean) => void;
 
 let wasSignedIn = false;
 let waiting: Outcome[] = [];
-const asking = ref(false);
+const signInRequired = ref(false);
 const tooOld = ref(false);
 
 /** Whether requests wait for somebody to sign in again. */
-export const isAskingToSignIn = readonly(asking);
+export const isSignInRequired = readonly(signInRequired);
 
 /** Whether they are signed in still, and only too long ago for what they want to do. */
 export const isSignInTooOld = readonly(tooOld);
@@ -76,8 +76,8 @@ export function noteSignedIn(isSignedIn: boolean): void {
 /** Waits until somebody has signed in again. Says no at once where nobody had been, and when they decline. */
 export function signInAgain(why: "ended" | "too old" = "ended"): Promise<boolean> {
   if (!wasSignedIn) return Promise.resolve(false);
-  if (!asking.value) tooOld.value = why === "too old";
-  asking.value = true;
+  if (!signInRequired.value) tooOld.value = why === "too old";
+  signInRequired.value = true;
   return new Promise((resolve) => waiting.push(resolve));
 }
 
@@ -85,14 +85,14 @@ export function signInAgain(why: "ended" | "too old" = "ended"): Promise<boolean
 export function settle(isSignedIn: boolean): void {
   const waited = waiting;
   waiting = [];
-  asking.value = false;
+  signInRequired.value = false;
   if (!isSignedIn && !tooOld.value) wasSignedIn = false;
   tooOld.value = false;
   for (const outcome of waited) outcome(isSignedIn);
 }
 
 /** Tells the other windows of this browser that somebody has signed in. */
-export function tellSignedIn(): void {
+export function announceSignedIn(): void {
   const channel = new BroadcastChannel(CHANNEL);
   channel.postMessage("signed-in");
   channel.close();
@@ -111,7 +111,7 @@ export function signInAddress(returnTo: string, again = false): string {
 }
 
 /** What goes with a change that was made by looking at something. */
-export interface Looked {
+export interface EtagCarrier {
   readonly etag?: string | undefined;
 }
 
@@ -119,14 +119,14 @@ export interface Looked {
 const own = new Map<string, string>();
 
 /** Notes that a change of one's own led from one etag to another. */
-export function ledTo(from: string | undefined, to: string | undefined): void {
+export function noteNewEtag(from: string | undefined, to: string | undefined): void {
   if (from === undefined || to === undefined || from === to) return;
   own.delete(to); // it is the newest now, also where it was there before
   own.set(latest(from), to);
 }
 
 /** Returns the header by which the server refuses a change to anything but that etag, or what we made of it. */
-export function ifStill(etag: string | undefined): { readonly "If-Match"?: string } {
+export function ifMatch(etag: string | undefined): { readonly "If-Match"?: string } {
   return etag === undefined ? {} : { "If-Match": `"${latest(etag)}"` };
 }
 

@@ -4,9 +4,9 @@ import { keysOf } from "./live";
 const change = { noun: "file", change: "changed", id: "f", mission_id: "m", project_id: "p" };
 
 it("makes old what a change of a file shows in", () => {
-  const found = keysOf("change", change);
-  expect(found).toContainEqual(["missions", "one", "m"]);
-  expect(found).toContainEqual(["files", "one", "f"]);
+  const keys = keysOf("change", change);
+  expect(keys).toContainEqual(["missions", "one", "m"]);
+  expect(keys).toContainEqual(["files", "one", "f"]);
   expect(keysOf("change", { ...change, id: null })).toContainEqual(["files", "one"]);
 });
 

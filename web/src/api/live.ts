@@ -1,7 +1,7 @@
 // What changes on the server shows here by itself: events say which noun changed, and its answers are asked for anew.
 import { useQueryClient } from "@tanstack/vue-query";
 import { onScopeDispose, ref, watch, type Ref, type WatchSource } from "vue";
-import { isAskingToSignIn } from "./client";
+import { isSignInRequired } from "./client";
 import { keys } from "./queries";
 import { useMe } from "./session";
 
@@ -65,7 +65,7 @@ export function useLive(path: WatchSource<string | null>, options: LiveOptions):
     breaks.value += 1;
     isBroken = true;
     clearTimeout(again);
-    if (source?.readyState === EventSource.CLOSED) again = setTimeout(() => isAskingToSignIn.value || open(at), AGAIN_MS);
+    if (source?.readyState === EventSource.CLOSED) again = setTimeout(() => isSignInRequired.value || open(at), AGAIN_MS);
   }
 
   function close(): void {
@@ -85,8 +85,8 @@ export function useLive(path: WatchSource<string | null>, options: LiveOptions):
 
   watch(path, open, { immediate: true });
   // What is told is told to a session: to the one that just began, anew.
-  watch(isAskingToSignIn, (isAsking) => {
-    if (!isAsking && source !== null) {
+  watch(isSignInRequired, (isRequired) => {
+    if (!isRequired && source !== null) {
       isBroken = true;
       open(source.url);
     }

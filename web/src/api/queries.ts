@@ -1,7 +1,7 @@
 // How answers are kept and asked for anew, for the whole app.
 import { keepPreviousData, MutationCache, QueryClient, useInfiniteQuery } from "@tanstack/vue-query";
 import { Problem, toProblem } from "./problem";
-import { tell } from "@/components/toasts";
+import { showToast } from "@/components/toasts";
 import { computed, toValue, type ComputedRef, type MaybeRefOrGetter } from "vue";
 import type { Page } from "./types";
 
@@ -35,7 +35,7 @@ export function openQueries(): QueryClient {
     },
     mutationCache: new MutationCache({
       onError: (error, _variables, _context, mutation) => {
-        if (mutation.options.meta?.showsItself !== true) tell({ tone: "bad", text: toProblem(error).message });
+        if (mutation.options.meta?.showsItself !== true) showToast({ tone: "bad", text: toProblem(error).message });
       },
     }),
   });

@@ -41,7 +41,7 @@ describe("orders", () => {
 describe("going from row to row", () => {
   it.each([
     ["ArrowDown", 0, 1], ["ArrowUp", 0, 0], ["End", 3, 99], ["Home", 50, 0], ["PageDown", 95, 99], ["a", 3, null],
-  ] as const)("%s from %d", (key, active, wanted) => expect(rowAfter(key, active, 100, 10)).toBe(wanted));
+  ] as const)("%s from %d", (key, active, expected) => expect(rowAfter(key, active, 100, 10)).toBe(expected));
   it("leads nowhere without rows", () => expect(rowAfter("End", 0, 0, 10)).toBeNull());
 });
 

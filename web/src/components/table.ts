@@ -31,11 +31,11 @@ function leastWidth({ width }: Pick<Column<unknown>, "width">): number {
 /** Returns the columns that a table of some width shows. Columns with `from` go, the last ones first, where all do not fit. */
 export function columnsFor<Row>(columns: readonly Column<Row>[], width: number): readonly Column<Row>[] {
   const fitting = columns.filter((column) => column.from === undefined || width >= WIDTHS[column.from]);
-  let wanted = fitting.reduce((sum, column) => sum + leastWidth(column), 0);
-  for (let at = fitting.length - 1; at > 0 && wanted > width - BESIDE; at -= 1) {
+  let target = fitting.reduce((sum, column) => sum + leastWidth(column), 0);
+  for (let at = fitting.length - 1; at > 0 && target > width - BESIDE; at -= 1) {
     const column = fitting[at];
     if (column?.from === undefined) continue;
-    wanted -= leastWidth(column);
+    target -= leastWidth(column);
     fitting.splice(at, 1);
   }
   return fitting;
@@ -77,8 +77,8 @@ export function rowAfter(key: string, active: number, count: number, page: numbe
     Home: 0,
     End: count - 1,
   };
-  const wanted = steps[key];
-  return wanted === undefined || count === 0 ? null : Math.max(0, Math.min(count - 1, wanted));
+  const target = steps[key];
+  return target === undefined || count === 0 ? null : Math.max(0, Math.min(count - 1, target));
 }
 
 /** Returns a selection after a click on a row; with shift, of all rows between this and the last one clicked. */
@@ -101,13 +101,13 @@ export function afterClick(
 }
 
 /** Returns the rows of which something is to be seen from `top` on, some on both sides of these, and the one that is kept. */
-export function inSight(top: number, height: number, rowHeight: number, count: number, kept: number): readonly number[] {
+export function inSight(top: number, height: number, rowHeight: number, count: number, pinned: number): readonly number[] {
   const last = Math.min(count - 1, Math.ceil((top + height) / rowHeight) - 1 + OVERSCAN);
   const first = Math.max(0, Math.min(last, Math.floor(top / rowHeight) - OVERSCAN));
   const rows: number[] = [];
-  if (kept < first && kept < count) rows.push(kept);
+  if (pinned < first && pinned < count) rows.push(pinned);
   for (let index = first; index <= last; index += 1) rows.push(index);
-  if (kept > last && kept < count) rows.push(kept);
+  if (pinned > last && pinned < count) rows.push(pinned);
   return rows;
 }
 
@@ -115,13 +115,13 @@ export function inSight(top: number, height: number, rowHeight: number, count: n
  * Returns the rows that a frame draws: of those wanted, the ones that are drawn already and at most `most` that come,
  * `first` and then the middle before the edges. A row that went stays until one comes in its place. The first time, all come.
  */
-export function drawnAfter(before: readonly number[], wanted: readonly number[], first: number, most: number): readonly number[] {
-  const middle = wanted[wanted.length >> 1] ?? 0;
+export function drawnAfter(before: readonly number[], target: readonly number[], first: number, most: number): readonly number[] {
+  const middle = target[target.length >> 1] ?? 0;
   const urgency = (index: number) => (index === first ? -1 : Math.abs(index - middle));
-  const coming = wanted.filter((index) => !before.includes(index)).sort((one, other) => urgency(one) - urgency(other));
+  const coming = target.filter((index) => !before.includes(index)).sort((one, other) => urgency(one) - urgency(other));
   const drawn = coming.slice(0, before.length === 0 ? coming.length : most);
-  const gone = before.filter((index) => !wanted.includes(index)).slice(0, coming.length - drawn.length);
-  const staying = wanted.filter((index) => before.includes(index));
+  const gone = before.filter((index) => !target.includes(index)).slice(0, coming.length - drawn.length);
+  const staying = target.filter((index) => before.includes(index));
   return [...staying, ...drawn, ...gone].sort((one, other) => one - other);
 }
 
@@ -178,8 +178,8 @@ export function useColumns<Row>(name: () => string, all: () => readonly Column<R
   });
   const offered = computed(() => all().slice(1));
   const shown = computed(() => {
-    const wanted = new Set(chosen.value);
-    return all().filter((column, at) => at === 0 || wanted.has(column.key));
+    const target = new Set(chosen.value);
+    return all().filter((column, at) => at === 0 || target.has(column.key));
   });
   return { shown, chosen, offered };
 }

@@ -7,18 +7,18 @@ describe("round times", () => {
   it.each([
     [30, 6], [600, 5], [3600, 8], [86_400 * 3, 4], [86_400 * 900, 10], [0.02, 5],
   ])("%d s with room for %d", (seconds, most) => {
-    const found = ticks(NOON, NOON + seconds * 1000, most);
-    expect(found.length).toBeGreaterThan(0);
-    expect(found.length).toBeLessThanOrEqual(most + 1);
-    for (const tick of found) {
+    const marks = ticks(NOON, NOON + seconds * 1000, most);
+    expect(marks.length).toBeGreaterThan(0);
+    expect(marks.length).toBeLessThanOrEqual(most + 1);
+    for (const tick of marks) {
       expect(tick.share).toBeGreaterThanOrEqual(0);
       expect(tick.share).toBeLessThanOrEqual(1);
       expect(tick.label).not.toBe("");
     }
   });
   it("stand at whole minutes", () => {
-    const found = ticks(NOON + 1, NOON + 300_000, 5);
-    expect(found.map((tick) => tick.at % 60_000)).toEqual(found.map(() => 0));
+    const marks = ticks(NOON + 1, NOON + 300_000, 5);
+    expect(marks.map((tick) => tick.at % 60_000)).toEqual(marks.map(() => 0));
   });
   it("has none on a span of nothing", () => expect(ticks(NOON, NOON, 5)).toEqual([]));
 });

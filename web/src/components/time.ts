@@ -63,9 +63,9 @@ export function ticks(start: number, end: number, most: number): Tick[] {
   const step = STEPS.find((item) => span / item <= most) ?? span;
   const zone = new Date(start).getTimezoneOffset() * MIN; // so that days begin at the viewer's midnight
   const first = Math.ceil((start - zone) / step) * step + zone;
-  const found: Tick[] = [];
-  for (let at = first; at <= end; at += step) found.push({ at, share: (at - start) / span, label: labelOf(at, step) });
-  return found;
+  const marks: Tick[] = [];
+  for (let at = first; at <= end; at += step) marks.push({ at, share: (at - start) / span, label: labelOf(at, step) });
+  return marks;
 }
 
 const TICK_MS = 20_000;

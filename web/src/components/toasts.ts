@@ -26,7 +26,7 @@ export function dismiss(id: number): void {
 }
 
 /** Shows a message for some seconds; a bad one stays until it is dismissed. */
-export function tell(toast: Toast): void {
+export function showToast(toast: Toast): void {
   last += 1;
   const id = last;
   toasts.push({ ...toast, id });

@@ -84,9 +84,9 @@ describe("a recording with a damaged chunk", () => {
   it("is a bag as well", async () => {
     const bytes = bag();
     const name = new TextEncoder().encode("compression=none");
-    const found = [...bytes.keys()].filter((at) => name.every((byte, place) => bytes[at + place] === byte));
-    bytes.set(new TextEncoder().encode("size"), (found[2] ?? 0) - 4); // the chunk's header is no header now
-    bytes.fill(255, (found[2] ?? 0) - 4, (found[2] ?? 0) + 16);
+    const places = [...bytes.keys()].filter((at) => name.every((byte, place) => bytes[at + place] === byte));
+    bytes.set(new TextEncoder().encode("size"), (places[2] ?? 0) - 4); // the chunk's header is no header now
+    bytes.fill(255, (places[2] ?? 0) - 4, (places[2] ?? 0) + 16);
     const drawn = await (await session("rosbag1", bytes)).curves(ALL, quiet);
     expect([drawn.messages, drawn.damaged.length]).toEqual([COUNT - 50, 1]);
   });
@@ -110,7 +110,7 @@ describe("a file that is compressed as a whole", () => {
     const packed = zstd(joined([await mcap(), new Uint8Array(200_000)])).slice(0, 100_020);
     const opened = (await session("mcap", packed)).opened();
     expect(opened.topics.map(({ name }) => name)).toEqual(["/wave"]);
-    expect(opened.mendedUntil).not.toBeNull();
+    expect(opened.indexedUntil).not.toBeNull();
   });
 
   it("says what to do instead where it is too large to hold", async () => {

@@ -35,7 +35,7 @@ export interface Opened {
   /** Null where the recording holds no message. */
   span: { fromNs: bigint; toNs: bigint } | null;
   /** Null for a recording with an index; else how many bytes from its beginning were read to make one. */
-  mendedUntil: number | null;
+  indexedUntil: number | null;
   topics: { name: string; messageType: string }[];
 }
 

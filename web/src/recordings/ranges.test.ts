@@ -7,11 +7,11 @@ const BYTES = Uint8Array.from({ length: 5 * BLOCK + 17 }, (_, at) => (at * 7 + (
 describe("Ranges", () => {
   it("gives the bytes asked for, across blocks and at the end", async () => {
     const { ranges } = storeOf(BYTES);
-    const wanted: [number, number][] = [[0, 10], [BLOCK - 3, 6], [2 * BLOCK, BLOCK], [BYTES.length - 20, 20], [0, BYTES.length]];
-    for (const [offset, length] of wanted) {
-      const found = await ranges.read(offset, length);
-      expect(found).toHaveLength(length);
-      expect(found.every((byte, at) => byte === BYTES[offset + at])).toBe(true);
+    const requests: [number, number][] = [[0, 10], [BLOCK - 3, 6], [2 * BLOCK, BLOCK], [BYTES.length - 20, 20], [0, BYTES.length]];
+    for (const [offset, length] of requests) {
+      const read = await ranges.read(offset, length);
+      expect(read).toHaveLength(length);
+      expect(read.every((byte, at) => byte === BYTES[offset + at])).toBe(true);
     }
     expect(ranges.bytesRead).toBe(BYTES.length);
   });

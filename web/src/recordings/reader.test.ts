@@ -26,7 +26,7 @@ class ScriptedWorker implements WorkerLike {
   }
 }
 
-const OPENED = { span: null, mendedUntil: null, topics: [] };
+const OPENED = { span: null, indexedUntil: null, topics: [] };
 
 function answering(worker: ScriptedWorker, message: ToWorker): void {
   if (message.type !== "request") return;
@@ -72,9 +72,9 @@ describe("RecordingReader", () => {
   it("ends a worker that owes an answer and says nothing", async () => {
     vi.useFakeTimers();
     const { made, workers } = reader([() => undefined], { patienceMs: 1000 });
-    const asked = expect(made.open()).rejects.toMatchObject({ code: "worker_silent" });
+    const expectation = expect(made.open()).rejects.toMatchObject({ code: "worker_silent" });
     await vi.advanceTimersByTimeAsync(1001);
-    await asked;
+    await expectation;
     expect(workers[0]?.isEnded).toBe(true);
     expect(await made.open()).toEqual(OPENED);
     vi.useRealTimers();

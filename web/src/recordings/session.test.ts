@@ -79,8 +79,8 @@ function request(more: Partial<CurvesRequest> = {}): CurvesRequest {
 
 const quiet = { signal: new AbortController().signal, onCurves: () => undefined };
 
-function shade(found: { picture: { kind: string; data: Uint8Array } }): number | undefined {
-  return found.picture.data[0];
+function shade(shown: { picture: { kind: string; data: Uint8Array } }): number | undefined {
+  return shown.picture.data[0];
 }
 
 describe.each(["mcap", "rosbag1"] as const)("a session with %s", (format) => {
@@ -133,8 +133,8 @@ describe.each(["mcap", "rosbag1"] as const)("a session with %s", (format) => {
     await expect(session.picture({ topic: "/wave", atNs: START, step: "here" })).rejects.toMatchObject({ code: "not_a_picture" });
     const ended = new AbortController();
     ended.abort();
-    const told: DrawnCurves[] = [];
-    await session.curves(request(), { signal: ended.signal, onCurves: (curves) => told.push(curves) }).catch((failure: unknown) => {
+    const drawn: DrawnCurves[] = [];
+    await session.curves(request(), { signal: ended.signal, onCurves: (curves) => drawn.push(curves) }).catch((failure: unknown) => {
       expect(failure).toMatchObject({ code: "cancelled" });
     });
   });
@@ -161,18 +161,18 @@ describe.each(["mcap", "rosbag1"] as const)("a session with %s", (format) => {
     const whole = await MADE[format];
     const cut = whole.slice(0, whole.length * 0.7);
     const session = new Session(await openRecording(format, storeOf(cut).ranges));
-    const { span, mendedUntil } = session.opened();
-    expect(mendedUntil).toBeGreaterThan(cut.length * 0.9);
-    expect(mendedUntil).toBeLessThanOrEqual(cut.length);
+    const { span, indexedUntil } = session.opened();
+    expect(indexedUntil).toBeGreaterThan(cut.length * 0.9);
+    expect(indexedUntil).toBeLessThanOrEqual(cut.length);
     expect(span?.fromNs).toBe(START);
     const { seconds, values } = await session.curves(request(), quiet);
     expect(seconds.length).toBeGreaterThan(COUNT * 0.6);
     expect(values[0]).toEqual(seconds.map((item) => wave(Math.round(item * RATE_HZ))));
-    const found = await session.picture({ topic: "/camera", atNs: START, step: "here" });
-    expect(shade(found)).toBe(300 % 256);
+    const shown = await session.picture({ topic: "/camera", atNs: START, step: "here" });
+    expect(shade(shown)).toBe(300 % 256);
     const little = storeOf(cut).ranges;
     const beginning = new Session(await openRecording(format, little, cut.length / 4));
-    expect(beginning.opened().mendedUntil).toBeLessThan(cut.length / 2);
+    expect(beginning.opened().indexedUntil).toBeLessThan(cut.length / 2);
   });
 
   it("says so where there is nothing to make an index of", async () => {
@@ -199,8 +199,8 @@ describe("a session", () => {
     const messages = Array.from({ length: 200 }, (_, number) => ({ topic: number === 120 ? "/camera" : "/bulk", logTimeNs: timeOf(number), data: number === 120 ? picture : bulk }));
     const { ranges } = storeOf(await madeMcap(topics, messages, { chunkSize: 500_000 }));
     const session = new Session(await openRecording("mcap", ranges));
-    const found = await session.picture({ topic: "/camera", atNs: START, step: "here" });
-    expect(found.logTimeNs).toBe(timeOf(120));
+    const shown = await session.picture({ topic: "/camera", atNs: START, step: "here" });
+    expect(shown.logTimeNs).toBe(timeOf(120));
     expect(ranges.bytesRead).toBeLessThan(ranges.sizeBytes / 10);
   });
 });

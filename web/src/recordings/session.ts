@@ -34,8 +34,8 @@ export class Session {
 
   opened(): Opened {
     const topics = this.recording.topics.map(({ name, schema }) => ({ name, messageType: schema.name }));
-    const { span, mendedUntil } = this.recording;
-    return { span, mendedUntil, topics };
+    const { span, indexedUntil } = this.recording;
+    return { span, indexedUntil, topics };
   }
 
   /** @throws ReadFailure topic_silent, not_a_picture, and whatever reading may. */
@@ -68,25 +68,25 @@ export class Session {
   /** Curves of fields against seconds since the start of the recording, as far as `mostBytes` reach. */
   async curves(request: CurvesRequest, { signal, onCurves }: Observer): Promise<DrawnCurves> {
     const start = this.span(request.topic).fromNs;
-    const asked = { fromNs: request.fromNs, toNs: request.toNs };
-    const pieces = this.recording.pieces(request.topic, asked);
-    const span = affordable(asked, pieces, request.mostBytes);
+    const requested = { fromNs: request.fromNs, toNs: request.toNs };
+    const pieces = this.recording.pieces(request.topic, requested);
+    const span = affordable(requested, pieces, request.mostBytes);
     const paths = request.fields.map((field) => stepsOf(field) ?? []);
     const seconds = (timeNs: bigint): number => Number(timeNs - start) / SECOND_NS;
     const collector = new CurveCollector(paths.length, seconds(span.fromNs), seconds(span.toNs));
     const noticed = new Damages(start, (part) => collector.breakAt((part.fromSeconds + part.toSeconds) / 2));
     const drawn = (): DrawnCurves => ({ ...collector.curves(), damaged: [...noticed.parts], wholeBytes: cost(pieces), untilNs: span.toNs });
     this.recording.source.ahead = this.isDense(pieces) ? READ_AHEAD : 0;
-    let told = Date.now();
+    let reportedAt = Date.now();
     try {
       for await (const message of this.recording.messages(request.topic, span, "forward", noticed.note)) {
         const value = this.decodeOrNote(message, noticed);
         collector.add(seconds(message.logTimeNs), paths.map((path) => (value === null ? null : numberAt(value, path))));
-        if (Date.now() - told < REPORT_EVERY_MS) continue;
+        if (Date.now() - reportedAt < REPORT_EVERY_MS) continue;
         onCurves(drawn());
         await breath(); // lets a cancellation in
         if (signal.aborted) throw new ReadFailure("cancelled");
-        told = Date.now();
+        reportedAt = Date.now();
       }
     } finally {
       this.recording.source.ahead = 0;

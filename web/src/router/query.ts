@@ -4,16 +4,16 @@ import { useRoute, useRouter, type LocationQueryRaw, type Router } from "vue-rou
 
 export type Way = "push" | "replace";
 
-let isLeaving = false;
+let isNavigating = false;
 let pending: { readonly query: LocationQueryRaw; readonly way: Way; readonly path: string } | null = null;
 
 /** Follows where a router goes, so that a late change of a view's address does not call one back who is leaving it. */
-export function followLeaving(router: Router): void {
+export function discardOnNavigation(router: Router): void {
   router.beforeEach((to, from) => {
-    isLeaving = to.path !== from.path;
+    isNavigating = to.path !== from.path;
   });
   router.afterEach(() => {
-    isLeaving = false;
+    isNavigating = false;
   });
 }
 
@@ -29,11 +29,11 @@ function change(router: Router, name: string, value: string | readonly string[] 
   };
   if (!isFirst) return;
   setTimeout(() => {
-    const wanted = pending;
+    const changes = pending;
     pending = null;
     const route = router.currentRoute.value;
-    if (wanted === null || isLeaving || wanted.path !== route.path) return;
-    void router[wanted.way]({ path: route.path, query: wanted.query, hash: route.hash });
+    if (changes === null || isNavigating || changes.path !== route.path) return;
+    void router[changes.way]({ path: route.path, query: changes.query, hash: route.hash });
   });
 }
 

@@ -27,7 +27,7 @@ import { texts } from "@/texts/shell";
 import { ref } from "vue";
 import { api, call } from "@/api/client";
 import { toProblem } from "@/api/problem";
-import { tell } from "@/components/toasts";
+import { showToast } from "@/components/toasts";
 
 interface Offer {
   readonly id: string;
@@ -78,7 +78,7 @@ export function commandsFor(typed: string, viewer: Viewer): readonly Command[] {
 }
 
 /** Returns projects and missions as places to go to. */
-export function found(projects: readonly Project[], missions: readonly Mission[]): readonly Command[] {
+export function foundCommands(projects: readonly Project[], missions: readonly Mission[]): readonly Command[] {
   return [
     ...projects.map((project) => ({
       id: project.id, label: project.name, hint: texts.kinds.project, icon: iconFolder,
@@ -105,7 +105,7 @@ export async function signOut(): Promise<void> {
     await call(api.POST("/api/v1/auth/sign-out"));
     globalThis.location.assign("/sign-in");
   } catch (thrown) {
-    tell({ tone: "bad", text: toProblem(thrown).message });
+    showToast({ tone: "bad", text: toProblem(thrown).message });
   }
 }
 

@@ -27,7 +27,7 @@ export const texts = {
   filters: "Filters",
   undo: "Undo",
   dismiss: "Dismiss",
-  kept: "I saved it",
+  saved: "I saved it",
   typeToConfirm: (word: string) => `Type ${word} to confirm`,
   breadcrumbs: "Breadcrumbs",
   severities: { error: "Error", warning: "Warning", info: "Info" },

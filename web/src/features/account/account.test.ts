@@ -9,4 +9,4 @@ it.each([
   ["Mozilla/5.0 (Macintosh; Intel Mac OS X 10_15_7) AppleWebKit/605.1.15 (KHTML, like Gecko) Version/18.0 Safari/605.1.15", "Safari on macOS"],
   ["<img src=x onerror=alert(1)>", "Unknown browser"],
   [null, "Unknown browser"],
-])("%s", (said, name) => expect(browserName(said)).toBe(name));
+])("%s", (agent, name) => expect(browserName(agent)).toBe(name));

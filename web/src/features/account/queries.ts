@@ -49,9 +49,9 @@ export function useLink() {
 export function useTotp() {
   const queries = useQueryClient();
   const refresh = () => void queries.invalidateQueries({ queryKey: keys.account });
-  const changed = async <Data>(asked: Promise<Data>): Promise<Data> => {
+  const changed = async <Data>(request: Promise<Data>): Promise<Data> => {
     try {
-      return await asked;
+      return await request;
     } finally {
       refresh();
     }

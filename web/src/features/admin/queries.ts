@@ -22,7 +22,7 @@ export function useScrub() {
   return useQuery({
     queryKey: ["admin", "scrub"],
     queryFn: ({ signal }) => call(api.GET("/api/v1/admin/scrub", { signal })),
-    refetchInterval: (asked) => (isOn(asked.state.data?.last ?? null) ? SOON_MS : AGAIN_MS),
+    refetchInterval: (running) => (isOn(running.state.data?.last ?? null) ? SOON_MS : AGAIN_MS),
   });
 }
 

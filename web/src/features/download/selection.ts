@@ -66,8 +66,8 @@ export async function filesOf(selection: Selection, signal: AbortSignal): Promis
   const files: ChosenFile[] = [];
   for (const query of queries) {
     for (let cursor: string | null = ""; cursor !== null && files.length <= MOST_FILES; ) {
-      const asked: FileQuery = { ...query, sort: "path", limit: PAGE, ...(cursor !== "" && { cursor }) };
-      const page = await call(api.GET("/api/v1/files", { params: { query: asked }, signal }));
+      const pageQuery: FileQuery = { ...query, sort: "path", limit: PAGE, ...(cursor !== "" && { cursor }) };
+      const page = await call(api.GET("/api/v1/files", { params: { query: pageQuery }, signal }));
       files.push(...page.items);
       cursor = page.next ?? null;
     }

@@ -82,9 +82,9 @@ describe("rights", () => {
 describe("latest", () => {
   it("does one at a time, and of what waits only the last", async () => {
     const done: number[] = [];
-    const ask = latest(async (asked: number) => {
+    const ask = latest(async (value: number) => {
       await Promise.resolve();
-      done.push(asked);
+      done.push(value);
     });
     [1, 2, 3, 4].forEach(ask);
     await vi.waitFor(() => expect(done).toEqual([1, 4]));

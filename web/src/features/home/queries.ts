@@ -33,12 +33,12 @@ export function useHomeStorage() {
 }
 
 /** Whether somebody without the power of an admin sees no project at all; undefined until that is known. */
-export function useHasNoAccess(isAsked: () => boolean) {
+export function useHasNoAccess(isEnabled: () => boolean) {
   const { isAdmin } = useMe();
   const { data, isError } = useQuery({
     queryKey: keys.projects({ any: true }),
     queryFn: ({ signal }) => call(api.GET("/api/v1/projects", { params: { query: { limit: 1 } }, signal })),
-    enabled: () => isAsked() && !isAdmin.value,
+    enabled: () => isEnabled() && !isAdmin.value,
   });
   return computed(() => (isAdmin.value || isError.value ? false : data.value && data.value.items.length === 0));
 }
@@ -90,12 +90,12 @@ export function byMission(uploads: readonly UnfinishedUpload[]): readonly Unfini
 }
 
 function summed(mission: UnfinishedUpload["mission"], files: readonly UnfinishedUpload[]): UnfinishedMission {
-  const told = files.flatMap(({ sent_bytes: sent }) => (sent === null ? [] : [sent]));
+  const counts = files.flatMap(({ sent_bytes: sent }) => (sent === null ? [] : [sent]));
   return {
     mission,
     files,
     sizeBytes: files.reduce((sum, file) => sum + file.size_bytes, 0),
-    sentBytes: told.length === 0 ? null : told.reduce((sum, sent) => sum + sent, 0),
+    sentBytes: counts.length === 0 ? null : counts.reduce((sum, sent) => sum + sent, 0),
     expiresAt: files.reduce((first, file) => (file.expires_at < first ? file.expires_at : first), files[0]?.expires_at ?? ""),
   };
 }

@@ -27,8 +27,8 @@ export function useMissionsNamed(ids: () => readonly string[]) {
   return useQuery({
     queryKey: ["missions", "named", ids],
     queryFn: async ({ signal }): Promise<readonly Mission[]> => {
-      const asked = ids().map((id) => call(api.GET("/api/v1/missions/{mission_id}", { params: { path: { mission_id: id } }, signal })));
-      return (await Promise.allSettled(asked)).flatMap((item) => (item.status === "fulfilled" ? [item.value] : []));
+      const requests = ids().map((id) => call(api.GET("/api/v1/missions/{mission_id}", { params: { path: { mission_id: id } }, signal })));
+      return (await Promise.allSettled(requests)).flatMap((item) => (item.status === "fulfilled" ? [item.value] : []));
     },
     placeholderData: keepPreviousData,
   });
@@ -36,7 +36,7 @@ export function useMissionsNamed(ids: () => readonly string[]) {
 
 /** The names of the topics of a mission. */
 export function useTopicNames(missionId: () => string | undefined): ComputedRef<readonly string[]> {
-  const found = useQuery({
+  const matching = useQuery({
     queryKey: computed(() => [...keys.mission(missionId() ?? ""), "topic-names"]),
     queryFn: ({ signal }) => {
       const params = { path: { mission_id: missionId() ?? "" }, query: { limit: MOST_TOPICS, bins: 0 } };
@@ -44,12 +44,12 @@ export function useTopicNames(missionId: () => string | undefined): ComputedRef<
     },
     enabled: () => missionId() !== undefined,
   });
-  return computed(() => [...new Set((found.data.value?.items ?? []).map(({ name }) => name))]);
+  return computed(() => [...new Set((matching.data.value?.items ?? []).map(({ name }) => name))]);
 }
 
 export type Value = string | number | boolean;
 /** What stands in the form: nothing where the default is meant. */
-export type Given = Readonly<Record<string, Value | null>>;
+export type ParameterValues = Readonly<Record<string, Value | null>>;
 
 const texts = all.launch.wants;
 
@@ -67,17 +67,17 @@ export function judgeParameter(parameter: Parameter, value: Value | null | undef
 }
 
 /** Returns what is wrong with each parameter. */
-export function judgeAll(parameters: readonly Parameter[], given: Given): ReadonlyMap<string, string> {
+export function judgeAll(parameters: readonly Parameter[], values: ParameterValues): ReadonlyMap<string, string> {
   return new Map(parameters.flatMap((item) => {
-    const wrong = judgeParameter(item, given[item.name]);
+    const wrong = judgeParameter(item, values[item.name]);
     return wrong === null ? [] : [[item.name, wrong] as const];
   }));
 }
 
 /** Returns what is sent: the values that were given, no defaults. */
-export function sent(parameters: readonly Parameter[], given: Given): Record<string, Value> {
+export function sent(parameters: readonly Parameter[], values: ParameterValues): Record<string, Value> {
   return Object.fromEntries(parameters.flatMap(({ name }) => {
-    const value = given[name] ?? null;
+    const value = values[name] ?? null;
     return value === null || value === "" ? [] : [[name, value] as const];
   }));
 }

@@ -17,8 +17,8 @@ export function usePeople(query: () => PeopleQuery) {
   return usePages(
     () => keys.people(query()),
     (cursor, signal) => {
-      const asked = { ...query(), count: true, ...(cursor !== undefined && { cursor }) };
-      return call(api.GET("/api/v1/people", { params: { query: asked }, signal }));
+      const filters = { ...query(), count: true, ...(cursor !== undefined && { cursor }) };
+      return call(api.GET("/api/v1/people", { params: { query: filters }, signal }));
     },
   );
 }
@@ -36,8 +36,8 @@ export function usePersonChanges(personId: string) {
   const old = () => {
     for (const key of ["people", "groups", "access", "tokens", "me"]) void queries.invalidateQueries({ queryKey: [key] });
   };
-  async function done<Told>(told: Promise<Told>): Promise<Told> {
-    const answer = await told;
+  async function done<Result>(response: Promise<Result>): Promise<Result> {
+    const answer = await response;
     old();
     return answer;
   }
@@ -87,15 +87,15 @@ export interface Reach extends Access {
 }
 
 async function accessOf(project: Project, personId: string, signal: AbortSignal): Promise<readonly Reach[]> {
-  const found: Reach[] = [];
+  const reached: Reach[] = [];
   let cursor: string | null = "";
   while (cursor !== null) {
     const query: { limit: number; cursor?: string } = cursor === "" ? { limit: PAGE } : { limit: PAGE, cursor };
     const page = await call(api.GET("/api/v1/projects/{project_id}/access", { params: { path: { project_id: project.id }, query }, signal }));
-    found.push(...page.items.filter(({ person }) => person?.id === personId).map((access) => ({ ...access, project })));
+    reached.push(...page.items.filter(({ person }) => person?.id === personId).map((access) => ({ ...access, project })));
     cursor = page.next ?? null;
   }
-  return found;
+  return reached;
 }
 
 /** What somebody has on each project that one sees, as far as one may know it. */

@@ -74,9 +74,9 @@ describe("what is said beside each field when a mission is refused", () => {
     expect(readRefusal(refused("invalid_request", "body.name"), SHOWN)).toMatchObject({ name: "body.name is wrong", isElsewhere: false });
   });
   it("is what is wrong with the metadata, a part of a place too, and never the name's", () => {
-    const said = readRefusal(refused("metadata_invalid", "robot", "place.latitude"), SHOWN);
-    expect(said).toMatchObject({ name: "", isElsewhere: false });
-    expect(said.metadata.map(({ field }) => field)).toEqual(["robot", "place.latitude"]);
+    const refusal = readRefusal(refused("metadata_invalid", "robot", "place.latitude"), SHOWN);
+    expect(refusal).toMatchObject({ name: "", isElsewhere: false });
+    expect(refusal.metadata.map(({ field }) => field)).toEqual(["robot", "place.latitude"]);
     expect(readRefusal(refused("metadata_invalid", "name"), new Set(["name"]))).toMatchObject({ name: "", isElsewhere: false });
   });
   it("is said above all where no field shows it", () => {

@@ -1,7 +1,7 @@
 // What the pages of projects ask the server, and what they have it do.
 import { keepPreviousData, useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { computed } from "vue";
-import { api, call, ifStill, ledTo, type Looked } from "@/api/client";
+import { api, call, ifMatch, noteNewEtag, type EtagCarrier } from "@/api/client";
 import { keys, usePages } from "@/api/queries";
 import type { components, operations } from "@/api/schema";
 import type { Mission, Project } from "@/api/types";
@@ -51,14 +51,14 @@ export function useMissionsOnAxis(query: () => MissionQuery, isWanted: () => boo
   return useQuery({
     queryKey: computed(() => [...keys.missions(query()), "axis"]),
     queryFn: async ({ signal }): Promise<readonly Mission[]> => {
-      const found: Mission[] = [];
-      for (let cursor: string | null | undefined; cursor !== null && found.length < MOST_ON_AXIS; ) {
-        const asked = { ...query(), sort: "start" as const, limit: 500, ...(cursor && { cursor }) };
-        const page = await call(api.GET("/api/v1/missions", { params: { query: asked }, signal }));
-        found.push(...page.items);
+      const timed: Mission[] = [];
+      for (let cursor: string | null | undefined; cursor !== null && timed.length < MOST_ON_AXIS; ) {
+        const pageQuery = { ...query(), sort: "start" as const, limit: 500, ...(cursor && { cursor }) };
+        const page = await call(api.GET("/api/v1/missions", { params: { query: pageQuery }, signal }));
+        timed.push(...page.items);
         cursor = page.next ?? null;
       }
-      return found;
+      return timed;
     },
     enabled: isWanted,
     placeholderData: keepPreviousData,
@@ -93,10 +93,10 @@ export function useProjectChanges(projectId: string) {
   }
 
   const update = useMutation({
-    mutationFn: ({ etag, ...body }: ProjectChange & Looked) =>
-      call(api.PATCH("/api/v1/projects/{project_id}", { params: { path, header: ifStill(etag) }, body })),
+    mutationFn: ({ etag, ...body }: ProjectChange & EtagCarrier) =>
+      call(api.PATCH("/api/v1/projects/{project_id}", { params: { path, header: ifMatch(etag) }, body })),
     onSuccess: (project, { etag }) => {
-      ledTo(etag, project.etag);
+      noteNewEtag(etag, project.etag);
       queries.setQueryData(keys.project(projectId), project);
       old();
     },

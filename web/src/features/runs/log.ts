@@ -77,19 +77,19 @@ export class LogLines {
   }
 
   /** Returns the numbers of the lines from `from` on in which a text is, whatever its case; and where to go on. */
-  find(text: string, from: number): { readonly found: readonly number[]; readonly upTo: number } {
-    const wanted = text.toLocaleLowerCase();
-    const found: number[] = [];
-    if (from >= this.next) return { found, upTo: from };
+  find(text: string, from: number): { readonly matches: readonly number[]; readonly upTo: number } {
+    const lowered = text.toLocaleLowerCase();
+    const matches: number[] = [];
+    if (from >= this.next) return { matches, upTo: from };
     const piece = this.pieces[this.pieceOf(Math.max(from, this.least))];
-    if (piece === undefined || wanted === "") return { found, upTo: this.next };
+    if (piece === undefined || lowered === "") return { matches, upTo: this.next };
     const within = piece.text.toLocaleLowerCase();
-    for (let at = within.indexOf(wanted); at >= 0 && found.length < MOST_FOUND; ) {
+    for (let at = within.indexOf(lowered); at >= 0 && matches.length < MOST_FOUND; ) {
       const line = lastAtMost(piece.starts, at);
-      if (piece.first + line >= from) found.push(piece.first + line);
-      at = within.indexOf(wanted, piece.starts[line + 1] ?? within.length);
+      if (piece.first + line >= from) matches.push(piece.first + line);
+      at = within.indexOf(lowered, piece.starts[line + 1] ?? within.length);
     }
-    return { found, upTo: piece.first + piece.starts.length };
+    return { matches, upTo: piece.first + piece.starts.length };
   }
 
   private pieceOf(number: number): number {
@@ -179,37 +179,37 @@ const MOST = 10_000;
 
 export function useFinding(log: Log) {
   const text = ref("");
-  const found = shallowRef<readonly number[]>([]);
+  const matches = shallowRef<readonly number[]>([]);
   const at = ref(0);
   let from = 0;
   let timer: ReturnType<typeof setTimeout> | undefined;
 
   function look(): void {
     clearTimeout(timer);
-    if (text.value === "" || found.value.length >= MOST || from >= log.lines.end) return;
+    if (text.value === "" || matches.value.length >= MOST || from >= log.lines.end) return;
     const next = log.lines.find(text.value, Math.max(from, log.lines.first));
-    if (next.found.length > 0) found.value = [...found.value, ...next.found];
+    if (next.matches.length > 0) matches.value = [...matches.value, ...next.matches];
     if (next.upTo <= from) return;
     from = next.upTo;
     timer = setTimeout(look);
   }
 
   function begin(): void {
-    found.value = [];
+    matches.value = [];
     [from, at.value] = [0, 0];
     look();
   }
 
   /** Goes to the next place or the one before; returns its line. */
   function step(by: 1 | -1): number | null {
-    const count = found.value.length;
+    const count = matches.value.length;
     if (count === 0) return null;
     at.value = (at.value + by + count) % count;
-    return found.value[at.value] ?? null;
+    return matches.value[at.value] ?? null;
   }
 
   watch(text, begin);
   watch(log.version, look);
   onScopeDispose(() => clearTimeout(timer));
-  return { text, count: computed(() => found.value.length), at, isMore: computed(() => found.value.length >= MOST), line: computed(() => found.value[at.value] ?? null), step };
+  return { text, count: computed(() => matches.value.length), at, isMore: computed(() => matches.value.length >= MOST), line: computed(() => matches.value[at.value] ?? null), step };
 }

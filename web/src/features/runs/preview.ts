@@ -120,16 +120,16 @@ function collect(value: unknown, lines: Position[][], lone: Position[], depth: n
 
 /** Returns what can be drawn of a document; null where there is nothing. */
 export function trackOf(document: unknown): Track | null {
-  const found: Position[][] = [];
+  const positions: Position[][] = [];
   const lone: Position[] = [];
-  collect(document, found, lone, 0);
-  if (lone.length > 0 && found.length === 0) found.push(lone);
-  const count = found.reduce((sum, line) => sum + line.length, 0);
-  const [origin] = found[0] ?? [];
+  collect(document, positions, lone, 0);
+  if (lone.length > 0 && positions.length === 0) positions.push(lone);
+  const count = positions.reduce((sum, line) => sum + line.length, 0);
+  const [origin] = positions[0] ?? [];
   if (origin === undefined) return null;
   const step = Math.ceil(count / MOST_POINTS);
   const narrowing = Math.cos((origin[1] * Math.PI) / 180);
-  const lines = found.map((line) =>
+  const lines = positions.map((line) =>
     line
       .filter((_, at) => at % step === 0 || at === line.length - 1)
       .map(([longitude, latitude]) => [(longitude - origin[0]) * METRES_PER_DEGREE * narrowing, (origin[1] - latitude) * METRES_PER_DEGREE] as const),

@@ -34,7 +34,7 @@ export function useRun(runId: string) {
   return useQuery({
     queryKey: keys.run(runId),
     queryFn: ({ signal }) => call(api.GET("/api/v1/runs/{run_id}", { params: { path: { run_id: runId } }, signal })),
-    refetchInterval: (asked) => (asked.state.data !== undefined && isActive(asked.state.data.state) ? LOOK_MS : false),
+    refetchInterval: (running) => (running.state.data !== undefined && isActive(running.state.data.state) ? LOOK_MS : false),
   });
 }
 

@@ -22,9 +22,9 @@ describe("lines of a log", () => {
     log.append("an Error, error\nfine\n");
     log.append("fine\nERROR\n");
     const first = log.find("error", 0);
-    expect(first).toEqual({ found: [0], upTo: 2 });
-    expect(log.find("error", first.upTo)).toEqual({ found: [3], upTo: 4 });
-    expect(log.find("error", 4)).toEqual({ found: [], upTo: 4 });
+    expect(first).toEqual({ matches: [0], upTo: 2 });
+    expect(log.find("error", first.upTo)).toEqual({ matches: [3], upTo: 4 });
+    expect(log.find("error", 4)).toEqual({ matches: [], upTo: 4 });
   });
 });
 

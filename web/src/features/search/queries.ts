@@ -25,7 +25,7 @@ export function sortOf(text: string): Sort {
   return SORTS.includes(text) ? (text as Sort) : "-start";
 }
 
-function asked(query: string, sort: Sort) {
+function parameters(query: string, sort: Sort) {
   return {
     queryKey: keys.files({ search: query, sort }),
     queryFn: ({ signal }: { signal: AbortSignal }): Promise<Found> =>
@@ -35,14 +35,14 @@ function asked(query: string, sort: Sort) {
 
 /** What a text finds: the first of each, and how many there are. */
 export function useFound(query: () => string, sort: () => Sort) {
-  return useQuery(computed(() => ({ ...asked(query(), sort()), placeholderData: keepPreviousData })));
+  return useQuery(computed(() => ({ ...parameters(query(), sort()), placeholderData: keepPreviousData })));
 }
 
 /** The files that a text finds, from the first that came with the search on. */
 export function useFilesFound(query: () => string, sort: () => Sort, enabled: () => boolean) {
   const queries = useQueryClient();
-  return usePages<File>(() => keys.files({ found: query(), sort: sort() }), async (cursor, signal) => {
-    if (cursor === undefined) return (await queries.query(asked(query(), sort()))).files;
+  return usePages<File>(() => keys.files({ results: query(), sort: sort() }), async (cursor, signal) => {
+    if (cursor === undefined) return (await queries.query(parameters(query(), sort()))).files;
     return call(api.GET("/api/v1/files", { params: { query: { query: query(), sort: sort(), limit: PAGE, cursor } }, signal }));
   }, { enabled });
 }
@@ -50,7 +50,7 @@ export function useFilesFound(query: () => string, sort: () => Sort, enabled: ()
 export function useMissionsFound(query: () => string, enabled: () => boolean) {
   const queries = useQueryClient();
   return usePages<Mission>(() => keys.files({ missions: query() }), async (cursor, signal) => {
-    if (cursor === undefined) return (await queries.query(asked(query(), "-start"))).missions;
+    if (cursor === undefined) return (await queries.query(parameters(query(), "-start"))).missions;
     return call(api.GET("/api/v1/missions", { params: { query: { query: query(), sort: "-start", limit: PAGE, cursor } }, signal }));
   }, { enabled });
 }
@@ -123,8 +123,8 @@ export function downloadScript(query: string, server: string, head: string): str
 /** Returns a text with one term more. */
 export function withTerm(query: string, key: string, value: string): string {
   const isPlain = value !== "" && !/[\s"\\]/.test(value);
-  const said = isPlain ? value : `"${value.replaceAll("\\", "\\\\").replaceAll('"', '\\"')}"`;
-  return `${query} ${key}:${said}`.trim();
+  const term = isPlain ? value : `"${value.replaceAll("\\", "\\\\").replaceAll('"', '\\"')}"`;
+  return `${query} ${key}:${term}`.trim();
 }
 
 export interface Marked {

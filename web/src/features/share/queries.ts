@@ -35,9 +35,9 @@ export function useShareChanges(missionId: string) {
 }
 
 export function usePublicProjects(text: () => string): Rows<Project> {
-  const found = usePages<Project>(() => keys.projects({ public: text() }), (cursor, signal) => {
+  const pages = usePages<Project>(() => keys.projects({ public: text() }), (cursor, signal) => {
     const query = { limit: PUBLIC_PAGE, ...(text() !== "" && { text: text() }), ...(cursor !== undefined && { cursor }) };
     return call(api.GET("/api/v1/projects", { params: { query }, signal }));
   });
-  return { ...found, rows: computed(() => found.rows.value.filter((project) => project.is_public)) };
+  return { ...pages, rows: computed(() => pages.rows.value.filter((project) => project.is_public)) };
 }

@@ -20,8 +20,8 @@ export function useTokens(query: () => TokenQuery) {
   return usePages(
     () => keys.tokens({ ...query() }),
     (cursor, signal) => {
-      const asked = { ...query(), ...(cursor !== undefined && { cursor }) };
-      return call(api.GET("/api/v1/tokens", { params: { query: asked }, signal }));
+      const filters = { ...query(), ...(cursor !== undefined && { cursor }) };
+      return call(api.GET("/api/v1/tokens", { params: { query: filters }, signal }));
     },
   );
 }
@@ -52,7 +52,7 @@ const MOST_SUGGESTIONS = 8;
 
 /** Projects and missions whose names hold what was typed. */
 export function usePlaces(typed: () => string): ComputedRef<readonly PlaceOffer[] | undefined> {
-  const found = useQuery({
+  const offers = useQuery({
     queryKey: ["missions", "places", typed],
     queryFn: async ({ signal }) => {
       const query = { limit: MOST_SUGGESTIONS, ...(typed() !== "" && { name: `*${typed()}*` }) };
@@ -66,7 +66,7 @@ export function usePlaces(typed: () => string): ComputedRef<readonly PlaceOffer[
       ];
     },
   });
-  return computed(() => found.data.value);
+  return computed(() => offers.data.value);
 }
 
 const USUAL: Readonly<Record<TokenKind, readonly Scope[]>> = { personal: ["write"], robot: ["upload"], runner: ["run"], run: [] };
@@ -109,7 +109,7 @@ export function isReady(draft: Draft): boolean {
 }
 
 /** Returns what is sent; a runner's token has one scope, and is limited to projects and labels at most. */
-export function wanted(draft: Draft): TokenCreate {
+export function requestOf(draft: Draft): TokenCreate {
   const isRunner = draft.kind === "runner";
   const labels = draft.labels.split(",").map((label) => label.trim()).filter((label) => label !== "");
   return {

@@ -13,10 +13,10 @@ function chosen(path: string, lastModified = Date.now()): File {
 describe("what is chosen", () => {
   it("is gone for good once it was taken away, though it was still being looked at", async () => {
     const draft = openDraft();
-    const looked = draft.take([chosen("day1/a.bag")]);
+    const taking = draft.take([chosen("day1/a.bag")]);
     draft.clear();
     await vi.runAllTimersAsync();
-    await looked;
+    await taking;
     expect([draft.plan, draft.isLooking]).toEqual([null, false]);
   });
 

@@ -28,7 +28,7 @@ const clock = {
 };
 
 interface Chosen {
-  readonly found: readonly Found[];
+  readonly droppedFiles: readonly Found[];
   readonly unreadable: readonly string[];
 }
 
@@ -44,14 +44,14 @@ export interface OpenDraft extends Draft {
 
 /** Return a draft that begins with a layout; each place where one chooses files has its own. */
 export function openDraft(layout: Layout = BEGINNING.layout): OpenDraft {
-  let all: Chosen = { found: [], unreadable: [] };
+  let all: Chosen = { droppedFiles: [], unreadable: [] };
   /** Counts what was asked for: an answer to what is no longer wanted comes too late, and is dropped. */
   let turn = 0;
 
   async function plan(): Promise<void> {
     const mine = (turn += 1);
-    const areInFolders = all.found.every(({ path }) => path.includes("/"));
-    const planned = await planUpload(all.found, { layout: areInFolders ? made.layout : "tree", watch: clock });
+    const areInFolders = all.droppedFiles.every(({ path }) => path.includes("/"));
+    const planned = await planUpload(all.droppedFiles, { layout: areInFolders ? made.layout : "tree", watch: clock });
     if (mine !== turn) return;
     const unreadable = all.unreadable.map((path): LeftOut => ({ path, reason: "unreadable", detail: "" }));
     const leftOut = [...planned.leftOut, ...unreadable];
@@ -59,10 +59,10 @@ export function openDraft(layout: Layout = BEGINNING.layout): OpenDraft {
     Object.assign(made, { plan: isEmpty ? null : { ...planned, leftOut }, isLooking: false, isEmpty });
   }
 
-  async function take(found: readonly Found[], unreadable: readonly string[] = []): Promise<void> {
-    all = { found, unreadable };
-    const roots = [...new Set(found.map(({ path }) => path.split("/", 1)[0] ?? path))];
-    Object.assign(made, { isLooking: true, seen: found.length, roots });
+  async function take(droppedFiles: readonly Found[], unreadable: readonly string[] = []): Promise<void> {
+    all = { droppedFiles, unreadable };
+    const roots = [...new Set(droppedFiles.map(({ path }) => path.split("/", 1)[0] ?? path))];
+    Object.assign(made, { isLooking: true, seen: droppedFiles.length, roots });
     await plan();
   }
 
@@ -74,11 +74,11 @@ export function openDraft(layout: Layout = BEGINNING.layout): OpenDraft {
       const entries = entriesOf(transfer);
       const mine = (turn += 1);
       Object.assign(made, { isLooking: true, seen: 0 });
-      const { found, unreadable } = await walk(entries, (count) => (made.seen = count));
-      if (mine === turn) await take(found, unreadable);
+      const { droppedFiles, unreadable } = await walk(entries, (count) => (made.seen = count));
+      if (mine === turn) await take(droppedFiles, unreadable);
     },
-    arrange: async (wanted: Layout) => {
-      Object.assign(made, { layout: wanted, isLooking: true });
+    arrange: async (expected: Layout) => {
+      Object.assign(made, { layout: expected, isLooking: true });
       await plan();
     },
     clear: () => {
@@ -94,16 +94,16 @@ export const draft = openDraft();
 const LISTED = 200;
 
 /** Returns how files of these paths are laid out to go on with those wanted: without their folder where only so one is. */
-export function layoutFor(paths: readonly string[], wanted: ReadonlySet<string>): Layout {
-  const isWanted = (path: string) => wanted.has(path);
+export function layoutFor(paths: readonly string[], expected: ReadonlySet<string>): Layout {
+  const isWanted = (path: string) => expected.has(path);
   const within = paths.map((path) => path.slice(path.indexOf("/") + 1));
   return !paths.some(isWanted) && within.some(isWanted) ? "contents" : "tree";
 }
 
 /** Lays out what is chosen as what is unfinished in the mission that the address names. What one then chooses oneself, stays. */
 export function useFittingLayout(draft: OpenDraft): void {
-  const asked = useRoute().query.mission;
-  const missionId = typeof asked === "string" ? asked : "";
+  const queried = useRoute().query.mission;
+  const missionId = typeof queried === "string" ? queried : "";
   const { data: uploads } = useQuery({
     queryKey: keys.uploads(missionId),
     queryFn: ({ signal }) =>
@@ -111,10 +111,10 @@ export function useFittingLayout(draft: OpenDraft): void {
     enabled: missionId !== "",
   });
   let seen: readonly string[] | null = null;
-  watch([() => draft.plan, uploads], ([plan, told]) => {
-    if (plan === null || told === undefined || seen === draft.roots) return;
+  watch([() => draft.plan, uploads], ([plan, listed]) => {
+    if (plan === null || listed === undefined || seen === draft.roots) return;
     seen = draft.roots;
-    const layout = layoutFor(plan.files.map(({ path }) => path), new Set(told.items.map(({ path }) => path)));
+    const layout = layoutFor(plan.files.map(({ path }) => path), new Set(listed.items.map(({ path }) => path)));
     if (draft.layout === "tree" && layout === "contents") void draft.arrange(layout);
   }, { immediate: true });
 }

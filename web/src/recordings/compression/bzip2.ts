@@ -89,10 +89,10 @@ function moveToFrontSelectors(bits: Bits, tables: number): number[] {
 }
 
 function toFront(order: number[], place: number): number {
-  const [found] = order.splice(place, 1);
-  if (found === undefined) throw new RangeError("a bzip2 symbol out of bounds");
-  order.unshift(found);
-  return found;
+  const [value] = order.splice(place, 1);
+  if (value === undefined) throw new RangeError("a bzip2 symbol out of bounds");
+  order.unshift(value);
+  return value;
 }
 
 /** Canonical Huffman codes: by length, the first code, and where its symbols begin. */

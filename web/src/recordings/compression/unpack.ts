@@ -34,8 +34,8 @@ function asItIs(packed: Uint8Array, size: number): Uint8Array {
 
 /** The frame's own word on its size must agree; where it gives none (streamed), the chunk's checksum tells. */
 function unpackZstd(packed: Uint8Array, size: number): Uint8Array {
-  const said = zstdContentSize(packed);
-  if (said !== null && said !== size) throw new RangeError(`${said} bytes instead of ${size}`);
+  const declared = zstdContentSize(packed);
+  if (declared !== null && declared !== size) throw new RangeError(`${declared} bytes instead of ${size}`);
   return decompress(packed, new Uint8Array(size)); // a RangeError where it holds more
 }
 

@@ -37,7 +37,7 @@ export function protobufDecoder(descriptors: Uint8Array, name: string): Decode {
 
 function addFile(types: Map<string, Fields>, file: Uint8Array): void {
   const records = [...new WireReader(file).records()];
-  const text = (number: number): string => textOf(records.find(([found]) => found === number)?.[1]);
+  const text = (number: number): string => textOf(records.find(([decoded]) => decoded === number)?.[1]);
   const prefix = text(2) === "" ? "" : `.${text(2)}`;
   const isProto3 = text(12) === "proto3";
   for (const [number, record] of records) if (number === 4) addType(types, bytesOf(record), prefix, isProto3, MOST_DEPTH);
@@ -73,8 +73,8 @@ function addField(fields: Fields, field: Uint8Array, scope: string, isProto3: bo
 function resolved({ typeName, scope }: Field, types: Map<string, Fields>): Fields | undefined {
   if (typeName.startsWith(".")) return types.get(typeName);
   for (let around = scope; ; around = around.slice(0, around.lastIndexOf("."))) {
-    const found = types.get(`${around}.${typeName}`);
-    if (found !== undefined || around === "") return found;
+    const decoded = types.get(`${around}.${typeName}`);
+    if (decoded !== undefined || around === "") return decoded;
   }
 }
 
@@ -103,11 +103,11 @@ function decode(data: Uint8Array, fields: Fields, types: Map<string, Fields>, bu
   for (const [number, record] of new WireReader(data).records()) {
     const field = fields.get(number);
     if (field === undefined) continue;
-    const found = one(field, record, types, budget);
+    const decoded = one(field, record, types, budget);
     const before = value[field.name];
-    if (!field.isRepeated) value[field.name] = found[0] ?? null;
-    else if (Array.isArray(before)) for (const item of found) before.push(item);
-    budget.values -= found.length;
+    if (!field.isRepeated) value[field.name] = decoded[0] ?? null;
+    else if (Array.isArray(before)) for (const item of decoded) before.push(item);
+    budget.values -= decoded.length;
     if (budget.values < 0) throw new ReadFailure("message_damaged", "it holds too many values");
   }
   budget.depth += 1;

@@ -43,7 +43,7 @@ export async function openBag(source: Source, mostBytes: number): Promise<Record
   const header = headAt(front, MAGIC.length);
   const indexAt = uint64(header.fields.get("index_pos"));
   if (header.op !== Op.header) throw new ReadFailure("index_damaged", "it begins with no header");
-  if (indexAt === 0 || indexAt >= source.sizeBytes) return mended(source, header.dataAt + header.length, mostBytes);
+  if (indexAt === 0 || indexAt >= source.sizeBytes) return scan(source, header.dataAt + header.length, mostBytes);
   const index = await source.read(indexAt, source.sizeBytes - indexAt);
   const connections = new Map<number, Connection>();
   const chunks: Chunk[] = [];
@@ -58,7 +58,7 @@ export async function openBag(source: Source, mostBytes: number): Promise<Record
 }
 
 /** Walk the chunks from `start`, each with the index behind it, as far as `mostBytes` reach or they are whole. */
-async function mended(source: Source, start: number, mostBytes: number): Promise<Recording> {
+async function scan(source: Source, start: number, mostBytes: number): Promise<Recording> {
   const connections = new Map<number, Connection>();
   const chunks: Chunk[] = [];
   let at = start;
@@ -154,7 +154,7 @@ class BagRecording implements Recording {
     readonly source: Source,
     private readonly connections: ReadonlyMap<number, Connection>,
     private readonly chunks: readonly Chunk[],
-    readonly mendedUntil: number | null,
+    readonly indexedUntil: number | null,
   ) {
     const [first] = chunks;
     const latest = chunks.reduce((most, chunk) => (chunk.toNs > most ? chunk.toNs : most), 0n);
@@ -195,7 +195,7 @@ class BagRecording implements Recording {
       if (index.op === Op.index) messages = messages.concat(this.indexed(index, ids, unpacked));
       at = index.next;
     }
-    return { messages, heldBytes: unpacked.length };
+    return { messages, retainedBytes: unpacked.length };
   }
 
   private indexed(

@@ -18,7 +18,7 @@ const TEXT = new TextDecoder();
 type ChunkIndex = Parameters<McapRecordBuilder["writeChunkIndex"]>[0];
 
 /** The file as far as it was walked, and behind it a summary of that. */
-export interface Mended extends ByteSource {
+export interface RebuiltMcap extends ByteSource {
   /** Where what was recorded ends, for us. */
   readonly endsAt: number;
 }
@@ -27,7 +27,7 @@ export interface Mended extends ByteSource {
  *
  * @throws ReadFailure no_index where nothing that could be indexed is there.
  */
-export async function mendMcap(source: ByteSource, mostBytes: number): Promise<Mended> {
+export async function rebuildIndex(source: ByteSource, mostBytes: number): Promise<RebuiltMcap> {
   const walk = new Walk(source);
   let at = MAGIC_LENGTH;
   for (let number = 0; number < MOST_RECORDS && (at < mostBytes || walk.chunks.length === 0); number++) {

@@ -2,7 +2,7 @@
 
 import { ReadFailure, type FailureCode } from "../failures";
 import type { Source } from "../ranges";
-import { MOST_HELD } from "../limits";
+import { MOST_OVERLAPPING } from "../limits";
 
 /** How messages of a channel are written, and the text or bytes that say so. */
 export interface Schema {
@@ -50,7 +50,7 @@ export interface Recording {
   /** Null where the recording holds no message. */
   readonly span: Span | null;
   /** Where a recording without index was read up to, to make one: the rest is not seen. Null for one with an index. */
-  readonly mendedUntil: number | null;
+  readonly indexedUntil: number | null;
   readonly topics: readonly RecordedTopic[];
   /** The pieces that may hold messages of the topic within the span, in order of time. */
   pieces(topic: string, span: Span): Piece[];
@@ -64,18 +64,18 @@ export function cost(pieces: readonly Piece[]): number {
 }
 
 /** The most bytes that are held at once where pieces overlap in time; `size` says what a piece has when unpacked. */
-export function mostHeld<P extends Span>(pieces: readonly P[], size: (piece: P) => number): number {
+export function mostOverlappingBytes<P extends Span>(pieces: readonly P[], size: (piece: P) => number): number {
   const edges = pieces.flatMap((piece) => [
     { at: piece.fromNs, change: size(piece) },
     { at: piece.toNs, change: -size(piece) },
   ]);
   // At one instant, what ends is let go before what begins is taken: chunks that only touch are read one by one.
   edges.sort((a, b) => (a.at === b.at ? a.change - b.change : a.at < b.at ? -1 : 1));
-  let held = 0;
+  let current = 0;
   let most = 0;
   for (const edge of edges) {
-    held += edge.change;
-    most = Math.max(most, held);
+    current += edge.change;
+    most = Math.max(most, current);
   }
   return Math.max(most, ...pieces.slice(0, 1).map(size));
 }
@@ -93,7 +93,7 @@ export function joined(parts: readonly Uint8Array[]): Uint8Array {
 /** What one chunk holds of a topic. `heldBytes` stay in memory while one of its messages does. */
 export interface ChunkContent {
   messages: Message[];
-  heldBytes: number;
+  retainedBytes: number;
 }
 
 /** Where a chunk begins in the file, and the time that its index gives it. */
@@ -115,13 +115,13 @@ export async function* inOrder<Chunk extends Placed>(
 ): AsyncIterable<Message> {
   const isForward = order === "forward";
   const sorted = chunks.toSorted(isForward ? byStart : byEnd);
-  let waiting: { message: Message; heldBytes: number }[] = [];
+  let waiting: { message: Message; retainedBytes: number }[] = [];
   for (const [number, chunk] of sorted.entries()) {
-    const { messages, heldBytes } = await readOrReport(chunk, read, onDamage);
+    const { messages, retainedBytes } = await readOrReport(chunk, read, onDamage);
     const within = messages.filter(({ logTimeNs }) => logTimeNs >= span.fromNs && logTimeNs <= span.toNs);
     if (!isForward) within.reverse();
-    waiting = waiting.concat(within.map((message, place) => ({ message, heldBytes: place === 0 ? heldBytes : 0 })));
-    if (waiting.reduce((sum, item) => sum + item.heldBytes, 0) > MOST_HELD) throw new ReadFailure("too_large");
+    waiting = waiting.concat(within.map((message, place) => ({ message, retainedBytes: place === 0 ? retainedBytes : 0 })));
+    if (waiting.reduce((sum, item) => sum + item.retainedBytes, 0) > MOST_OVERLAPPING) throw new ReadFailure("too_large");
     waiting.sort(({ message: a }, { message: b }) => byTime(a, b, isForward));
     const next = sorted[number + 1];
     // Messages that none of the next chunk can come before are ready.
@@ -145,7 +145,7 @@ async function readOrReport<Chunk extends Placed>(
     const failure = thrown instanceof RangeError ? new ReadFailure("chunk_damaged", thrown.message) : thrown;
     if (!(failure instanceof ReadFailure) || !DAMAGE.has(failure.code)) throw thrown;
     onDamage({ fromNs: chunk.fromNs, toNs: chunk.toNs, failure });
-    return { messages: [], heldBytes: 0 };
+    return { messages: [], retainedBytes: 0 };
   }
 }
 

@@ -169,7 +169,7 @@ export interface TestStore {
 }
 
 export function storeOf(bytes: Uint8Array, { lifeMs = 3_600_000 } = {}): TestStore {
-  let held = bytes;
+  let stored = bytes;
   let etag = '"1"';
   let renewals = 0;
   let valid = 0;
@@ -178,9 +178,9 @@ export function storeOf(bytes: Uint8Array, { lifeMs = 3_600_000 } = {}): TestSto
     options?.signal?.throwIfAborted();
     if (Number(new URL(url as string).searchParams.get("n")) < valid) return Promise.resolve(new Response("", { status: 403 }));
     const [, from = "0", to = "0"] = /bytes=(\d+)-(\d+)/.exec(new Headers(options?.headers).get("range") ?? "") ?? [];
-    const body = held.slice(Number(from), Number(to) + 1);
+    const body = stored.slice(Number(from), Number(to) + 1);
     answers.push(body.length);
-    const headers = { "content-range": `bytes ${from}-${to}/${held.length}`, etag };
+    const headers = { "content-range": `bytes ${from}-${to}/${stored.length}`, etag };
     return Promise.resolve(new Response(body, { status: 206, headers }));
   };
   const ranges = new Ranges({
@@ -197,7 +197,7 @@ export function storeOf(bytes: Uint8Array, { lifeMs = 3_600_000 } = {}): TestSto
     renewals: () => renewals,
     expire: () => (valid = renewals + 1),
     change: (changed) => {
-      held = changed;
+      stored = changed;
       etag = '"2"';
     },
   };

@@ -48,7 +48,7 @@ const FIRST: readonly (readonly [RegExp, readonly string[]])[] = [
   [/[/.]JointState$/, ["position[0]", "position[1]", "position[2]"]],
 ];
 const NOT_FIRST = /(^|\.)(header|stamp|timestamp|seq|sec|nanosec|nsec)(\.|$)|covariance/;
-const FEW = 4;
+const DEFAULT_CURVES = 4;
 
 /** Returns the names of all fields of a tree. */
 export function leaves(nodes: readonly FieldNode[]): string[] {
@@ -56,13 +56,13 @@ export function leaves(nodes: readonly FieldNode[]): string[] {
 }
 
 /** Returns the fields to plot: those wanted that are there, else what one wants to see first of such messages. */
-export function chosenFields(nodes: readonly FieldNode[], wanted: readonly string[], messageType: string | null): string[] {
+export function chosenFields(nodes: readonly FieldNode[], selected: readonly string[], messageType: string | null): string[] {
   const all = leaves(nodes);
-  const found = wanted.filter((field) => all.includes(field)).slice(0, MOST_CURVES);
-  if (found.length > 0) return found;
+  const available = selected.filter((field) => all.includes(field)).slice(0, MOST_CURVES);
+  if (available.length > 0) return available;
   const known = FIRST.find(([type]) => type.test(messageType ?? ""))?.[1].filter((field) => all.includes(field)) ?? [];
   if (known.length > 0) return known;
-  return groups(nodes).find((group) => group.every((field) => !NOT_FIRST.test(field)))?.slice(0, FEW) ?? all.slice(0, 1);
+  return groups(nodes).find((group) => group.every((field) => !NOT_FIRST.test(field)))?.slice(0, DEFAULT_CURVES) ?? all.slice(0, 1);
 }
 
 /** The fields that stand together, by group, outer ones first. */

@@ -46,8 +46,8 @@ export function useReader(file: File, format: ReadableFormat): FileReader {
 }
 
 /** Returns a function that does `act` with what it was last given, as soon as the one before is done. */
-export function latest<Asked>(act: (asked: Asked) => Promise<void>): (asked: Asked) => void {
-  let waiting: { readonly asked: Asked } | null = null;
+export function latest<Item>(act: (item: Item) => Promise<void>): (item: Item) => void {
+  let waiting: { readonly item: Item } | null = null;
   let isBusy = false;
 
   async function run(): Promise<void> {
@@ -55,15 +55,15 @@ export function latest<Asked>(act: (asked: Asked) => Promise<void>): (asked: Ask
     try {
       for (let next = waiting; next !== null; next = waiting) {
         waiting = null;
-        await act(next.asked);
+        await act(next.item);
       }
     } finally {
       isBusy = false;
     }
   }
 
-  return (asked) => {
-    waiting = { asked };
+  return (item) => {
+    waiting = { item };
     if (!isBusy) void run();
   };
 }

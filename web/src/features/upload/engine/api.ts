@@ -1,5 +1,5 @@
 // The upload protocol as an upload asks it: every question is tried again until the server answers.
-import type { PartToSign, ProblemDocument, SignedPart, Trouble, UploadDecision, UploadFile, UploadFinish, UploadOutcome } from "./types";
+import type { PartToSign, ProblemDocument, SignedPart, WaitReason, UploadDecision, UploadFile, UploadFinish, UploadOutcome } from "./types";
 import { checkStopped, type Clock, type Gate } from "./flow";
 import createClient from "openapi-fetch";
 import type { components, paths } from "@/api/schema";
@@ -31,20 +31,20 @@ export class ApiProblem extends Error {
 const AWAY = new Set(["store_unavailable", "database_unavailable"]);
 const AWAY_STATUS = new Set([502, 503, 504]);
 
-export interface Surroundings {
+export interface UploadContext {
   readonly clock: Clock;
   readonly gate: Gate;
   readonly backoff: Backoff;
-  readonly troubles: Troubles;
+  readonly waitReasons: WaitReasons;
   /** The session has ended: the upload is paused until the person has signed in again. */
   readonly signedOut: () => void;
 }
 
 /** Asks until there is an answer. */
-export class Asking {
+export class RetryingApi {
   constructor(
     private readonly api: UploadApi,
-    private readonly around: Surroundings,
+    private readonly around: UploadContext,
   ) {}
 
   begin(missionId: string, files: readonly UploadFile[]): Promise<readonly UploadDecision[]> {
@@ -66,17 +66,17 @@ export class Asking {
 
   /** @throws ApiProblem, Stopped */
   private async insist<T>(ask: () => Promise<Answer<T>>): Promise<T> {
-    const { clock, gate, backoff, troubles } = this.around;
+    const { clock, gate, backoff, waitReasons } = this.around;
     const tries = backoff.begin();
     for (;;) {
       await gate.passed();
       const answer = await ask();
       if (answer !== null && "ok" in answer) {
-        troubles.over("server");
+        waitReasons.over("server");
         return answer.ok;
       }
       if (answer === null || isAway(answer.problem)) {
-        troubles.note("server", clock.now());
+        waitReasons.note("server", clock.now());
         await tries.pause();
       } else if (answer.problem.code === "rate_limited") {
         await backoff.wait(1000 * Number(answer.problem["retry_after_s"] ?? 1));
@@ -100,41 +100,41 @@ export function httpApi(origin: string): UploadApi {
   const api = createClient<paths>({ baseUrl: origin });
   return {
     begin: async (missionId, files) => {
-      const asked = api.POST("/api/v1/missions/{mission_id}/uploads", {
+      const request = api.POST("/api/v1/missions/{mission_id}/uploads", {
         params: { path: { mission_id: missionId } },
         body: { files: [...files] },
       });
-      return answered(asked, (data) => (data as Schemas["UploadDecisions"]).items);
+      return answered(request, (data) => (data as Schemas["UploadDecisions"]).items);
     },
     sign: async (parts) => {
-      const asked = api.POST("/api/v1/uploads/parts", { body: { parts: [...parts] } });
-      return answered(asked, (data) => (data as Schemas["SignedParts"]).items);
+      const request = api.POST("/api/v1/uploads/parts", { body: { parts: [...parts] } });
+      return answered(request, (data) => (data as Schemas["SignedParts"]).items);
     },
     complete: async (finishes) => {
-      const asked = api.POST("/api/v1/uploads/complete", { body: { uploads: [...finishes] } });
-      return answered(asked, (data) => (data as Schemas["UploadOutcomes"]).items);
+      const request = api.POST("/api/v1/uploads/complete", { body: { uploads: [...finishes] } });
+      return answered(request, (data) => (data as Schemas["UploadOutcomes"]).items);
     },
     abort: async (uploadId) => {
-      const asked = api.DELETE("/api/v1/uploads/{upload_id}", { params: { path: { upload_id: uploadId } } });
-      return answered(asked, () => null);
+      const request = api.DELETE("/api/v1/uploads/{upload_id}", { params: { path: { upload_id: uploadId } } });
+      return answered(request, () => null);
     },
   };
 }
 
-interface Told {
+interface ApiResponse {
   readonly data?: unknown;
   readonly error?: unknown;
   readonly response: Response;
 }
 
-async function answered<T>(asked: Promise<Told>, read: (data: unknown) => T): Promise<Answer<T>> {
-  let told: Told;
+async function answered<T>(request: Promise<ApiResponse>, read: (data: unknown) => T): Promise<Answer<T>> {
+  let reply: ApiResponse;
   try {
-    told = await asked;
+    reply = await request;
   } catch {
     return null; // no connection, or an answer that broke off
   }
-  const { data, error, response } = told;
+  const { data, error, response } = reply;
   if (response.ok) return { ok: read(data) };
   if (isProblem(error)) return { problem: error };
   if (response.status >= 502 && response.status <= 504) return null;
@@ -150,19 +150,19 @@ const FIRST_WAIT_MS = 250;
 const LONGEST_WAIT_MS = 8_000;
 
 /** Says whom an upload waits for, and when that is over. */
-export class Troubles {
-  private readonly since = new Map<Trouble, number>();
+export class WaitReasons {
+  private readonly since = new Map<WaitReason, number>();
 
-  constructor(private readonly said: (trouble: Trouble, isOver: boolean) => void) {}
+  constructor(private readonly onChange: (waitReason: WaitReason, isOver: boolean) => void) {}
 
-  note(trouble: Trouble, now: number): void {
-    if (this.since.has(trouble)) return;
-    this.since.set(trouble, now);
-    this.said(trouble, false);
+  note(waitReason: WaitReason, now: number): void {
+    if (this.since.has(waitReason)) return;
+    this.since.set(waitReason, now);
+    this.onChange(waitReason, false);
   }
 
-  over(trouble: Trouble): void {
-    if (this.since.delete(trouble)) this.said(trouble, true);
+  over(waitReason: WaitReason): void {
+    if (this.since.delete(waitReason)) this.onChange(waitReason, true);
   }
 }
 

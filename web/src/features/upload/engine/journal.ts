@@ -176,9 +176,9 @@ export class MemoryJournal implements Journal {
 
   begin(head: JournalHead, files: readonly JournalFile[]): Promise<void> {
     this.allHeads.set(head.id, head);
-    const kept = this.allFiles.get(head.id) ?? new Map<string, JournalFile>();
-    for (const file of files) if (!kept.has(file.path)) kept.set(file.path, file);
-    this.allFiles.set(head.id, kept);
+    const existing = this.allFiles.get(head.id) ?? new Map<string, JournalFile>();
+    for (const file of files) if (!existing.has(file.path)) existing.set(file.path, file);
+    this.allFiles.set(head.id, existing);
     return Promise.resolve();
   }
 
@@ -189,8 +189,8 @@ export class MemoryJournal implements Journal {
   }
 
   record(part: JournalPart): Promise<void> {
-    const kept = this.allParts.get(part.uploadId) ?? new Map<number, JournalPart>();
-    this.allParts.set(part.uploadId, kept.set(part.number, part));
+    const existing = this.allParts.get(part.uploadId) ?? new Map<number, JournalPart>();
+    this.allParts.set(part.uploadId, existing.set(part.number, part));
     return Promise.resolve();
   }
 

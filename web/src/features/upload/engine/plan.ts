@@ -34,11 +34,11 @@ export function sameIdentity(one: Identity, other: Identity): boolean {
  * are watched for a second (only files modified in the last seconds are watched). A browser asks the disk for the size
  * of each chosen file, so the page is let do other things in between.
  */
-export async function planUpload(found: readonly Found[], { layout, watch }: PlanOptions): Promise<UploadPlan> {
+export async function planUpload(offered: readonly Found[], { layout, watch }: PlanOptions): Promise<UploadPlan> {
   const leftOut: LeftOut[] = [];
-  const byKey = new Map<string, { found: Found; planned: PlannedFile }>();
+  const byKey = new Map<string, { offered: Found; planned: PlannedFile }>();
   let breathedMs = watch.now();
-  for (const item of found) {
+  for (const item of offered) {
     if (watch.now() - breathedMs > BREATH_MS) {
       await watch.wait(0);
       breathedMs = watch.now();
@@ -47,8 +47,8 @@ export async function planUpload(found: readonly Found[], { layout, watch }: Pla
     if (planned === null) continue;
     const key = nameKey(planned.path);
     const other = byKey.get(key);
-    if (other === undefined) byKey.set(key, { found: item, planned });
-    else leftOut.push({ path: item.path, reason: "collides", detail: other.found.path });
+    if (other === undefined) byKey.set(key, { offered: item, planned });
+    else leftOut.push({ path: item.path, reason: "collides", detail: other.offered.path });
   }
   const growing = await growingPaths([...byKey.values()], watch);
   const files: PlannedFile[] = [];
@@ -78,26 +78,26 @@ function withoutRoot(path: string): string {
   return path.slice(path.indexOf("/") + 1);
 }
 
-function judged(found: Found, path: string, leftOut: LeftOut[]): PlannedFile | null {
+function judged(offered: Found, path: string, leftOut: LeftOut[]): PlannedFile | null {
   const name = path.slice(path.lastIndexOf("/") + 1);
   const checked = checkFilePath(path);
   const leave = (reason: LeftOut["reason"], detail = "") => {
     leftOut.push({ path, reason, detail });
     return null;
   };
-  if (typeof checked !== "string") return leave("name", said(checked));
+  if (typeof checked !== "string") return leave("name", textOf(checked));
   if (name.endsWith(ACTIVE_SUFFIX)) return leave("active");
-  const identity = identityOf(found.file);
+  const identity = identityOf(offered.file);
   if (identity.sizeBytes > MAX_FILE_BYTES) return leave("too_large");
-  return { path: checked, file: found.file, identity };
+  return { path: checked, file: offered.file, identity };
 }
 
-function said(problem: PathProblem): string {
+function textOf(problem: PathProblem): string {
   return pathProblem[problem.problem](problem.detail);
 }
 
 interface Watched {
-  readonly found: Found;
+  readonly offered: Found;
   readonly planned: PlannedFile;
 }
 
@@ -107,18 +107,18 @@ async function growingPaths(all: readonly Watched[], watch: Watch): Promise<Set<
   const growing = new Set<string>();
   if (recent.length === 0) return growing;
   await watch.wait(WATCH_MS);
-  for (const { found, planned } of recent) {
-    if (await hasChanged(found, planned.identity)) growing.add(planned.path);
+  for (const { offered, planned } of recent) {
+    if (await hasChanged(offered, planned.identity)) growing.add(planned.path);
   }
   return growing;
 }
 
-async function hasChanged(found: Found, then: Identity): Promise<boolean> {
+async function hasChanged(offered: Found, then: Identity): Promise<boolean> {
   try {
-    const now = found.again === undefined ? found.file : await found.again();
+    const now = offered.again === undefined ? offered.file : await offered.again();
     if (!sameIdentity(identityOf(now), then)) return true;
     // A browser refuses to read what has been written to since it was chosen.
-    await found.file.slice(Math.max(0, then.sizeBytes - 1), then.sizeBytes).arrayBuffer();
+    await offered.file.slice(Math.max(0, then.sizeBytes - 1), then.sizeBytes).arrayBuffer();
     return false;
   } catch {
     return true;
@@ -145,8 +145,8 @@ export function nameKey(path: string): string {
 }
 
 /** Return a path in NFC, or what is wrong with it. */
-export function checkFilePath(given: string): string | PathProblem {
-  const path = given.normalize("NFC");
+export function checkFilePath(named: string): string | PathProblem {
+  const path = named.normalize("NFC");
   const bad = UNPRINTABLE.exec(path);
   if (bad !== null) {
     const code = bad[0].codePointAt(0) ?? 0;

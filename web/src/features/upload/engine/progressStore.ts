@@ -1,6 +1,6 @@
 // What an upload has come to, file by file and in all; told on in pieces, so that ten thousand files cost no more to
 // show than the few that changed.
-import type { Failure, FileProgress, FileState, PlannedFile, Trouble } from "./types";
+import type { Failure, FileProgress, FileState, PlannedFile, WaitReason } from "./types";
 
 export interface Snapshot {
   readonly changed: readonly FileProgress[];
@@ -10,7 +10,7 @@ export interface Snapshot {
   /** Null while too little is known. */
   readonly bytesPerS: number | null;
   readonly leftS: number | null;
-  readonly troubles: readonly Trouble[];
+  readonly waitReasons: readonly WaitReason[];
 }
 
 interface Line {
@@ -27,7 +27,7 @@ export class ProgressStore implements Watcher {
   readonly meter = new RateMeter();
   private readonly lines = new Map<string, Line>();
   private readonly changed = new Set<Line>();
-  private readonly troubles = new Set<Trouble>();
+  private readonly waitReasons = new Set<WaitReason>();
   private doneBytes = 0;
   private totalBytes = 0;
 
@@ -57,10 +57,10 @@ export class ProgressStore implements Watcher {
 
   moved(path: string, sizeBytes: number): void {
     this.meter.moved(sizeBytes);
-    this.held(path, sizeBytes);
+    this.stored(path, sizeBytes);
   }
 
-  held(path: string, sizeBytes: number): void {
+  stored(path: string, sizeBytes: number): void {
     const line = this.line(path);
     line.doneBytes += sizeBytes;
     this.doneBytes += sizeBytes;
@@ -69,19 +69,19 @@ export class ProgressStore implements Watcher {
 
   ended(path: string, state: FileState, fileId: string | null, failure: Failure | null): void {
     const line = this.line(path);
-    this.held(path, (failure === null ? line.sizeBytes : 0) - line.doneBytes);
+    this.stored(path, (failure === null ? line.sizeBytes : 0) - line.doneBytes);
     if (failure !== null) this.totalBytes -= line.sizeBytes;
     Object.assign(line, { state, fileId, failure });
   }
 
   reset(path: string): void {
-    this.held(path, -this.line(path).doneBytes);
+    this.stored(path, -this.line(path).doneBytes);
     this.state(path, "waiting");
   }
 
-  trouble(trouble: Trouble, isOver: boolean): void {
-    if (isOver) this.troubles.delete(trouble);
-    else this.troubles.add(trouble);
+  waitReason(waitReason: WaitReason, isOver: boolean): void {
+    if (isOver) this.waitReasons.delete(waitReason);
+    else this.waitReasons.add(waitReason);
   }
 
   /** Say of all that has not ended that it was left. */
@@ -96,7 +96,7 @@ export class ProgressStore implements Watcher {
     const { doneBytes, totalBytes } = this;
     const changed = [...this.changed].map((line): FileProgress => ({ ...line }));
     this.changed.clear();
-    return { changed, doneBytes, totalBytes, ...this.meter.at(nowMs, totalBytes - doneBytes), troubles: [...this.troubles] };
+    return { changed, doneBytes, totalBytes, ...this.meter.at(nowMs, totalBytes - doneBytes), waitReasons: [...this.waitReasons] };
   }
 
   private line(path: string): Line {
@@ -148,11 +148,11 @@ export interface Watcher {
   /** So many more bytes are at the store; negative when they must be sent again. */
   moved(path: string, sizeBytes: number): void;
   /** So many bytes need not be sent: the other side has them. */
-  held(path: string, sizeBytes: number): void;
+  stored(path: string, sizeBytes: number): void;
   /** A file is done, well or not. */
   ended(path: string, state: FileState, fileId: string | null, failure: Failure | null): void;
   /** Nothing that was sent of a file counts any more. */
   reset(path: string): void;
   /** Whom it waits for, or that this is over. */
-  trouble(trouble: Trouble, isOver: boolean): void;
+  waitReason(waitReason: WaitReason, isOver: boolean): void;
 }

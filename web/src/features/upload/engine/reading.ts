@@ -135,14 +135,14 @@ export function entriesOf(transfer: DataTransfer): FileSystemEntry[] {
 
 /** What walking through dropped folders found. */
 export interface Walked {
-  readonly found: Found[];
+  readonly droppedFiles: Found[];
   /** Paths that the browser could not read. */
   readonly unreadable: string[];
 }
 
 /** Return all files below dropped entries; `seen` hears how many there are so far. */
 export async function walk(entries: readonly FileSystemEntry[], seen: (count: number) => void): Promise<Walked> {
-  const walked: Walked = { found: [], unreadable: [] };
+  const walked: Walked = { droppedFiles: [], unreadable: [] };
   const waiting = [...entries];
   for (let entry = waiting.pop(); entry !== undefined; entry = waiting.pop()) {
     const path = entry.fullPath.replace(/^\//, "");
@@ -151,8 +151,8 @@ export async function walk(entries: readonly FileSystemEntry[], seen: (count: nu
         waiting.push(...(await contentsOf(entry)));
       } else {
         const fresh = asFile(entry as FileSystemFileEntry);
-        walked.found.push({ path, file: await fresh(), again: fresh });
-        seen(walked.found.length);
+        walked.droppedFiles.push({ path, file: await fresh(), again: fresh });
+        seen(walked.droppedFiles.length);
       }
     } catch {
       walked.unreadable.push(path);

@@ -3,7 +3,7 @@ import type { Hashing, WholeSums } from "./checksums";
 import type { Journal, JournalPart, StoredPart } from "./journal";
 import type { PartToSign, PlannedFile, SignedPart, UploadFinish, UploadRead } from "./types";
 import { checkUnchanged, slices } from "./reading";
-import { ApiProblem, type Asking, type Surroundings } from "./api";
+import { ApiProblem, type RetryingApi, type UploadContext } from "./api";
 import type { PutAnswer, Store } from "./store";
 import type { Watcher } from "./progressStore";
 
@@ -28,7 +28,7 @@ export class Sending {
   latest: PartToSign | null = null;
   ended = false;
   private left = 1; // the hashing itself; parts are added while it runs
-  private readonly held: ReadonlyMap<number, StoredPart>;
+  private readonly storedParts: ReadonlyMap<number, StoredPart>;
 
   constructor(
     readonly planned: PlannedFile,
@@ -39,7 +39,7 @@ export class Sending {
     nowMs: number,
   ) {
     this.renewedMs = nowMs;
-    this.held = new Map(upload.parts.map((part) => [part.number, part]));
+    this.storedParts = new Map(upload.parts.map((part) => [part.number, part]));
   }
 
   get path(): string {
@@ -76,12 +76,12 @@ export class Sending {
   }
 
   /** Say whether the store holds these very bytes: our journal's checksum and the store's etag both agree. */
-  isHeld(number: number, sizeBytes: number, checksum: string): boolean {
-    const held = this.held.get(number);
+  isStored(number: number, sizeBytes: number, checksum: string): boolean {
+    const storedParts = this.storedParts.get(number);
     const written = this.remembered.get(number);
-    if (held === undefined || written === undefined) return false;
-    const sameEtag = held.etag.replaceAll('"', "") === written.etag;
-    return sameEtag && held.size_bytes === sizeBytes && written.checksum === checksum;
+    if (storedParts === undefined || written === undefined) return false;
+    const sameEtag = storedParts.etag.replaceAll('"', "") === written.etag;
+    return sameEtag && storedParts.size_bytes === sizeBytes && written.checksum === checksum;
   }
 
   addPart(): void {
@@ -112,12 +112,12 @@ const REFUSALS = 4;
 
 /** What an upload works with. */
 export interface Parts {
-  readonly asking: Asking;
+  readonly retryingApi: RetryingApi;
   readonly store: Store;
   readonly journal: Journal;
   readonly hashing: Hashing;
   readonly watcher: Watcher;
-  readonly around: Surroundings;
+  readonly around: UploadContext;
   readonly stop: AbortController;
 }
 
@@ -132,8 +132,8 @@ export class StoreRefused extends Error {
  * @throws FileFailure, ApiProblem (of this upload, or of all), StoreRefused, Stopped
  */
 export async function sendPart(part: Part, first: SignedPart, parts: Parts): Promise<void> {
-  const { asking, around } = parts;
-  const signAgain = async () => (await asking.sign([toSign(part)]))[0] as SignedPart;
+  const { retryingApi, around } = parts;
+  const signAgain = async () => (await retryingApi.sign([toSign(part)]))[0] as SignedPart;
   const tries = around.backoff.begin();
   let signed = first;
   let refusals = 0;
@@ -142,7 +142,7 @@ export async function sendPart(part: Part, first: SignedPart, parts: Parts): Pro
     if (Date.parse(signed.expires_at) <= around.clock.now()) signed = await signAgain(); // spares sending it in vain
     const answer = await put(part, signed, parts);
     if (answer.meaning === "taken") {
-      around.troubles.over("store");
+      around.waitReasons.over("store");
       if (part.sizeBytes < part.sending.upload.size_bytes) {
         const { sending, number, checksum } = part;
         await parts.journal.record({ uploadId: sending.upload.id, number, checksum, etag: answer.etag });
@@ -152,7 +152,7 @@ export async function sendPart(part: Part, first: SignedPart, parts: Parts): Pro
     if (answer.meaning === "gone") throw goneAt(part);
     if (answer.meaning !== "called_back") await checkUnchanged(part.sending.planned);
     if (answer.meaning === "try_again") {
-      around.troubles.note("store", around.clock.now());
+      around.waitReasons.note("store", around.clock.now());
       await tries.pause();
     } else if (answer.meaning !== "called_back" && ++refusals >= REFUSALS) {
       throw new StoreRefused(answer.reason);

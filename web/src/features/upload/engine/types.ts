@@ -83,7 +83,7 @@ export interface FileProgress {
 }
 
 /** Whom an upload waits for. */
-export type Trouble = "server" | "store" | "lease";
+export type WaitReason = "server" | "store" | "lease";
 
 export interface MissionPlace {
   readonly id: string;
