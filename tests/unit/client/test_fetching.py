@@ -9,7 +9,7 @@ import pytest
 from kleinkram.client.errors import DestinationDiffers, DestinationRefused, VerifyFailed
 from kleinkram.client.transfer.local_file import Crc64Hash
 from kleinkram.client.transfer.partial_file import RANGE_BYTES, PartialFile
-from tests.unit.client.nouns import file_read, link_to
+from tests.api_objects import file_read, link_to
 
 CONTENT = os.urandom(3 * RANGE_BYTES + 77)
 FILE = file_read("big.bin", content=CONTENT)

@@ -21,11 +21,10 @@ from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
 from kleinkram.recordings.formats.rosbag1.writer import BagCompression, BagWriter
 from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
-
-from .agreement import accounts_of, disagreements
-from .memory_source import MemorySource
-from .reading import builders
-from .test_hostile import chunk, mcap_of, record
+from tests.recording_files import builders
+from tests.recording_files.agreement import accounts_of, disagreements
+from tests.recording_files.memory_source import MemorySource
+from tests.unit.recordings.test_hostile import chunk, mcap_of, record
 
 T0 = 1_700_000_000_000_000_000
 PACK = {b"": bytes, b"zstd": zstandard.compress, b"lz4": lz4.frame.compress}

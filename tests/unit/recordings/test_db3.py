@@ -12,9 +12,8 @@ import zstandard
 from kleinkram.recordings import Content, Depth, Fact, Recording, RecordingFormat, RecordingSummary
 from kleinkram.recordings.formats.rosbag2.db3 import scan_db3
 from kleinkram.recordings.sources import FileReader
-
-from .corpus import Entry, params
-from .databases import SCHEMAS, T0, faults, make_database, steady
+from tests.recording_files.corpus import Entry, params
+from tests.recording_files.databases import SCHEMAS, T0, faults, make_database, steady
 
 
 def scan_file(path: Path, depth: Depth = Depth.scan) -> RecordingSummary:

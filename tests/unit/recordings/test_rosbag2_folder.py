@@ -25,8 +25,7 @@ from kleinkram.recordings import (
 from kleinkram.recordings.formats.rosbag2.metadata import StatedFile, StatedTopic
 from kleinkram.recordings.formats.rosbag2.writer import Db3Writer
 from kleinkram.recordings.inspect import Inspection, InspectionKind, inspect_paths
-
-from .databases import T0, faults
+from tests.recording_files.databases import T0, faults
 
 STATED = Rosbag2Metadata(
     files=("run/a_0.db3", "run/a_1.db3"),

@@ -11,11 +11,10 @@ import pytest
 from kleinkram.recordings import Content, FileSource, Recording, RecordingFormat, TooCostly, summarise
 from kleinkram.recordings.formats.ulog import SYNC_MAGIC, as_ros1_definition
 from kleinkram.recordings.inspect import inspect_paths
-
-from .agreement import accounts_of, disagreements
-from .corpus import Entry, params
-from .memory_source import MemorySource
-from .test_other_formats import facts, summarise_text
+from tests.integration.recordings.test_other_formats import facts, summarise_text
+from tests.recording_files.agreement import accounts_of, disagreements
+from tests.recording_files.corpus import Entry, params
+from tests.recording_files.memory_source import MemorySource
 
 START_US = 1_000_000
 ATTITUDE = b"attitude:uint64_t timestamp;float[4] q;vector[2] rates;bool valid;uint8_t[7] _padding0;"

@@ -12,9 +12,8 @@ from kleinkram.recordings import Content, Depth, FileSource, RecordingFormat, Re
 from kleinkram.recordings.formats.zstd_file import scan_zstd_file
 from kleinkram.recordings.sources import file_reader, pipe_reader
 from kleinkram.recordings.summary import scan
-
-from .corpus import Entry, params
-from .databases import make_database, steady
+from tests.recording_files.corpus import Entry, params
+from tests.recording_files.databases import make_database, steady
 
 
 def scan_bytes(data: bytes, name: str) -> RecordingSummary:

@@ -11,9 +11,8 @@ import zstandard
 from kleinkram.recordings import NoSuchTopic, Recording
 from kleinkram.recordings.formats.mcap.writer import McapWriter
 from kleinkram.recordings.sample import generate_bag, generate_mcap
-
-from ..memory_source import MemorySource
-from .builders import T0
+from tests.recording_files.builders import T0
+from tests.recording_files.memory_source import MemorySource
 
 
 @pytest.fixture(scope="module", params=["mcap", "bag"])

@@ -11,9 +11,8 @@ import pytest
 from kleinkram.recordings import NoSuchTopic, Recording, SeveralRecordings
 from kleinkram.recordings.formats.mcap.index import read_index
 from kleinkram.recordings.sample import generate_db3, generate_mcap
-
-from ..memory_source import MemorySource
-from .builders import T0, Stamped, Watched, bag_of, mcap_of
+from tests.recording_files.builders import T0, Stamped, Watched, bag_of, mcap_of
+from tests.recording_files.memory_source import MemorySource
 
 Make = Callable[[Iterable[Iterable[Stamped]]], MemorySource]
 MAKERS = [pytest.param(mcap_of, id="mcap"), pytest.param(bag_of, id="bag")]

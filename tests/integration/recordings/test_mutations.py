@@ -7,9 +7,8 @@ from hypothesis import strategies as st
 
 from kleinkram.recordings import Content, summarise
 from kleinkram.recordings.formats.mcap.writer import Compression
-
-from .memory_source import MemorySource
-from .test_hostile import small_bag, small_mcap
+from tests.recording_files.memory_source import MemorySource
+from tests.unit.recordings.test_hostile import small_bag, small_mcap
 
 MCAPS = [small_mcap(compression) for compression in Compression]
 BAG = small_bag()

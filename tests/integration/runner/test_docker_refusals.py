@@ -14,7 +14,7 @@ from kleinkram.contract.actions import Network, Resources
 from kleinkram.runner.executors.base import CannotStart, RunJob
 from kleinkram.runner.executors.docker import DockerExecutor
 from kleinkram.runner.executors.docker_container import JOB_LABEL
-from tests.unit.runner.engines import with_engine
+from tests.integration.runner.scripted_engine import with_engine
 
 STATE = {"Status": "running", "Pid": 1, "ExitCode": 0, "StartedAt": "2026", "FinishedAt": "0001-", "OOMKilled": False}
 

@@ -21,7 +21,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from kleinkram.recordings.decoding import DecodeError, Decoder, decoder_for, to_arrow
 from kleinkram.recordings.decoding.values import Value
-from tests.unit.recordings.corpus import Entry, entries, params
+from tests.recording_files.corpus import Entry, entries, params
 
 OURS_ONLY = ("test_msgs/srv/BasicTypes_Event", "example_interfaces/srv/AddTwoInts_Event")
 """Services' schemas hold requests and responses; no other reader makes the event of them."""

@@ -17,8 +17,8 @@ from kleinkram.contract.errors import NotFound
 from kleinkram.contract.paging import Page
 from kleinkram.contract.problems import to_problem
 from kleinkram.contract.runs import LogChunkRead, RunCreated, RunRead, RunRefused, RunsCreated, RunState
-from tests.unit.client.nouns import action_read, mission_read, run_detail
-from tests.unit.client.scripted import Scripted, scripted
+from tests.api_objects import action_read, mission_read, run_detail
+from tests.scripted_server import Scripted, scripted
 
 MISSION = mission_read("day")
 

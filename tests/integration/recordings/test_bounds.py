@@ -10,9 +10,8 @@ import pytest
 from kleinkram.recordings import Content, CountingSource, summarise
 from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
 from kleinkram.recordings.formats.rosbag1.writer import BagCompression, BagWriter
-
-from .memory_source import MemorySource, SparseFile
-from .synthetic import MESSAGES_PER_CHUNK, SyntheticMcap
+from tests.recording_files.memory_source import MemorySource, SparseFile
+from tests.recording_files.synthetic import MESSAGES_PER_CHUNK, SyntheticMcap
 
 MESSAGES = 400
 PAYLOAD = bytes(1_000_000)

@@ -25,8 +25,7 @@ from kleinkram.contract.errors import (
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import Scope
 from kleinkram.contract.signing_in import CredentialKind, CredentialRead, DeviceCode, MeRead, SignedIn
-
-from .scripted import scripted
+from tests.scripted_server import scripted
 
 ADA = PersonRef(id=uuid.uuid4(), name="Ada")
 SIGNED_IN = SignedIn(token="t" * 30, person=ADA, expires_at=datetime.datetime(2030, 1, 1, tzinfo=datetime.timezone.utc))

@@ -20,8 +20,8 @@ from kleinkram.contract.actions import Network, Resources
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import RunJob, wait_for_end
 from kleinkram.runner.executors.docker import DockerExecutor
+from tests.integration.runner.scripted_engine import with_engine
 from tests.requirements import missing, need
-from tests.unit.runner.engines import with_engine
 
 WORDS = b"ERROR (catatonit:2): failed to exec pid1: No such file or directory\n"
 BORN = {"StartedAt": "2026", "OOMKilled": False}

@@ -21,11 +21,10 @@ from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.formats.rosbag2.pages import LEAF_INDEX
 from kleinkram.recordings.sample import generate_db3
 from kleinkram.recordings.sources import FileSource
-
-from ..databases import T0 as DATABASE_T0
-from ..databases import make_database, steady
-from ..memory_source import MemorySource
-from .builders import T0, Stamped, Watched, bag_of, mcap_of
+from tests.recording_files.builders import T0, Stamped, Watched, bag_of, mcap_of
+from tests.recording_files.databases import T0 as DATABASE_T0
+from tests.recording_files.databases import make_database, steady
+from tests.recording_files.memory_source import MemorySource
 
 Make = Callable[[Iterable[Iterable[Stamped]]], MemorySource]
 

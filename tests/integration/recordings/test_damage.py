@@ -17,8 +17,7 @@ from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
 from kleinkram.recordings.formats.rosbag1.writer import BagCompression, BagWriter
 from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
-
-from .memory_source import MemorySource
+from tests.recording_files.memory_source import MemorySource
 
 T0 = 1_700_000_000_000_000_000
 MESSAGES = 120

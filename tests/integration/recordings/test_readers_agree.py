@@ -14,10 +14,9 @@ from kleinkram.recordings import Recording
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
 from tests.conftest import CASES, MakeCase
-
-from .agreement import Accounts, accounts_of, disagreements
-from .memory_source import MemorySource
-from .reading.builders import T0, Stamped, Watched, mcap_of
+from tests.recording_files.agreement import Accounts, accounts_of, disagreements
+from tests.recording_files.builders import T0, Stamped, Watched, mcap_of
+from tests.recording_files.memory_source import MemorySource
 
 CASE_NUMBERS = sorted(path.parent.name.split("-")[0] for path in CASES.glob("*/make.py"))
 

@@ -6,7 +6,7 @@ import pytest
 
 from kleinkram.client import Client, Endpoint, EndpointSource, server
 from kleinkram.contract.events import Change, Refetch
-from tests.unit.client.scripted import scripted
+from tests.scripted_server import scripted
 
 NOTHING = {"id": None, "project_id": None, "mission_id": None}
 CHANGE = f"event: change\ndata: {json.dumps({'noun': 'mission', 'change': 'changed', **NOTHING})}\n\n".encode()

@@ -27,8 +27,7 @@ from kleinkram.recordings.formats.mcap.writer import McapWriter
 from kleinkram.recordings.formats.trajectories import parse_stamp
 from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
-
-from .memory_source import MemorySource
+from tests.recording_files.memory_source import MemorySource
 
 
 def summarise_text(text: str | bytes, name: str = "file") -> RecordingSummary:

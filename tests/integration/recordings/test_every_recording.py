@@ -11,8 +11,7 @@ import pytest
 from kleinkram.recordings import Content, FileSource, RecordingFormat, RecordingSummary, summarise
 from kleinkram.recordings.sources import file_reader
 from kleinkram.recordings.summary import scan
-
-from .corpus import Entry, entries
+from tests.recording_files.corpus import Entry, entries
 
 ONLY_A_SCAN_SEES_IT = "derived/auv_zstd_bitflip_chunk2.mcap"
 RECORDINGS = {

@@ -22,8 +22,7 @@ from kleinkram.recordings import (
 )
 from kleinkram.recordings.sources import file_reader
 from kleinkram.recordings.summary import scan
-
-from .corpus import Entry, entries, params
+from tests.recording_files.corpus import Entry, entries, params
 
 RECORDINGS = ("MCAP", "ROS1 bag 2.0")
 ONLY_A_SCAN_SEES_IT = "derived/auv_zstd_bitflip_chunk2.mcap"  # its index is whole

@@ -13,8 +13,7 @@ from rosbags.rosbag2 import Reader as Rosbag2Reader
 
 from kleinkram.recordings import NotARecording, Recording
 from kleinkram.recordings.inspect import inspect_paths
-
-from ..corpus import Entry, entries, params
+from tests.recording_files.corpus import Entry, entries, params
 
 Plain = tuple[str, int, bytes]
 ROSBAG2_REFUSES = {"old_schema": 7, "wrong_rmw_db3": 7, "split_missing_file": 4834, "talker": 20}

@@ -10,8 +10,8 @@ from kleinkram.cli.run_view import standing
 from kleinkram.contract.paging import Page
 from kleinkram.contract.reports import Progress, Severity
 from kleinkram.contract.runs import EndReason, LineageFile, LineageRead, LineageRun, RunRead, RunState
-from tests.unit.client.nouns import action_read, file_read, run_detail
-from tests.unit.client.scripted import Scripted, scripted
+from tests.api_objects import action_read, file_read, run_detail
+from tests.scripted_server import Scripted, scripted
 
 
 def shown(script: Scripted, *arguments: object) -> str:

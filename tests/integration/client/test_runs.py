@@ -27,9 +27,9 @@ from kleinkram.contract.runs import (
     RunsCreated,
     RunState,
 )
+from tests.api_objects import NOW, action_read, run_detail
 from tests.http_server import Server
-from tests.unit.client.nouns import NOW, action_read, run_detail
-from tests.unit.client.scripted import Scripted, scripted
+from tests.scripted_server import Scripted, scripted
 
 SCRIPT = ActionDefinition(name="look", script="print(1)")
 

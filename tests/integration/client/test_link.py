@@ -34,8 +34,8 @@ from kleinkram.client.transfer.report import SilentObserver
 from kleinkram.client.transfer.threads import Stop
 from kleinkram.contract.files import DownloadLink
 from kleinkram.contract.uploads import MIN_PART_BYTES as PART
+from tests.api_objects import file_read
 from tests.ports import choose_port
-from tests.unit.client.nouns import file_read
 
 _CONNECTIONS = 4
 

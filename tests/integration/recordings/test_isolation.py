@@ -34,8 +34,7 @@ from kleinkram.recordings import (
 from kleinkram.recordings.sample import generate_mcap
 from kleinkram.recordings.sources import file_reader
 from kleinkram.recordings.summary import scan
-
-from .test_hostile import chunk, mcap_of
+from tests.unit.recordings.test_hostile import chunk, mcap_of
 
 RECORD = b"\x80" + bytes(8)
 

@@ -7,8 +7,7 @@ from io import BytesIO
 
 from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
 from kleinkram.recordings.formats.rosbag1.writer import BagCompression, BagWriter
-
-from ..memory_source import MemorySource
+from tests.recording_files.memory_source import MemorySource
 
 T0 = 1_700_000_000_000_000_000
 
