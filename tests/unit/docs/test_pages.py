@@ -102,3 +102,10 @@ def test_the_reading_paths_exist() -> None:
     paths = re.findall(r"`([\w/]+\.py)`", section.partition("\n## ")[0])
     assert len(paths) >= 30
     assert not [path for path in paths if not (ROOT / "src" / "kleinkram" / path).is_file()]
+
+
+def test_the_files_that_extensions_change_exist() -> None:
+    page = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+    paths = re.findall(r"`((?:recordings|runner|contract|server|client|cli)/[\w./]+)`", page)
+    assert len(paths) >= 20
+    assert not [path for path in paths if not (ROOT / "src" / "kleinkram" / path).exists()]
