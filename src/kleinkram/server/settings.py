@@ -290,13 +290,17 @@ class Settings(BaseSettings):
         Field(description="Searches and statistics per token, session or link; 0: no limit."),
     ] = 300
     downloads_per_minute: Annotated[
-        PerMinute, Field(description="Download requests (of up to 500 files), likewise.")
+        PerMinute, Field(description="Download requests (of up to 500 files) per token, session or link; 0: no limit.")
     ] = 600
-    uploads_per_minute: Annotated[PerMinute, Field(description="Upload requests, likewise.")] = 600
-    verifications_per_minute: Annotated[PerMinute, Field(description="Verification requests for files, likewise.")] = (
-        600
-    )
-    exports_per_minute: Annotated[PerMinute, Field(description="Exports of the audit log, likewise.")] = 6
+    uploads_per_minute: Annotated[
+        PerMinute, Field(description="Upload requests per token, session or link; 0: no limit.")
+    ] = 600
+    verifications_per_minute: Annotated[
+        PerMinute, Field(description="Verification requests for files per token, session or link; 0: no limit.")
+    ] = 600
+    exports_per_minute: Annotated[
+        PerMinute, Field(description="Exports of the audit log per token, session or link; 0: no limit.")
+    ] = 6
     upload_lease_s: Annotated[
         Seconds, Field(description="Seconds for which an upload reserves its name after the last part was signed.")
     ] = 60
