@@ -12,8 +12,8 @@ import pytest
 from kleinkram.recordings import Content, RecordingSummary
 from kleinkram.recordings.formats.rosbag2.database import open_database
 from kleinkram.recordings.formats.rosbag2.pages import LEAF_TABLE, PageFile, local_bytes, read_varint
+from tests.integration.recordings.test_db3 import scan_file
 from tests.recording_files.databases import SCHEMAS, make_database, steady
-from tests.unit.recordings.test_db3 import scan_file
 
 PAGE = 1024
 SIZES = (40, 3000, 200)  # of messages: some go on in other pages

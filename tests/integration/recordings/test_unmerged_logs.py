@@ -17,8 +17,8 @@ from kleinkram.recordings.inspect import inspect_paths
 from kleinkram.recordings.model import Depth
 from kleinkram.recordings.summary import scan_with_logs
 from kleinkram.recordings.temporary_files import MIN_FREE_DISK_BYTES
+from tests.integration.recordings.test_db3 import scan_file
 from tests.recording_files.databases import make_database, steady
-from tests.unit.recordings.test_db3 import scan_file
 
 
 @pytest.fixture
