@@ -93,8 +93,8 @@ def test_no_secret_is_ever_written_down(story: Story) -> None:
     rows = story.api.sql("SELECT row_to_json(audit_event)::text FROM audit_event")
     assert len(rows) > 20
     assert story.found_in([row for (row,) in rows]) == set()
-    rows = [text for (text,) in story.api.sql("SELECT row_to_json(rate_count)::text FROM rate_count")]
-    assert story.found_in(rows) == set()
+    texts = [text for (text,) in story.api.sql("SELECT row_to_json(rate_count)::text FROM rate_count")]
+    assert story.found_in(texts) == set()
 
 
 def _sign_people_in(story: Story) -> None:
