@@ -273,11 +273,7 @@ class _ChunkReader:
             yield block
 
     def _parse(self, row: Row, content: Buffer) -> Block:
-        """Return the selected messages by time.
-
-        Raises:
-            Malformed: a record is damaged.
-        """
+        """Return the selected messages by time."""
         parse, messages = self._file.format.parse_messages, Block()
         readable_ranges = self._file.table.readable_ranges.get(row.start, ((0, len(content)),))
         for start, end in readable_ranges:
@@ -457,11 +453,7 @@ OpenChunk = Callable[[ByteStream], StoredChunk]
 
 
 def end_of_chunk(source: Source, row: Row, open_chunk: OpenChunk) -> int | None:
-    """Return where the chunk of a row ends; None if there is no chunk, or it does not fit into the row.
-
-    Raises:
-        SourceError: as `Source.read`.
-    """
+    """Return where the chunk of a row ends; None if there is no chunk, or it does not fit into the row."""
     stream = open_range(source, row.start, row.end, window=_HEAD_WINDOW)
     try:
         head = open_chunk(stream)
@@ -475,9 +467,6 @@ def unlisted(source: Source, rows: Int64Table[Row], open_chunk: OpenChunk) -> In
     """Return the ranges of a file that belong to no chunk at the places that the index lists.
 
     `rows`: in the order of their places. Reads the head of each chunk.
-
-    Raises:
-        SourceError: as `Source.read`.
     """
     gaps, at = Int64Table(FileGap, len(FileGap._fields)), 0
     for row in rows:

@@ -70,11 +70,7 @@ class Int64Table(Generic[RowT]):
         return (self[number] for number in range(len(self)))
 
     def append(self, row: RowT) -> None:
-        """Add a row.
-
-        Raises:
-            Malformed: a number that no file can hold, or more than `MAX_CHUNKS` rows.
-        """
+        """Add a row."""
         if len(self) >= MAX_CHUNKS:
             raise Malformed("index", f"more than {MAX_CHUNKS} chunks", certain=False)
         size = len(self._cells)

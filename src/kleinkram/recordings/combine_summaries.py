@@ -51,9 +51,6 @@ def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) ->
     `content` is `error` or `pending` if a member is; else `recovered` where something can be read and something not;
     else that of the members. `reason` is that of the worst, after its name, if there are `names`. `format` is that of
     the first member that can be read.
-
-    Raises:
-        ValueError: there is no summary.
     """
     if not summaries:
         raise ValueError("a recording has at least one member")

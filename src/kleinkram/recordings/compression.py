@@ -41,11 +41,7 @@ def unreadable_chunk(name: str, *, stored: int, uncompressed: int) -> Malformed 
 
 
 def open_decompressed(name: str, read: ReadUpTo, uncompressed_bytes: int) -> ByteStream:
-    """Decompress what `read` returns; `name` as in MCAP or a bag.
-
-    Raises:
-        Malformed: at once for another name; while reading for bad data, or more bytes than were claimed.
-    """
+    """Decompress what `read` returns; `name` as in MCAP or a bag."""
     if name in ("", "none"):
         return ByteStream(_bounded(lambda: read(WINDOW), uncompressed_bytes))
     if name == "bz2":
@@ -59,11 +55,7 @@ def open_decompressed(name: str, read: ReadUpTo, uncompressed_bytes: int) -> Byt
 
 
 def decompress(name: str, stored: Buffer, uncompressed_bytes: int) -> bytes:
-    """Decompress a whole chunk; `name` as in MCAP or a bag.
-
-    Raises:
-        Malformed: another name, bad data, or not exactly `uncompressed_bytes`.
-    """
+    """Decompress a whole chunk; `name` as in MCAP or a bag."""
     if name in ("", "none"):
         raw = bytes(stored)
     elif name == "zstd":
@@ -293,11 +285,7 @@ _of_thread = threading.local()
 
 
 def unpack_message(stored: bytes, most_bytes: int) -> bytes:
-    """Decompress a message that rosbag2 compressed by itself (zstd).
-
-    Raises:
-        Malformed: it is damaged, or holds more than `most_bytes`.
-    """
+    """Decompress a message that rosbag2 compressed by itself (zstd)."""
     try:
         claimed = zstandard.get_frame_parameters(stored).content_size
         if claimed in (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR):

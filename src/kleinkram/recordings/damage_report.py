@@ -38,11 +38,7 @@ class DamageReport:
     unpacked_bytes: int = 0
 
     def unpack(self, uncompressed: int, *, end: int) -> None:
-        """Count the uncompressed size of a chunk that ends at a place in the file.
-
-        Raises:
-            Malformed: with it, the file would unpack to more than any recording does.
-        """
+        """Count the uncompressed size of a chunk that ends at a place in the file."""
         if not self.may_unpack(uncompressed, end=end):
             most = _most_unpacked(end)
             message = (

@@ -203,9 +203,6 @@ class HttpSource:
         """Yield the bytes of each (offset, length), in order; the next requests are sent meanwhile.
 
         All in the calling thread: what has come waits in the connections, so each range had better be short.
-
-        Raises:
-            SourceError: as `read`.
         """
         under_way: deque[tuple[int, int, Exchange | None]] = deque()
         try:

@@ -213,30 +213,18 @@ class IndexCheck:
         self.is_doubted = True
 
     def before_selecting(self) -> None:
-        """Compare what is cheap to compare, before chunks are selected.
-
-        Raises:
-            SourceError: as `Source.read`.
-        """
+        """Compare what is cheap to compare, before chunks are selected."""
         if isinstance(self.source, FileSource) and self.source.parallel_reads == 1:
             self._compare_some(MAX_COMPARED_NEAR)
         self.settle()
 
     def when_nothing_fits(self) -> None:
-        """Compare some chunks, because none seems to fit a selection.
-
-        Raises:
-            SourceError: as `Source.read`.
-        """
+        """Compare some chunks, because none seems to fit a selection."""
         self._compare_some(MAX_COMPARED_FAR)
         self.settle()
 
     def settle(self) -> None:
-        """Compare all chunks, if the index is in doubt and was not compared yet.
-
-        Raises:
-            SourceError: as `Source.read`.
-        """
+        """Compare all chunks, if the index is in doubt and was not compared yet."""
         if self.is_doubted and not self.is_done:
             self._compare(range(len(self.table.rows)), is_all=True)
 

@@ -105,11 +105,7 @@ def _summary_of(file: RecordingFile, member: Member) -> RecordingSummary:
 
 
 def _summarise(file: RecordingFile) -> RecordingSummary:
-    """Summarise a file as `klein inspect` does, without fetching copies again.
-
-    Raises:
-        SourceError: the bytes cannot be read.
-    """
+    """Summarise a file as `klein inspect` does, without fetching copies again."""
     inner = file.unpacked
     if inner is not None:
         return scan(SourceReader(inner.source, path=inner.path))

@@ -300,11 +300,7 @@ def _why_no_file(path: Path) -> str | None:
 
 
 def recording_of_metadata(path: Path) -> tuple[FolderRecordings, RecordingGroup] | None:
-    """Return the recording of a metadata.yaml; None if it belongs to none.
-
-    Raises:
-        SourceError: it cannot be read.
-    """
+    """Return the recording of a metadata.yaml; None if it belongs to none."""
     names = [file.name for file in path.parent.iterdir() if _why_no_file(file) is None]
     recordings = _group_names(path.parent, names)
     if error := recordings.unreadable_files.get(path.name):

@@ -30,19 +30,11 @@ class Source(Protocol):
         """The size of the file; fixed while it is read."""
 
     def read(self, offset: int, length: int) -> bytes:
-        """Return exactly `length` bytes from `offset`.
-
-        Raises:
-            SourceError: they cannot be had, or `length` is above `MAX_READ`.
-        """
+        """Return exactly `length` bytes from `offset`."""
 
 
 def check_range(source: Source, offset: int, length: int) -> None:
-    """Check a range.
-
-    Raises:
-        SourceError: outside the file, or more than `MAX_READ` at a time.
-    """
+    """Check a range."""
     if length < 0 or length > MAX_READ:
         raise SourceError(f"{source.name}: {length} bytes asked for at once; at most {MAX_READ} may be")
     if offset < 0 or offset + length > source.size_bytes:
@@ -142,9 +134,6 @@ def read_short_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iter
     """Yield the bytes of each (offset, length), in order; over a network, the next ranges are requested meanwhile.
 
     A source that gains from it has a method `read_short`. For ranges of some kB; see `read_ranges` for longer ones.
-
-    Raises:
-        SourceError: as `Source.read`.
     """
     read_short: Callable[[Iterable[tuple[int, int]]], Iterator[bytes]] | None = getattr(source, "read_short", None)
     if read_short is not None:
@@ -158,9 +147,6 @@ def read_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[b
     """Yield the bytes of each (offset, length), in order; over a network, the next ranges are read meanwhile.
 
     A source that gains from it says so by an attribute `parallel_reads`. At most that many ranges are held.
-
-    Raises:
-        SourceError: as `Source.read`.
     """
     workers: int = getattr(source, "parallel_reads", 1)
     if workers == 1:
@@ -198,11 +184,7 @@ class SequentialReader(Protocol):
         """Where the same bytes are on this machine, for formats that need more than one pass; None: nowhere."""
 
     def read(self, length: int) -> bytes:
-        """Return the next bytes, at least one and at most `length`; b"" behind the last of `size_bytes`.
-
-        Raises:
-            SourceError: they cannot be had, or end before `size_bytes`.
-        """
+        """Return the next bytes, at least one and at most `length`; b"" behind the last of `size_bytes`."""
 
 
 class SourceReader:
@@ -328,11 +310,7 @@ def source_reader(source: Source) -> SequentialReader:
 
 
 def file_reader(path: str | os.PathLike[str]) -> FileReader:
-    """Read a local file sequentially; use it in a `with`.
-
-    Raises:
-        SourceError: the file cannot be opened.
-    """
+    """Read a local file sequentially; use it in a `with`."""
     return FileReader(path)
 
 

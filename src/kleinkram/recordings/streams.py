@@ -48,12 +48,7 @@ class ByteStream:
         return self._crcs.pop()
 
     def take(self, length: int) -> bytes:
-        """Return the next `length` bytes.
-
-        Raises:
-            Cut: there are fewer.
-            Malformed: more than `MAX_TAKE`.
-        """
+        """Return the next `length` bytes."""
         if length > MAX_TAKE:
             raise Malformed(
                 f"byte {self.position}", f"{length} bytes are claimed; at most {MAX_TAKE} are read", certain=False
@@ -73,12 +68,7 @@ class ByteStream:
         return self.take(min(most, len(self._window) - self._at))
 
     def skip(self, length: int) -> None:
-        """Skip the next `length` bytes, by a seek where possible.
-
-        Raises:
-            Cut: there are fewer.
-            Malformed: `length` is negative: a record claims to end before the fields that it must have.
-        """
+        """Skip the next `length` bytes, by a seek where possible."""
         if length < 0:
             raise Malformed(f"byte {self.position}", "a record that is too short for its fields")
         while length:

@@ -66,11 +66,7 @@ class _Scope:
 
 
 def parse_idl(name: str, text: str) -> Struct:
-    """Return the type `name` ("std_msgs/msg/Header" or "std_msgs::msg::Header") that IDL text describes.
-
-    Raises:
-        SchemaError: the text cannot be followed, or a bound is passed.
-    """
+    """Return the type `name` ("std_msgs/msg/Header" or "std_msgs::msg::Header") that IDL text describes."""
     scope = _Scope()
     for _, block in split_blocks(text, "IDL:"):
         _IdlParser(block, scope).declarations("", 0)

@@ -90,11 +90,7 @@ class Shape:
 
 
 def shape_of(root: Struct, data: bytes, message_encoding: str) -> Shape:
-    """Return the shape of a message.
-
-    Raises:
-        NoShape: the message is damaged or has too many parts.
-    """
+    """Return the shape of a message."""
     wire = ROS1
     if message_encoding != "ros1":
         if len(data) < 4 or data[0] or data[1] not in ENCAPSULATIONS:
@@ -181,9 +177,6 @@ def gather(rows: Any, shape: Shape, columns: list[TableColumn]) -> list[Any]:
         rows: uint8 [N, size of a message], all of one shape.
         shape: of each of them.
         columns: the columns to read.
-
-    Raises:
-        NoShape: a column cannot be read this way.
     """
     reader = _ColumnReader(rows, shape.order)
     return [reader.array(_node(shape.root, column.path), column.kind) for column in columns]

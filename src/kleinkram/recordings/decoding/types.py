@@ -152,22 +152,14 @@ FindType = Callable[[str, str], "Primitive | Definition | None"]
 
 
 def identifier(name: str) -> str:
-    """Return a name that is safe as a Python attribute: as written, or with "_" behind a word of Python.
-
-    Raises:
-        SchemaError: not letters, digits and underscores with a letter in front, or too long.
-    """
+    """Return a name that is safe as a Python attribute: as written, or with "_" behind a word of Python."""
     if len(name) > MAX_IDENTIFIER or not _IDENTIFIER.match(name):
         raise SchemaError(f"'{name[:60]}' is not a name that a field can have")
     return f"{name}_" if keyword.iskeyword(name) else name
 
 
 def resolve(root: Definition, find: FindType) -> Struct:
-    """Build a type from definitions.
-
-    Raises:
-        SchemaError: a type is missing, contains itself, or a bound is passed.
-    """
+    """Build a type from definitions."""
     return _Resolver(find).struct(root, ())
 
 

@@ -90,11 +90,7 @@ class OpenContext:
         return None if isinstance(source, FileSource) else MAX_UNASKED_BYTES
 
     def copy(self, read: Callable[[int], bytes], name: str, logs: Mapping[str, Source] | None = None) -> Path:
-        """Write a file, and a database's logs by their suffixes, to temporary files until the recording is closed.
-
-        Raises:
-            SourceError: it cannot be read, or there is no room for it.
-        """
+        """Write a file, and a database's logs by their suffixes, to temporary files until the recording is closed."""
         reads = {suffix: SourceReader(log).read for suffix, log in (logs or {}).items()}
         try:
             return self.stack.enter_context(temporary_database(read, reads))

@@ -55,11 +55,7 @@ class Trajectory:
 
 
 def describe_trajectory(kind: RecordingFormat, reader: SequentialReader) -> RecordingSummary:
-    """Read a whole trajectory. Its times are those of its poses, as integer nanoseconds; KITTI has none.
-
-    Raises:
-        SourceError: as `SequentialReader.read`.
-    """
+    """Read a whole trajectory. Its times are those of its poses, as integer nanoseconds; KITTI has none."""
     trajectory = Trajectory()
     for number, line in enumerate(read_lines(reader), 1):
         text = line.strip()
@@ -132,11 +128,7 @@ def _add_place(trajectory: Trajectory, place: tuple[float, ...]) -> None:
 
 
 def unit_of(text: str) -> str:
-    """Return the unit of a first stamp: the largest in which int64 nanoseconds can hold it.
-
-    Raises:
-        ValueError: it is no number, or none that a clock can show in any unit.
-    """
+    """Return the unit of a first stamp: the largest in which int64 nanoseconds can hold it."""
     for unit in _UNITS:
         try:
             parse_stamp(text, unit)
@@ -147,11 +139,7 @@ def unit_of(text: str) -> str:
 
 
 def parse_stamp(text: str, unit: str = "s") -> int:
-    """Return a stamp, such as `1403638128.545096874` or `1.4e9`, as nanoseconds, without rounding by floats.
-
-    Raises:
-        ValueError: it is no number, or none that a clock can show.
-    """
+    """Return a stamp, such as `1403638128.545096874` or `1.4e9`, as nanoseconds, without rounding by floats."""
     try:
         number = Decimal(text[:_MAX_STAMP_DIGITS] if "e" not in text.lower() else text)
         is_usual = number.is_finite() and number.adjusted() < _MAX_STAMP_DIGITS
@@ -193,11 +181,7 @@ _STAMP = re.compile(r"time|stamp|\bt\b", re.I)
 
 
 def describe_table(reader: SequentialReader) -> RecordingSummary:
-    """Read a whole table. Its first line is a header if no cell of it is a number.
-
-    Raises:
-        SourceError: as `SequentialReader.read`.
-    """
+    """Read a whole table. Its first line is a header if no cell of it is a number."""
     names: list[str] = []
     columns = rows = 0
     trajectory: Trajectory | None = None

@@ -141,11 +141,7 @@ def parse_fields(text: str) -> list[UlogField]:
 
 
 def _size_of(formats: Mapping[str, str], type_name: str, depth: int = 0) -> int:
-    """Return the bytes of a type.
-
-    Raises:
-        KeyError: a type that is not defined, or that nests itself.
-    """
+    """Return the bytes of a type."""
     if type_name in _SIZES:
         return _SIZES[type_name]
     if depth == _MAX_NESTING:
@@ -369,20 +365,12 @@ class _UlogScanner:
 
 
 def scan_ulog(reader: SequentialReader) -> RecordingSummary:
-    """Read a whole flight log.
-
-    Raises:
-        SourceError: as `SequentialReader.read`.
-    """
+    """Read a whole flight log."""
     return summarise_scan(_UlogScanner(reader, None).run())
 
 
 def summarise_ulog(source: Source, *, most_bytes: int) -> RecordingSummary:
-    """Scan a log of at most `most_bytes`; a larger one stays pending.
-
-    Raises:
-        SourceError: as `Source.read`.
-    """
+    """Scan a log of at most `most_bytes`; a larger one stays pending."""
     if source.size_bytes > most_bytes:
         return pending(RecordingFormat.ulog, source.size_bytes, "a flight log (ULog) has no index")
     return scan_ulog(source_reader(source))
@@ -454,7 +442,6 @@ def open_ulog(file: RecordingFile, context: OpenContext) -> ChunkedMember:
 
     Raises:
         TooCostly: it has more bytes than may be read.
-        SourceError: as `Source.read`.
     """
     source, problem_log = file.source, context.problem_log
     check_cost(source, context.limit_of(source), "a flight log (ULog) has no index")

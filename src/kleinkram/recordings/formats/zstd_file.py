@@ -94,9 +94,6 @@ def scan_zstd_file(reader: SequentialReader, scan: Scan, *, most_bytes: int = MA
     `format` is that of what is inside, `compression` says "file-zstd". A file whose compressed data is damaged is
     `recovered` as far as it unpacks; one that unpacks to more than `most_bytes`, or
     than any recording does, is `pending`.
-
-    Raises:
-        SourceError: as `SequentialReader.read`, or the unpacked copy cannot be written.
     """
     from kleinkram.recordings.formats import registry  # which imports this module
 

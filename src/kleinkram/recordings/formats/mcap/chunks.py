@@ -106,11 +106,7 @@ def read_chunk_head(data: Buffer, at: int) -> ChunkHead:
 
 
 def read_chunk(stored: Buffer, head: ChunkHead, facts: McapFacts, batch: Batch) -> McapChunkContents:
-    """Add the messages of a whole chunk to the batch.
-
-    Raises:
-        Malformed: nothing in it can be believed.
-    """
+    """Add the messages of a whole chunk to the batch."""
     raw = decompress(head.compression, stored, head.uncompressed)
     if head.crc and zlib.crc32(raw) != head.crc:
         raise Malformed("chunk", "its checksum is wrong")
@@ -151,11 +147,7 @@ def walk_contents(raw: bytes, facts: McapFacts, batch: Batch) -> McapChunkConten
 
 
 def read_large_message(stream: LookaheadStream) -> tuple[int, tuple[int, int, int]]:
-    """Return channel and row of the next message, of which only the head is in the window.
-
-    Raises:
-        Malformed: it is too short to be one.
-    """
+    """Return channel and row of the next message, of which only the head is in the window."""
     head = stream.window[stream.at : stream.at + MESSAGE_HEAD.size]
     if len(head) < MESSAGE_HEAD.size or MESSAGE_HEAD.unpack(head)[1] < MESSAGE_FIXED:
         raise Malformed(f"byte {stream.position}", "a message that is too short to be one")
@@ -179,11 +171,7 @@ class McapRecord(NamedTuple):
 
 
 def open_chunk(stream: ByteStream) -> StoredChunk:
-    """Read a chunk record up to its stored bytes.
-
-    Raises:
-        Malformed: it is none, or its fields contradict each other.
-    """
+    """Read a chunk record up to its stored bytes."""
     start = stream.position
     opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
     if opcode != Opcode.CHUNK:
@@ -192,11 +180,7 @@ def open_chunk(stream: ByteStream) -> StoredChunk:
 
 
 def read_chunk_fields(stream: ByteStream, length: int) -> StoredChunk:
-    """Read the fields of a chunk record of `length` bytes, up to its stored bytes.
-
-    Raises:
-        Malformed: they contradict each other.
-    """
+    """Read the fields of a chunk record of `length` bytes, up to its stored bytes."""
     where, end = f"byte {stream.position}", stream.position + length
     _first_ns, _last_ns, uncompressed, crc, name_length = _CHUNK_FIXED.unpack(stream.take(_CHUNK_FIXED.size))
     if name_length > MAX_NAME:
@@ -213,11 +197,7 @@ def read_chunk_fields(stream: ByteStream, length: int) -> StoredChunk:
 
 
 def read_message_index(source: Source, row: Row) -> ChunkMessages | None:
-    """Return the messages that the indexes after a chunk list; None if there are none, or they cannot be read.
-
-    Raises:
-        SourceError: as `Source.read`.
-    """
+    """Return the messages that the indexes after a chunk list; None if there are none, or they cannot be read."""
     index_start = row.start + row.length
     if not 0 < row.end - index_start <= MAX_CHUNK_INDEX:
         return None
@@ -236,11 +216,7 @@ def read_message_index(source: Source, row: Row) -> ChunkMessages | None:
 
 
 def parse_messages(content: Buffer, channels: Mapping[int, Channel], selection: Selection) -> Block:
-    """Return the selected messages of records, in file order.
-
-    Raises:
-        Malformed: a record reaches beyond the content.
-    """
+    """Return the selected messages of records, in file order."""
     _, start_ns, end_ns = selection
     view = content if isinstance(content, bytes) else bytes(content)
     unpack, message, channel_of, new = _MESSAGE.unpack_from, _MESSAGE_OPCODE, channels.get, tuple.__new__
@@ -275,11 +251,7 @@ def _is_short_tail(view: bytes, at: int) -> bool:
 
 
 def read_records(stream: ByteStream) -> Iterator[McapRecord]:
-    """Yield the records of a stream; unread bytes of one are skipped.
-
-    Raises:
-        Malformed: no record begins where one should, or the last one is cut.
-    """
+    """Yield the records of a stream; unread bytes of one are skipped."""
     while not stream.at_end():
         start = stream.position
         record_head = stream.take(records.RECORD_HEAD.size)

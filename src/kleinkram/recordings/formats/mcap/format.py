@@ -43,11 +43,7 @@ from kleinkram.recordings.topic_statistics import (
 
 
 def summarise_mcap(source: Source, *, most_bytes: int) -> RecordingSummary:
-    """Summarise by the index, or else by a scan of at most `most_bytes`.
-
-    Raises:
-        SourceError: as `Source.read`.
-    """
+    """Summarise by the index, or else by a scan of at most `most_bytes`."""
     timeline, losses = Timeline(), DamageReport()
     problems: list[Problem] = []
     try:
@@ -64,11 +60,7 @@ def summarise_mcap(source: Source, *, most_bytes: int) -> RecordingSummary:
 
 
 def scan_mcap(reader: SequentialReader, problems: Sequence[Problem] = ()) -> RecordingSummary:
-    """Scan a whole file. `problems`: why its index was not enough.
-
-    Raises:
-        SourceError: as `SequentialReader.read`.
-    """
+    """Scan a whole file. `problems`: why its index was not enough."""
     return summarise_scan(scan_records(reader), reader.name, problems)
 
 
@@ -193,7 +185,6 @@ def open_mcap(file: RecordingFile, context: OpenContext) -> ChunkedMember:
 
     Raises:
         TooCostly: it would have to be read whole, and has more bytes than may be read.
-        SourceError: as `Source.read`.
     """
     source, problem_log, message_compression = file.source, context.problem_log, context.message_compression
     try:

@@ -46,10 +46,6 @@ def read_index(source: Source, times: tuple[Timeline, DamageReport] | None = Non
         source: the file.
         times: where the messages of all message indexes are counted, and the chunks that cannot be read. None: no
             message index is read.
-
-    Raises:
-        NotIndexed: there is no index, or it cannot be true.
-        SourceError: as `Source.read`.
     """
     known = _KnownEnds(source)
     facts = McapFacts()

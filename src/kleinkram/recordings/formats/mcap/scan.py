@@ -174,11 +174,7 @@ class _McapScanner:
             raise Cut(where, f"{name} of {length} bytes begins, but only {left} bytes follow")
 
     def _pass_record(self, opcode: int, length: int, where: str) -> None:
-        """Read a whole record.
-
-        Raises:
-            Malformed: it cannot be one; nothing was passed over.
-        """
+        """Read a whole record."""
         stream, total = self._stream, RECORD_HEAD.size + length
         if opcode == Opcode.HEADER and stream.position != len(records.MAGIC):
             raise Malformed(where, "the header of a file in the middle of it")
@@ -241,11 +237,7 @@ class _McapScanner:
             facts.index_faults.note(start, f"its head is wrong: it says that its messages {wrong}")
 
     def _read_chunk(self, head: chunks.ChunkHead, total: int) -> tuple[ChunkMessages, Malformed | None]:
-        """Read a chunk; return its messages, and why not all of it could be read.
-
-        Raises:
-            Malformed: nothing in it can be believed, and nothing was counted.
-        """
+        """Read a chunk; return its messages, and why not all of it could be read."""
         stream, scan = self._stream, self.scan
         if why := unreadable_chunk(head.compression, stored=total, uncompressed=head.uncompressed):
             raise why
@@ -306,10 +298,7 @@ class _McapScanner:
         return stands_outside_chunks(stream.window, stream.at + total, stream.left - total)
 
     def _read_cut_chunk(self, cut: Cut, total: int) -> None:
-        """Read what is left of a chunk that reaches beyond the end of the file, or was never finished.
-
-        `total`: bytes of the file that are left for it.
-        """
+        """Read what is left of a chunk that reaches beyond the end of the file, or was never finished."""
         stream, scan = self._stream, self.scan
         self._end_chunk()
         head = chunks.read_chunk_head(stream.window, stream.at)
@@ -415,9 +404,6 @@ def scan_records(
         reader: the file.
         observer: as above.
         channels: that are known before; a part of a file may not define its own.
-
-    Raises:
-        SourceError: as `SequentialReader.read`.
     """
     scanner = _McapScanner(reader, observer)
     scanner.scan.facts.channels.update(channels or {})
@@ -497,11 +483,7 @@ class UnchunkedMessages:
         return after - last
 
     def take_large(self, total: int) -> None:
-        """Take a message of `total` bytes, of which only the head is in the window; skips nothing.
-
-        Raises:
-            Malformed: it is too short to be one.
-        """
+        """Take a message of `total` bytes, of which only the head is in the window; skips nothing."""
         channel_id, row = chunks.read_large_message(self._stream)
         self._batch[channel_id].extend(row)
         self._notify_observer(total)

@@ -157,11 +157,7 @@ class BagRecord:
 
 
 def parse_record(data: Buffer, at: int, where: str) -> BagRecord:
-    """Read the header of a record.
-
-    Raises:
-        Malformed: there is none, or it is not wholly in memory.
-    """
+    """Read the header of a record."""
     if at + 2 * _U32.size > len(data):
         raise Malformed(where, "a record breaks off")
     header_bytes = int(_U32.unpack_from(data, at)[0])
@@ -218,9 +214,6 @@ def points_at_messages(content: Buffer, number: int, entries: array[int], layout
     """Return whether messages of a connection are where index data say; checks the first, the last and a sample.
 
     `entries`: seconds, nanoseconds and place in the chunk of each message.
-
-    Raises:
-        Malformed: no record is at one of the places.
     """
     count = len(entries) // 3
     for at in {*range(0, count, max(1, count // _MOST_CHECKED)), max(0, count - 1)} if count else ():
@@ -301,11 +294,7 @@ def walk_known_layout(data: Buffer, at: int, end: int, facts: BagFacts, batch: B
 
 
 def read_record(data: Buffer, at: int, facts: BagFacts, batch: Batch) -> int:
-    """Read one whole connection or message; return where it ends.
-
-    Raises:
-        Malformed: it is neither, or not all there.
-    """
+    """Read one whole connection or message; return where it ends."""
     where = f"byte {at} of its contents"
     record = parse_record(data, at, where)
     if record.end > len(data):
@@ -328,11 +317,7 @@ def add_message(record: BagRecord, batch: Batch) -> None:
 
 
 def define(record: BagRecord, data: bytes, facts: BagFacts, where: str) -> None:
-    """Note a connection.
-
-    Raises:
-        Malformed: it is damaged, or larger than is read.
-    """
+    """Note a connection."""
     if record.data_bytes > MAX_TAKE:
         raise Malformed(where, f"a connection of {record.data_bytes} bytes", certain=False)
     number, connection = records.read_connection(record.fields, data, where)
@@ -352,22 +337,14 @@ class MessageHead(NamedTuple):
 
 
 def open_chunk(stream: ByteStream) -> StoredChunk:
-    """Read a chunk record up to its stored bytes.
-
-    Raises:
-        Malformed: it is none.
-    """
+    """Read a chunk record up to its stored bytes."""
     head = records.read_chunk_head(stream)
     compression = "" if head.compression == "none" else head.compression
     return StoredChunk(compression, head.uncompressed_bytes, 0, head.data_bytes)
 
 
 def read_message_index(source: Source, row: Row) -> ChunkMessages | None:
-    """Return the messages that the index data after a chunk list; None if there are none, or they cannot be read.
-
-    Raises:
-        SourceError: as `Source.read`.
-    """
+    """Return the messages that the index data after a chunk list; None if there are none, or they cannot be read."""
     stream, messages = open_range(source, row.start, row.end, window=_HEAD_WINDOW), ChunkMessages()
     try:
         stream.skip(records.read_chunk_head(stream).data_bytes)
@@ -383,11 +360,7 @@ def read_message_index(source: Source, row: Row) -> ChunkMessages | None:
 
 
 def parse_messages(content: Buffer, channels: Mapping[int, Channel], selection: Selection) -> Block:
-    """Return the selected messages of records, in file order.
-
-    Raises:
-        Malformed: a record is damaged, or reaches beyond the content.
-    """
+    """Return the selected messages of records, in file order."""
     _, start_ns, end_ns = selection
     view = content if isinstance(content, bytes) else bytes(content)
     at, size, new = 0, len(view), tuple.__new__
@@ -413,10 +386,7 @@ def parse_messages(content: Buffer, channels: Mapping[int, Channel], selection: 
 
 
 def _read_message_head(view: bytes, at: int, length: int, heads: dict[int, MessageHead]) -> tuple[int, int]:
-    """Return connection and time of a message; (-1, 0) for another record.
-
-    Headers of one length are nearly always laid out alike: the layout of the last one is tried first.
-    """
+    """Return connection and time of a message; (-1, 0) for another record."""
     known = heads.get(length)
     if known is not None:
         if known.time_first:

@@ -37,11 +37,7 @@ from kleinkram.recordings.topic_statistics import (
 
 
 def summarise_bag(source: Source, *, most_bytes: int) -> RecordingSummary:
-    """Summarise a bag by its index; scan it where that is impossible, if it has at most `most_bytes`.
-
-    Raises:
-        SourceError: as `Source.read`.
-    """
+    """Summarise a bag by its index; scan it where that is impossible, if it has at most `most_bytes`."""
     timeline, losses = Timeline(), DamageReport()
     try:
         index = read_index(source)
@@ -61,11 +57,7 @@ def summarise_bag(source: Source, *, most_bytes: int) -> RecordingSummary:
 
 
 def scan_bag(reader: SequentialReader, problems: Sequence[Problem] = ()) -> RecordingSummary:
-    """Scan a whole bag. `problems`: why its index was not enough.
-
-    Raises:
-        SourceError: as `SequentialReader.read`.
-    """
+    """Scan a whole bag. `problems`: why its index was not enough."""
     return summarise_scan(scan_bag_records(reader), reader.name, problems)
 
 
@@ -141,7 +133,6 @@ def open_bag(file: RecordingFile, context: OpenContext) -> ChunkedMember:
 
     Raises:
         TooCostly: it would have to be read whole, and has more bytes than may be read.
-        SourceError: as `Source.read`.
     """
     source, problem_log = file.source, context.problem_log
     try:

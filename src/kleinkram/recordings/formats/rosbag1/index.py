@@ -50,12 +50,7 @@ class BagIndex:
 
 
 def read_index(source: Source) -> BagIndex:
-    """Read the index section.
-
-    Raises:
-        Malformed: there is none, or it cannot be true.
-        SourceError: as `Source.read`.
-    """
+    """Read the index section."""
     index_start, connections, chunks = _read_bag_header(source)
     index = BagIndex(index_start)
     _read_index_section(open_range(source, index_start, source.size_bytes), index, connections + chunks)
@@ -138,12 +133,7 @@ def _place_chunks(index: BagIndex) -> None:
 
 
 def read_index_data(source: Source, index: BagIndex, timeline: Timeline, losses: DamageReport) -> None:
-    """Count the messages of all index data, and the chunks that cannot be read.
-
-    Raises:
-        Malformed: index data are damaged.
-        SourceError: as `Source.read`.
-    """
+    """Count the messages of all index data, and the chunks that cannot be read."""
     for connection in index.facts.connections.values():
         timeline.topic(connection.topic)
     watermarks = smallest_to_come(index.table.rows.column(Row._fields.index("first_ns")))
@@ -159,11 +149,7 @@ def read_index_data(source: Source, index: BagIndex, timeline: Timeline, losses:
 
 
 def _chunk_streams(source: Source, index: BagIndex) -> Iterator[tuple[Row, records.BagChunkHead, ByteStream]]:
-    """Yield each chunk with its header and its index data.
-
-    The size of the index data of a chunk follows from its chunk info. So one read fetches them together with the next
-    chunk's header; where a writer does otherwise, the header says where they are.
-    """
+    """Yield each chunk with its header and its index data."""
     rows = index.table.rows
     if not len(rows):
         return

@@ -133,11 +133,7 @@ class BagChunkHead(NamedTuple):
 
 
 def read_fields(stream: ByteStream) -> tuple[Fields, int]:
-    """Read a record up to its data; return its header and the length of the data.
-
-    Raises:
-        Malformed: there is no such record, or its header is larger than `MAX_HEADER`.
-    """
+    """Read a record up to its data; return its header and the length of the data."""
     where = f"byte {stream.position}"
     (length,) = _U32.unpack(stream.take(_U32.size))
     if length > MAX_HEADER:

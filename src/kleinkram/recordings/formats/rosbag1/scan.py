@@ -127,11 +127,7 @@ class _BagScanner:
         return find_record(stream.window, stream.at + 1, len(stream.window), outside=True) is not None
 
     def _pass_record(self, record: BagRecord, where: str) -> None:
-        """Read a whole record.
-
-        Raises:
-            Malformed: it cannot be one; nothing was passed over.
-        """
+        """Read a whole record."""
         stream, total = self._stream, record.end - record.start
         if record.opcode == Op.INDEX_DATA:
             if self._chunk is not None:
@@ -298,11 +294,7 @@ class _BagScanner:
         self._chunk = IndexedChunk(start, scan.counter.messages - before, damaged=True)
 
     def _check_search_budget(self, total: int, compression: str) -> None:
-        """Refuse an unverified chunk once too many were read without result.
-
-        Raises:
-            Malformed: the patience is spent, and nothing vouches for the chunk.
-        """
+        """Refuse an unverified chunk once too many were read without result."""
         stream = self._stream
         if self.scan.losses.is_search_budget_spent(stream.position) and (
             compression == "none" or not chunks.stands_outside_chunks(stream.window, stream.at + total)
@@ -380,11 +372,7 @@ class _BagScanner:
 
 
 def scan_bag_records(reader: SequentialReader, observer: MessageObserver | None = None) -> BagScan:
-    """Scan a whole bag. Its content never raises. The observer receives every message that is counted.
-
-    Raises:
-        SourceError: as `SequentialReader.read`.
-    """
+    """Scan a whole bag. Its content never raises. The observer receives every message that is counted."""
     return _BagScanner(reader, observer).run()
 
 
@@ -415,11 +403,7 @@ class Claims:
             self.chunks = fields.u32("chunk_count")
 
     def note_chunk_info(self, fields: Fields, data: bytes, where: str) -> None:
-        """Note a chunk info.
-
-        Raises:
-            Malformed: it is damaged.
-        """
+        """Note a chunk info."""
         info = records.read_chunk_info(fields, data, where)
         members, messages = self.sets.number(info.counts), sum(info.counts.values())
         self.listed.append(ChunkClaim(info.position, UNKNOWN, info.first_ns, info.last_ns, members, messages))

@@ -83,11 +83,7 @@ class MessageRow(NamedTuple):
 
 @contextmanager
 def open_database(path: Path) -> Iterator[sqlite3.Connection]:
-    """Open a database for reading. Damage raises `sqlite3.Error` here or at any later query.
-
-    Raises:
-        SourceError: the file cannot be opened.
-    """
+    """Open a database for reading. Damage raises `sqlite3.Error` here or at any later query."""
     if not os.access(path, os.R_OK):
         raise SourceError(f"{path}: cannot be opened for reading")
     try:
@@ -145,12 +141,7 @@ def _authorize(action: int, first: str | None, second: str | None, _database: st
 
 
 def check_tables(database: sqlite3.Connection) -> None:
-    """Check that `topics` and `messages` are tables with the columns of every version.
-
-    Raises:
-        Malformed: they are not.
-        sqlite3.Error: the schema cannot be read.
-    """
+    """Check that `topics` and `messages` are tables with the columns of every version."""
     rows = database.execute(
         "SELECT name, type, rootpage FROM sqlite_master WHERE name IN ('topics', 'messages') AND type != 'index'"
     ).fetchall()
@@ -169,12 +160,7 @@ def columns(database: sqlite3.Connection, table: str) -> set[str]:
 
 
 def read_topics(database: sqlite3.Connection) -> list[TopicRow]:
-    """Return the topics, in the order of their ids.
-
-    Raises:
-        Malformed: there are more than is credible.
-        sqlite3.Error: they cannot be read.
-    """
+    """Return the topics, in the order of their ids."""
     present = columns(database, "topics")
     columns_sql = ", ".join(f"substr({name}, 1, {MAX_NAME})" if name in present else "''" for name in _TEXT_COLUMNS)
     topics: list[TopicRow] = []
@@ -189,11 +175,7 @@ def read_topics(database: sqlite3.Connection) -> list[TopicRow]:
 
 
 def read_origin(database: sqlite3.Connection) -> Origin:
-    """Read the tables `schema`, `metadata` and `message_definitions`, which older databases lack.
-
-    Raises:
-        sqlite3.Error: one of them cannot be read.
-    """
+    """Read the tables `schema`, `metadata` and `message_definitions`, which older databases lack."""
     distro: object = ""
     version: object = None
     definitions, stated = 0, ""
@@ -222,11 +204,7 @@ def _stated_value(text: str, key: str) -> str:
 
 
 def find_faults(database: sqlite3.Connection) -> list[str]:
-    """Check the structure of every page; return the faults in SQLite's words.
-
-    Raises:
-        sqlite3.Error: not even that can be done.
-    """
+    """Check the structure of every page; return the faults in SQLite's words."""
     rows = database.execute(f"PRAGMA quick_check({_MOST_FAULTS})").fetchall()
     return [str(row[0]) for row in rows if row[0] != "ok"]
 
@@ -251,11 +229,7 @@ _READ_ONLY_PRAGMAS = frozenset(("trusted_schema", "locking_mode", "journal_mode"
 
 
 def find_unmerged_logs(path: Path, name: str | None = None) -> list[Problem]:
-    """Report the log and the journal beside a database that hold unmerged pages.
-
-    Raises:
-        SourceError: one of them cannot be read.
-    """
+    """Report the log and the journal beside a database that hold unmerged pages."""
     name = name or path.name
     wal, journal = (Path(f"{path}{suffix}") for suffix in LOG_SUFFIXES)
     problems: list[Problem] = []
@@ -288,9 +262,6 @@ def replayed_copy(path: Path) -> Iterator[Path | None]:
     """Yield a temporary copy of a database with its log and journal applied.
 
     None where it cannot be made: too little space, or SQLite does not apply them.
-
-    Raises:
-        SourceError: one of the files cannot be read, or the copy cannot be written.
     """
     present = [suffix for suffix in LOG_SUFFIXES if Path(f"{path}{suffix}").is_file()]
     try:

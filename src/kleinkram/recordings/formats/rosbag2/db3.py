@@ -69,9 +69,6 @@ def scan_db3(reader: SequentialReader, *, depth: Depth = Depth.scan) -> Recordin
     Where a local file has a log or a journal beside it that holds something it does not, a copy is read to which
     SQLite applied them. `Depth.summary` leaves out the check of every page, and does not read the pages of large
     messages.
-
-    Raises:
-        SourceError: as `SequentialReader.read`, or the temporary copy cannot be written.
     """
     left = find_unmerged_logs(reader.path, reader.name) if reader.path is not None else []
     try:
@@ -89,9 +86,6 @@ def scan_copy(copy: Path, name: str, scan_without_logs: Callable[[], RecordingSu
     """Scan a temporary copy of a database and of the log or journal beside it.
 
     `scan_without_logs`: where SQLite does not apply them, half of them may be in the copy.
-
-    Raises:
-        SourceError: one of them cannot be read.
     """
     left = find_unmerged_logs(copy, name)
     if not left:
@@ -279,11 +273,7 @@ class DatabaseMember:
         *,
         message_compression: str = "",
     ) -> None:
-        """Read topics and span; `recover` opens a damaged database.
-
-        Raises:
-            SourceError: the file cannot be opened.
-        """
+        """Read topics and span; `recover` opens a damaged database."""
         self._recover = recover
         self._recovered: Member | None = None
         self._path = path

@@ -58,11 +58,7 @@ class Column(NamedTuple):
 
 
 def read_header(head: bytes) -> Header:
-    """Read the database header; an invalid page size becomes the default.
-
-    Raises:
-        Malformed: too short, or no database.
-    """
+    """Read the database header; an invalid page size becomes the default."""
     if len(head) < HEADER_BYTES or not head.startswith(MAGIC):
         raise Malformed("byte 0", "the header of the database is not whole")
     (page_bytes,) = _U16.unpack_from(head, 16)
@@ -117,12 +113,7 @@ class PageFile:
         os.close(self._descriptor)
 
     def page(self, number: int) -> bytes:
-        """Return a page.
-
-        Raises:
-            Malformed: there is none of that number, or it is not whole.
-            SourceError: it cannot be read.
-        """
+        """Return a page."""
         if not 1 <= number <= self.whole_pages:
             raise Malformed(f"page {number}", "it lies beyond the end of the file")
         size = self.header.page_bytes
@@ -184,11 +175,7 @@ class PageFile:
 
 
 def read_varint(data: bytes, at: int) -> tuple[int, int]:
-    """Return a number of 1 to 9 bytes (two's complement in 64 bits), and where it ends.
-
-    Raises:
-        IndexError: it is not whole.
-    """
+    """Return a number of 1 to 9 bytes (two's complement in 64 bits), and where it ends."""
     value = data[at]
     if value < 0x80:
         return value, at + 1
@@ -212,11 +199,7 @@ def local_bytes(payload_bytes: int, usable_bytes: int) -> int:
 
 
 def leaf_cells(page: bytes, start: int, usable_bytes: int) -> Iterator[Cell | None]:
-    """Yield the rows of a table leaf page; None for an invalid one. `start`: of the page header.
-
-    Raises:
-        Malformed: the page claims more rows than it can hold.
-    """
+    """Yield the rows of a table leaf page; None for an invalid one. `start`: of the page header."""
     (count,) = _U16.unpack_from(page, start + 3)
     first = start + 8 + 2 * count
     if first > usable_bytes:

@@ -207,10 +207,7 @@ class Recovery:
                 yield cell, columns
 
     def _is_whole(self, cell: Cell) -> bool:
-        """Return whether all overflow pages of a row are there.
-
-        A page belongs to one row only, so that all of this takes no more steps than the file has pages.
-        """
+        """Return whether all overflow pages of a row are there."""
         usable = self._file.header.usable_bytes
         left = cell.payload_bytes - cell.local_bytes
         number = cell.overflow_page
@@ -269,11 +266,7 @@ _LATEST_NS = 2**63 - 1
 def open_recovered(
     path: Path, name: str, problem_log: ProblemLog, stack: ExitStack, *, message_compression: str = ""
 ) -> ChunkedMember:
-    """Open a recovered database; its temporary file is removed with the stack.
-
-    Raises:
-        SourceError: it cannot be read, or there is no room for the temporary file.
-    """
+    """Open a recovered database; its temporary file is removed with the stack."""
     counts: dict[int, int] = defaultdict(int)
     channels: dict[int, Channel] = {}
     try:
