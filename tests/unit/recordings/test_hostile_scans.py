@@ -16,8 +16,8 @@ from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap import scan as scan_module
 from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.formats.mcap.scan import scan_records
-from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
 from kleinkram.recordings.formats.rosbag1 import records as bag_records
+from kleinkram.recordings.sample.writers import Compression, McapWriter
 from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
 
