@@ -17,7 +17,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
 
-from kleinkram.recordings.chunk_table import ChunkTable, Int64Table, Row, StoredChunk
+from kleinkram.recordings.chunk_table import ChunkHead, ChunkTable, Int64Table, Row
 from kleinkram.recordings.compression import Buffer, decompress, decompress_beginning, unreadable_chunk
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import Malformed
@@ -56,7 +56,7 @@ class ChunkFormat:
         read_message_index: what the message index behind a chunk lists.
     """
 
-    open_chunk: Callable[[ByteStream], StoredChunk]
+    open_chunk: Callable[[ByteStream], ChunkHead]
     parse_messages: Callable[[Buffer, Mapping[int, Channel], Selection], Block]
     salvage: Salvage
     read_message_index: ReadMessageIndex
@@ -210,8 +210,7 @@ class _ChunkReader:
                 why := unreadable_chunk(head.compression, stored=row.length, uncompressed=head.uncompressed_bytes)
             ):
                 return why
-            start = stream.position - row.start
-            stored = memoryview(data)[start : start + head.stored_bytes]
+            stored = memoryview(data)[head.data_start : head.record_bytes]
             if row.kind == PlaceKind.cut:
                 most_bytes = min(head.uncompressed_bytes, MAX_CHUNK_BYTES)
                 return decompress_beginning(head.compression, bytes(stored), most_bytes)
@@ -449,7 +448,7 @@ class SalvagedMessages:
 
 
 Salvage = Callable[[Source, Iterable[FileGap], Mapping[int, Channel]], SalvagedMessages]
-OpenChunk = Callable[[ByteStream], StoredChunk]
+OpenChunk = Callable[[ByteStream], ChunkHead]
 
 
 def end_of_chunk(source: Source, row: Row, open_chunk: OpenChunk) -> int | None:

@@ -115,13 +115,29 @@ def smallest_to_come(values: array[int]) -> Iterator[int | None]:
         yield None
 
 
-class StoredChunk(NamedTuple):
-    """The fields of a chunk before its stored bytes. `crc`: of the uncompressed bytes; 0: none."""
+class ChunkHead(NamedTuple):
+    """The fields of a chunk record before its stored bytes.
+
+    Attributes:
+        compression: empty for none.
+        crc: of the uncompressed bytes; 0: none.
+        data_start: of the stored bytes, from the start of the record.
+        times: first and last log time; None where the format does not say.
+        is_unfinished: its lengths were never filled in.
+    """
 
     compression: str
     uncompressed_bytes: int
     crc: int
+    data_start: int
     stored_bytes: int
+    times: tuple[int, int] | None = None
+    is_unfinished: bool = False
+
+    @property
+    def record_bytes(self) -> int:
+        """Bytes of the whole record."""
+        return self.data_start + self.stored_bytes
 
 
 class Row(NamedTuple):

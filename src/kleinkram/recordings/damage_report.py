@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import FREE_UNPACKED, MAX_DAMAGE, MAX_EXPANSION, MAX_PROBLEMS
-from kleinkram.recordings.model import Lost, Problem, counted
+from kleinkram.recordings.model import Content, Lost, Problem, counted
 
 _FREE_WASTED_BYTES = 256 * 2**20
 _WASTED_SHARE = 4
@@ -84,6 +84,12 @@ class DamageReport:
         return listed + [
             Problem("index-damaged", fault.where, fault.message) for fault in self.index_faults[: MAX_PROBLEMS + 1]
         ]
+
+    def content(self, *, holds_anything: bool) -> Content:
+        """Return the content of a file that is not whole."""
+        if holds_anything:
+            return Content.recovered
+        return Content.broken if not self.damage or any(fault.certain for fault in self.damage) else Content.opaque
 
     def total(self, *, claimed: int | None, readable: int) -> Lost:
         """Return the loss, which may be zero. `claimed`: messages that the file should hold; None: unknown."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime, timezone
 from typing import NamedTuple
 
@@ -35,40 +35,44 @@ class TopicType(NamedTuple):
     message_encoding: str
 
 
-@dataclass(frozen=True)
-class Measured:
-    """The topics of a file, and its span."""
-
-    topics: tuple[TopicSummary, ...]
-    message_count: int
-    start_ns: int | None
-    end_ns: int | None
-    problems: tuple[Problem, ...]
+def types_by_topic(channels: Iterable[tuple[str, TopicType]]) -> dict[str, list[TopicType]]:
+    """Return the distinct types of each topic, in file order."""
+    types: dict[str, dict[TopicType, None]] = {}
+    for topic, kind in channels:
+        types.setdefault(topic, {})[kind] = None
+    return {topic: list(kinds) for topic, kinds in types.items()}
 
 
-def measure(timeline: Timeline, types: Mapping[str, Sequence[TopicType]]) -> Measured:
-    """Return the topics of a settled timeline. `types`: the distinct types of each topic, in file order."""
+def measure(
+    kind: RecordingFormat,
+    timeline: Timeline,
+    types: Mapping[str, Sequence[TopicType]],
+    problems: Iterable[Problem] = (),
+) -> RecordingSummary:
+    """Return the summary of a file whose content is whole, by a settled timeline; `types` as of `types_by_topic`."""
     island = bulk(run for times in timeline.topics.values() for run in times.runs)
+    bins = most_bins(len(timeline.topics))
     topics: list[TopicSummary] = []
-    problems: list[Problem] = []
+    warnings: list[Problem] = []
     for name in sorted(timeline.topics):
         times = timeline.topics[name]
-        run = within(times.runs, island)
-        topic = _summarise_topic(name, types[name][0], times, run, island, most_bins(len(timeline.topics)))
+        topic = _summarise_topic(name, types[name][0], times, within(times.runs, island), island, bins)
         topics.append(topic)
-        problems += _problems_of_topic(topic, types[name], times)
+        warnings += _problems_of_topic(topic, types[name], times)
     jumps = {name: times.jump for name, times in timeline.topics.items() if times.jump is not None}
-    problems += clock_jump_problems(jumps)
+    warnings += clock_jump_problems(jumps)
     # The silence that a jump of the clock leaves is none.
-    longest_ns = min((jump.before_ns - jump.after_ns for jump in jumps.values()), default=None)
-    longest_ns = longest_ns // 2 if longest_ns is not None else None
+    longest_ns = min(((jump.before_ns - jump.after_ns) // 2 for jump in jumps.values()), default=None)
     span_ns = island.last_ns - island.first_ns if island else None
-    return Measured(
-        topics=tuple(topics),
+    warnings += find_quality_warnings(topics, span_ns, longest_silence_ns=longest_ns)
+    return RecordingSummary(
+        kind,
+        Content.indexed,
         message_count=sum(times.count for times in timeline.topics.values()),
         start_ns=island.first_ns if island else None,
         end_ns=island.last_ns if island else None,
-        problems=(*problems, *find_quality_warnings(topics, span_ns, longest_silence_ns=longest_ns)),
+        topics=tuple(topics),
+        problems=bounded([*problems, *warnings]),
     )
 
 
@@ -230,10 +234,16 @@ def find_quality_warnings(
         if not topic.count:
             silent.append(Problem("silent-topic", topic.name, "it is defined, but has no message"))
         elif span_ns is not None and topic.rate_hz is not None and topic.count >= _LEAST_MESSAGES:
-            late += _starts_late(topic, topic.rate_hz, span_ns)
-            early += _stops_early(topic, topic.rate_hz, span_ns)
-            gaps += _has_long_gap(topic, topic.rate_hz, span_ns)
-    return [*merge_similar(silent), *merge_similar(late), *merge_similar(early), *merge_similar(gaps)]
+            rate = topic.rate_hz
+            if _is_long(head_ns := topic.head_gap_ns or 0, rate, span_ns, _PERIODS):
+                late.append(Problem("starts-late", topic.name, f"its first message comes {span_text(head_ns)} late"))
+            if _is_long(tail_ns := topic.tail_gap_ns or 0, rate, span_ns, _PERIODS):
+                message = f"its last message comes {span_text(tail_ns)} before the end of the recording"
+                early.append(Problem("stops-early", topic.name, message))
+            if _is_long(gap_ns := topic.longest_gap_ns or 0, rate, span_ns, _PERIODS_FOR_GAPS):
+                message = f"it is silent for {span_text(gap_ns)} in between, at {rate:.3g} Hz on average"
+                gaps.append(Problem("long-gap", topic.name, message))
+    return [problem for kind in (silent, late, early, gaps) for problem in merge_similar(kind)]
 
 
 def _credible(topic: TopicSummary, longest_ns: int) -> TopicSummary:
@@ -243,26 +253,6 @@ def _credible(topic: TopicSummary, longest_ns: int) -> TopicSummary:
         for silence_ns in (topic.head_gap_ns, topic.tail_gap_ns, topic.longest_gap_ns)
     )
     return replace(topic, head_gap_ns=head_ns, tail_gap_ns=tail_ns, longest_gap_ns=gap_ns)
-
-
-def _starts_late(topic: TopicSummary, rate_hz: float, span_ns: int) -> list[Problem]:
-    if not _is_long(topic.head_gap_ns, rate_hz, span_ns, _PERIODS):
-        return []
-    return [Problem("starts-late", topic.name, f"its first message comes {span_text(topic.head_gap_ns or 0)} late")]
-
-
-def _stops_early(topic: TopicSummary, rate_hz: float, span_ns: int) -> list[Problem]:
-    if not _is_long(topic.tail_gap_ns, rate_hz, span_ns, _PERIODS):
-        return []
-    message = f"its last message comes {span_text(topic.tail_gap_ns or 0)} before the end of the recording"
-    return [Problem("stops-early", topic.name, message)]
-
-
-def _has_long_gap(topic: TopicSummary, rate_hz: float, span_ns: int) -> list[Problem]:
-    if not _is_long(topic.longest_gap_ns, rate_hz, span_ns, _PERIODS_FOR_GAPS):
-        return []
-    message = f"it is silent for {span_text(topic.longest_gap_ns or 0)} in between, at {rate_hz:.3g} Hz on average"
-    return [Problem("long-gap", topic.name, message)]
 
 
 def merge_similar(problems: Sequence[Problem], what: str = "topics") -> list[Problem]:
@@ -276,7 +266,5 @@ def merge_similar(problems: Sequence[Problem], what: str = "topics") -> list[Pro
     return [Problem(first.code, f"{len(problems)} {what}", message)]
 
 
-def _is_long(silence_ns: int | None, rate_hz: float, span_ns: int, periods: int) -> bool:
-    if silence_ns is None:
-        return False
+def _is_long(silence_ns: int, rate_hz: float, span_ns: int, periods: int) -> bool:
     return silence_ns > max(periods * 1e9 / rate_hz, _LEAST_SILENCE_NS, span_ns // _SHARE_OF_SPAN)

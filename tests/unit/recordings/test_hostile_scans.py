@@ -61,8 +61,7 @@ def test_heads_of_chunks_are_not_read_as_often_as_they_stand_there(name: str, mo
         return decompress(kind, stored, uncompressed_bytes)
 
     monkeypatch.setattr(damage_report_module, "_FREE_WASTED_BYTES", 2**20)
-    monkeypatch.setattr("kleinkram.recordings.formats.mcap.chunks.decompress", counted)
-    monkeypatch.setattr("kleinkram.recordings.formats.rosbag1.scan.decompress", counted)
+    monkeypatch.setattr("kleinkram.recordings.formats.chunked.decompress", counted)
     data = FILES[name]
     summary = scan(source_reader(MemorySource(data, name)))
     assert summary.content is Content.broken

@@ -13,13 +13,11 @@ from typing import NamedTuple
 from kleinkram.recordings.compression import Buffer
 from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.formats.chunked import LOOK, search_width
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import FOOTER_BYTES, MAGIC, RECORD_HEAD, Opcode
 from kleinkram.recordings.limits import MAX_NAME
 from kleinkram.recordings.streams import LookaheadStream
-
-LOOK = 64 * 2**10
-"""Bytes from the start of a record within which its fixed fields and names are."""
 
 CHUNK_FIXED = struct.Struct("<QQQII")
 _U16 = struct.Struct("<H")
@@ -231,7 +229,6 @@ def _body_length(opcode: int, data: Buffer, body: int, length: int) -> int | Non
     return at - body
 
 
-_SEARCH_BYTES = 4 * 2**20
 _END = rb"\x02\x14\0{7}.{20}" + re.escape(MAGIC)
 """A footer, and the magic behind it."""
 _MARK = re.compile(_END + b"|" + re.escape(MAGIC), re.DOTALL)
@@ -241,7 +238,7 @@ def pass_damage(stream: LookaheadStream, channels: Container[int], losses: Damag
     """Skip at least one byte, up to the next record of this file."""
     start = 0 if stream.window[stream.at] == Opcode.HEADER and stream.position != len(MAGIC) else 1
     while stream.left:
-        width = _bring(stream)
+        width = search_width(stream)
         at, end = stream.at, stream.at + width
         record_at = find_record(stream.window, at + start, end, stream.left - start, channels)
         inner = find_inner(stream.window, at, end if record_at is None else record_at, stream.left)
@@ -269,12 +266,6 @@ def find_inner(data: Buffer, start: int, end: int, left: int) -> int | None:
     return None
 
 
-def _bring(stream: LookaheadStream) -> int:
-    """Fill the window; return in how many of its bytes a whole record or magic may begin."""
-    at_hand = stream.ahead(_SEARCH_BYTES)
-    return at_hand if at_hand == stream.left else at_hand - LOOK
-
-
 def _opens(match: re.Match[bytes]) -> bool:
     return match.end() - match.start() == len(MAGIC)
 
@@ -286,7 +277,7 @@ def _pass_inner(stream: LookaheadStream, losses: DamageReport) -> None:
     depth = 1
     stream.advance(1)
     while stream.left and depth:
-        width = _bring(stream)
+        width = search_width(stream)
         end = min(len(stream.window), stream.at + width + FOOTER_BYTES)
         match = _MARK.search(stream.window, stream.at, end)
         if match is None or match.start() >= stream.at + width:

@@ -151,22 +151,21 @@ class _TopicCounts:
     ) -> RecordingSummary:
         """Return the summary."""
         self.timeline.settle(None)
-        measured = measure(self.timeline, self.types)
-        return RecordingSummary(
-            format=RecordingFormat.rosbag2_db3,
+        compression, facts = self._origin.message_compression, []
+        if self._origin.ros_distro:
+            facts.append(Fact("ros_distro", self._origin.ros_distro))
+        if self._origin.schema_version is not None:
+            facts.append(Fact("schema_version", self._origin.schema_version))
+        if self._origin.definitions:
+            facts.append(Fact("message_definitions", self._origin.definitions))
+        return replace(
+            measure(RecordingFormat.rosbag2_db3, self.timeline, self.types, [*problems, *self._problems()]),
             content=content,
             reason=reason,
-            message_count=measured.message_count,
-            start_ns=measured.start_ns,
-            end_ns=measured.end_ns,
-            compression=(
-                f"message-{self._origin.message_compression}" if self._origin.message_compression else "none",
-            ),
-            topics=measured.topics,
-            problems=bounded([*problems, *self._problems(), *measured.problems]),
+            compression=(f"message-{compression}" if compression else "none",),
             depth=depth,
             lost=lost,
-            facts=tuple(_facts(self._origin)),
+            facts=tuple(facts),
         )
 
     def _problems(self) -> Iterator[Problem]:
@@ -178,15 +177,6 @@ class _TopicCounts:
             rows = counted(self.unusable, "row has", "rows have")
             message = f"{rows} no whole number as time or topic id, or a time before 1970; left out"
             yield Problem("rows-unusable", "table messages", message)
-
-
-def _facts(origin: Origin) -> Iterator[Fact]:
-    if origin.ros_distro:
-        yield Fact("ros_distro", origin.ros_distro)
-    if origin.schema_version is not None:
-        yield Fact("schema_version", origin.schema_version)
-    if origin.definitions:
-        yield Fact("message_definitions", origin.definitions)
 
 
 def _read(path: Path, name: str, depth: Depth) -> RecordingSummary:

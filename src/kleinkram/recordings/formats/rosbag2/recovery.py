@@ -12,28 +12,27 @@ from __future__ import annotations
 
 import struct
 from array import array
-from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from kleinkram.recordings.chunk_reader import MAX_MESSAGE
+from kleinkram.recordings.chunk_reader import MAX_MESSAGE, ChunkTableBuilder
+from kleinkram.recordings.chunk_table import ChunkTable
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import Malformed, SourceError
 from kleinkram.recordings.formats.base import ChunkedMember, MemberContents
-from kleinkram.recordings.formats.mcap import records
-from kleinkram.recordings.formats.mcap.chunks import MESSAGE_FIELDS, table_of_records
+from kleinkram.recordings.formats.mcap.chunks import MESSAGE_FIXED, MESSAGE_HEAD
 from kleinkram.recordings.formats.mcap.format import MCAP_CHUNKS
 from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.formats.rosbag2 import pages
 from kleinkram.recordings.formats.rosbag2.database import MessageRow, TopicRow
 from kleinkram.recordings.formats.rosbag2.pages import Cell, Column, PageFile
 from kleinkram.recordings.limits import MAX_NAME, MAX_TOPICS
+from kleinkram.recordings.message_counts import Batch, MessagePlace, PlaceKind
 from kleinkram.recordings.messages import Channel, Schema
 from kleinkram.recordings.model import counted
 from kleinkram.recordings.sources import FileSource
-from kleinkram.recordings.streams import open_range
 from kleinkram.recordings.temporary_files import TooLarge, temporary_copy
 
 _MAX_SORTED_PAGES = 2_000_000
@@ -266,23 +265,21 @@ _LATEST_NS = 2**63 - 1
 def open_recovered(
     path: Path, name: str, problem_log: ProblemLog, stack: ExitStack, *, message_compression: str = ""
 ) -> ChunkedMember:
-    """Open a recovered database; its temporary file is removed with the stack."""
-    counts: dict[int, int] = defaultdict(int)
+    """Open a recovered database; its temporary file of MCAP message records is removed with the stack.
+
+    Raises:
+        SourceError: it cannot be read, or there is no room for the temporary file.
+    """
     channels: dict[int, Channel] = {}
+    builder = ChunkTableBuilder(ChunkTable(), problem_log)
     try:
         with Recovery(path, name) as recovery:
-            numbers = {topic.topic_id: number for number, topic in enumerate(recovery.result.topics)}
-            channels = {
-                number: Channel(
-                    topic.name,
-                    topic.serialization_format or "cdr",
-                    Schema(topic.message_type, "", b""),
-                    message_compression,
-                )
-                for number, topic in enumerate(recovery.result.topics)
-            }
-            copy = stack.enter_context(temporary_copy(_reading(_records(recovery, numbers, counts))))
             result = recovery.result
+            for number, topic in enumerate(result.topics):
+                schema, encoding = Schema(topic.message_type, "", b""), topic.serialization_format or "cdr"
+                channels[number] = Channel(topic.name, encoding, schema, message_compression)
+            pieces = _records(recovery, channels, builder)
+            copy = stack.enter_context(temporary_copy(lambda _most: next(pieces, b"")))
             lost = counted(result.lost_messages, "message is", "messages are")
             message = f"{result.first_damage or 'it is damaged'}; at least {lost} lost"
             problem_log.add("damaged", f"{name}: pages", message)
@@ -291,23 +288,23 @@ def open_recovered(
         copy = stack.enter_context(temporary_copy(lambda _: b""))
     except TooLarge as error:
         raise SourceError(f"{name}: {error}") from error
+    builder.close()
+    contents = MemberContents(channels, builder.counts, sum(builder.counts.values()), *builder.table.span())
     source = stack.enter_context(FileSource(copy))
-    table = table_of_records(open_range(source, 0, source.size_bytes))
-    contents = MemberContents(channels, counts, sum(counts.values()), *table.span())
-    return ChunkedMember(source, MCAP_CHUNKS, table, contents, problem_log)
+    return ChunkedMember(source, MCAP_CHUNKS, builder.table, contents, problem_log)
 
 
-def _records(recovery: Recovery, numbers: dict[int, int], counts: dict[int, int]) -> Iterator[bytes]:
-    """Yield each message as an MCAP record, without those of undefined topics."""
+def _records(recovery: Recovery, channels: dict[int, Channel], builder: ChunkTableBuilder) -> Iterator[bytes]:
+    """Yield each message as an MCAP record, without those of undefined topics, and note its place."""
+    numbers = {topic.topic_id: number for number, topic in enumerate(recovery.result.topics)}
+    start = 0
     for row, data in recovery.messages_with_data(MAX_MESSAGE):
-        number = numbers.get(row.topic_id)
-        if number is None or not 0 <= row.timestamp <= _LATEST_NS:
+        number, time = numbers.get(row.topic_id), row.timestamp
+        if number is None or not 0 <= time <= _LATEST_NS:
             continue
-        counts[number] += 1
-        head = MESSAGE_FIELDS.pack(number, 0, row.timestamp, row.timestamp)
-        yield records.RECORD_HEAD.pack(Opcode.MESSAGE, len(head) + len(data)) + head + data
-
-
-def _reading(pieces: Iterator[bytes]) -> Callable[[int], bytes]:
-    """Return a function that returns the next piece of any size; b"" at the end."""
-    return lambda _most: next(pieces, b"")
+        length = MESSAGE_HEAD.size + len(data)
+        batch = Batch(channels)
+        batch[number].extend((time, time, length))
+        builder.on_messages(MessagePlace(PlaceKind.records, start, length, length), batch)
+        start += length
+        yield MESSAGE_HEAD.pack(Opcode.MESSAGE, MESSAGE_FIXED + len(data), number, 0, time, time) + data
