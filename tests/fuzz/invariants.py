@@ -19,7 +19,7 @@ from kleinkram.recordings import (
     to_dict,
 )
 from kleinkram.recordings.decoding import image, points
-from kleinkram.recordings.decoding.errors import DecodeError
+from kleinkram.recordings.decoding.types import DecodeError
 from kleinkram.recordings.sources import file_reader
 from kleinkram.recordings.summary import scan
 from tests.fuzz.seeds import Seed

@@ -126,3 +126,7 @@ class NoSuchTopic(RecordingError):
         super().__init__(f"there is no topic {topic}; the recording has {shown or 'none'}")
         self.topic = topic
         self.topics = topics
+
+
+class TooDisordered(RecordingError):
+    """Too many parts of the recording overlap in time to be merged in bounded memory."""

@@ -16,7 +16,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from operator import attrgetter
 from typing import Generic, NamedTuple, TypeVar
 
-from kleinkram.recordings.errors import RecordingError
+from kleinkram.recordings.errors import TooDisordered
 from kleinkram.recordings.messages import END_OF_TIME_NS, Block
 from kleinkram.recordings.streams import keep_freed_memory
 
@@ -27,10 +27,6 @@ OVERHEAD_BYTES = 250
 """What a message costs beside its data."""
 
 _log_time = attrgetter("log_time_ns")
-
-
-class TooDisordered(RecordingError):
-    """Too many parts of the recording overlap in time to be merged in bounded memory."""
 
 
 class MessageRun:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-from kleinkram.recordings.decoding.errors import DecodeError, ReadingExtraMissing, SchemaError, Undecodable
 from kleinkram.recordings.decoding.generate import Decode, generate
 from kleinkram.recordings.decoding.idl_definitions import parse_idl
 from kleinkram.recordings.decoding.msg_definitions import Ros, parse_msg, well_known_definitions
@@ -17,8 +16,12 @@ from kleinkram.recordings.decoding.types import (
     MAX_JSON_VALUES,
     MAX_SCHEMA_BYTES,
     MAX_TYPES,
+    DecodeError,
     Layout,
+    ReadingExtraMissing,
+    SchemaError,
     Struct,
+    Undecodable,
     layout_of,
 )
 from kleinkram.recordings.decoding.values import Value

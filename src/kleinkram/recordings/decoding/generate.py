@@ -17,8 +17,7 @@ import struct
 from collections.abc import Callable
 from typing import Any, NoReturn
 
-from kleinkram.recordings.decoding.errors import DecodeError
-from kleinkram.recordings.decoding.types import MAX_OBJECTS, PRIMITIVES, Array, Primitive, Struct, Type
+from kleinkram.recordings.decoding.types import MAX_OBJECTS, PRIMITIVES, Array, DecodeError, Primitive, Struct, Type
 from kleinkram.recordings.decoding.values import Value, value_class
 from kleinkram.recordings.decoding.wire import (
     NumberReader,

@@ -11,7 +11,6 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
-from kleinkram.recordings.decoding.errors import SchemaError
 from kleinkram.recordings.decoding.msg_definitions import split_blocks
 from kleinkram.recordings.decoding.types import (
     MAX_DEPTH,
@@ -22,6 +21,7 @@ from kleinkram.recordings.decoding.types import (
     Definition,
     FieldText,
     Primitive,
+    SchemaError,
     Struct,
     constants_of,
     resolve,

@@ -13,9 +13,9 @@ from typing import Any
 
 import pyarrow as pa
 
-from kleinkram.recordings.decoding.columns import TIME_COLUMNS, NoSuchField, Notice, timed_batch
 from kleinkram.recordings.decoding.decoder import Decoder
-from kleinkram.recordings.decoding.errors import DecodeError
+from kleinkram.recordings.decoding.tables import TIME_COLUMNS, NoSuchField, Notice, timed_batch
+from kleinkram.recordings.decoding.types import DecodeError
 from kleinkram.recordings.decoding.values import to_row
 
 _INT64 = range(-(2**63), 2**63)

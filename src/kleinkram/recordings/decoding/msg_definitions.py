@@ -20,7 +20,6 @@ from enum import Enum
 from functools import lru_cache
 from importlib.resources import files
 
-from kleinkram.recordings.decoding.errors import SchemaError
 from kleinkram.recordings.decoding.types import (
     MAX_TYPES,
     PRIMITIVES,
@@ -28,6 +27,7 @@ from kleinkram.recordings.decoding.types import (
     Definition,
     FieldText,
     Primitive,
+    SchemaError,
     Struct,
     constants_of,
     resolve,

@@ -31,8 +31,7 @@ import re
 import struct
 from typing import TYPE_CHECKING, Any
 
-from kleinkram.recordings.decoding.errors import DecodeError, ReadingExtraMissing
-from kleinkram.recordings.decoding.types import MAX_IMAGE_PIXELS, MAX_POINT_FIELDS
+from kleinkram.recordings.decoding.types import MAX_IMAGE_PIXELS, MAX_POINT_FIELDS, DecodeError, ReadingExtraMissing
 from kleinkram.recordings.decoding.values import part, payload, type_name, whole_number
 
 if TYPE_CHECKING:

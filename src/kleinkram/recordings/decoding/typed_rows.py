@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from kleinkram.recordings.decoding.columns import (
+from kleinkram.recordings.decoding.decoder import Decoder
+from kleinkram.recordings.decoding.tables import (
     Notice,
     TableColumn,
     arrow_of,
@@ -25,9 +26,7 @@ from kleinkram.recordings.decoding.columns import (
     is_time,
     timed_batch,
 )
-from kleinkram.recordings.decoding.decoder import Decoder
-from kleinkram.recordings.decoding.errors import DecodeError
-from kleinkram.recordings.decoding.types import Array, Primitive, Struct, Type
+from kleinkram.recordings.decoding.types import Array, DecodeError, Primitive, Struct, Type
 from kleinkram.recordings.decoding.values import NS, Value
 from kleinkram.recordings.decoding.wire import ENCAPSULATIONS, ROS1, Wire, is_numbers
 

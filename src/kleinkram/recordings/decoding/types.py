@@ -1,4 +1,4 @@
-"""Types of a schema, whatever language it is written in, and the bounds on what a schema or a message may claim.
+"""Types of a schema, whatever language it is written in, bounds on schemas and messages, and errors.
 
 A `Struct` contains its nested types themselves, never names, so a type cannot contain itself. Build one only with
 `resolve`, which checks the bounds: schemas and messages are untrusted.
@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from kleinkram.recordings.decoding.errors import SchemaError
+from kleinkram.recordings.errors import RecordingError
 
 MAX_SCHEMA_BYTES = 2 * 2**20
 """Bytes of one schema's text. The largest ROS types have about 100 KB with all that they need."""
@@ -51,6 +51,58 @@ BATCH_MESSAGES = 65_536
 
 BATCH_BYTES = 16 * 2**20
 """Bytes of messages that are collected for one batch of a table."""
+
+
+class SchemaError(RecordingError):
+    """A schema cannot be followed. Never leaves `decoding`: it becomes an `Undecodable`."""
+
+
+class DecodeError(RecordingError):
+    """A message's bytes contradict its schema, or a value is not what was asked for.
+
+    Attributes:
+        type_name: the type that was being read.
+        offset: the byte of the message at which it was noticed, or None where no byte is to blame.
+    """
+
+    def __init__(self, type_name: str, message: str, *, offset: int | None = None) -> None:
+        where = "" if offset is None else f" (near byte {offset} of the message)"
+        super().__init__(f"{type_name or 'a message'}: {message}{where}")
+        self.type_name = type_name
+        self.offset = offset
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (_unpickled, (str(self), self.type_name, self.offset))
+
+
+def _unpickled(text: str, type_name: str, offset: int | None) -> DecodeError:
+    error = DecodeError(type_name, "", offset=offset)
+    error.args = (text,)
+    return error
+
+
+class ReadingExtraMissing(RecordingError):
+    """A library of the extra `reading` is not installed."""
+
+    def __init__(self, library: str) -> None:
+        super().__init__(f"this needs {library}: run `pip install 'open-kleinkram[reading]'`")
+        self.library = library
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (ReadingExtraMissing, (self.library,))
+
+
+@dataclass(frozen=True)
+class Undecodable:
+    """Why messages of a schema cannot be decoded; their bytes can still be read.
+
+    Attributes:
+        type_name: the schema's name.
+        reason: a sentence for a person.
+    """
+
+    type_name: str
+    reason: str
 
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")

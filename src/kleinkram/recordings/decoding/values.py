@@ -12,8 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from typing import Any, ClassVar
 
-from kleinkram.recordings.decoding.errors import DecodeError
-from kleinkram.recordings.decoding.types import ConstantValue, Struct
+from kleinkram.recordings.decoding.types import ConstantValue, DecodeError, Struct
 
 NS = 1_000_000_000
 Constants = tuple[tuple[str, ConstantValue], ...]

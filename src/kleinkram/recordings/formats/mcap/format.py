@@ -151,7 +151,9 @@ def open_mcap(file: RecordingFile, context: OpenContext) -> ChunkedMember:
         facts = read_index(source)
     except NotIndexed as refusal:
         check_cost(source, context.limit_of(source), str(refusal))
-        if refusal.is_problem or refusal.code == "no-footer":
+        if refusal.code == "no-footer":
+            problem_log.add("no-footer", source.name, str(refusal))
+        elif refusal.is_problem:
             problem_log.add(refusal.code, source.name, str(refusal))
         builder = ChunkTableBuilder(ChunkTable(), problem_log)
         scan = scan_records(SourceReader(source), builder)
