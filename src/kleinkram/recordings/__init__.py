@@ -64,11 +64,11 @@ if TYPE_CHECKING:
     from kleinkram.recordings.recording_groups import RecordingGroup, RecordingGroupKind, group, is_recording_name
     from kleinkram.recordings.sources import (
         CountingSource,
+        FileReader,
         FileSource,
+        PipeReader,
         SequentialReader,
         Source,
-        file_reader,
-        pipe_reader,
         source_reader,
     )
     from kleinkram.recordings.summary import scan, summarise
@@ -86,7 +86,7 @@ _HOMES = {
     "model": "Content Depth Fact Lost Problem RecordingFormat RecordingSummary TopicSummary",
     "recording": "Recording",
     "recording_groups": "RecordingGroup RecordingGroupKind group is_recording_name",
-    "sources": "CountingSource FileSource SequentialReader Source file_reader pipe_reader source_reader",
+    "sources": "CountingSource FileSource SequentialReader Source FileReader PipeReader source_reader",
     "summary": "scan summarise",
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}

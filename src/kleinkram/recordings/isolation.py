@@ -43,7 +43,7 @@ from kleinkram.recordings.model import (
     RecordingSummary,
     TopicSummary,
 )
-from kleinkram.recordings.sources import FileSource, Source, pipe_reader, source_reader
+from kleinkram.recordings.sources import FileSource, PipeReader, Source, source_reader
 
 CHILD_COMMAND: tuple[str, ...] = (sys.executable, "-I", "-m", "kleinkram.recordings.isolation")
 """`-I`: the child takes no module from the working directory, and nothing from the environment."""
@@ -74,8 +74,8 @@ class FileRequest:
 class UrlRequest:
     """Read the bytes behind a URL that answers ranges. `name` is the file's own, for messages and extension.
 
-    `logs`: of a database whose recorder was killed, URL and size of what lies beside it, by suffix ("-wal",
-    "-journal"). Then the database is read whole, whatever depth and size were asked for.
+    `logs`: URL and size of what lies beside a database whose recorder was killed, by suffix ("-wal", "-journal"). Then
+    the database is read whole, at any depth and size.
     """
 
     url: str
@@ -123,20 +123,12 @@ def metadata_request_bytes(
 
 
 def read_answer(stdout: bytes, stderr: bytes, returncode: int) -> RecordingSummary:
-    """Return the summary in the child's answer.
-
-    Raises:
-        SummaryFailed: there is none; says why.
-    """
+    """Return the summary in the child's answer; `SummaryFailed` if there is none."""
     return _read_answer("summary", from_dict, stdout, stderr, returncode)
 
 
 def read_metadata_answer(stdout: bytes, stderr: bytes, returncode: int) -> Rosbag2Metadata | None:
-    """Return the metadata in the child's answer.
-
-    Raises:
-        SummaryFailed: it was not read; says why.
-    """
+    """Return the metadata in the child's answer; `SummaryFailed` if there is none."""
     return _read_answer("metadata", lambda plain: plain and metadata_from_dict(plain), stdout, stderr, returncode)
 
 
@@ -206,11 +198,7 @@ def to_dict(summary: RecordingSummary) -> dict[str, Any]:
 
 
 def from_dict(plain: Mapping[str, Any]) -> RecordingSummary:
-    """Return the summary that `to_dict` was given.
-
-    Raises:
-        KeyError, TypeError, ValueError: it is not one.
-    """
+    """Return the summary that `to_dict` was given; `KeyError`, `TypeError` or `ValueError` if it is none."""
     topics = []
     for topic in plain["topics"]:
         density = topic["density"]
@@ -231,11 +219,7 @@ def from_dict(plain: Mapping[str, Any]) -> RecordingSummary:
 
 
 def metadata_from_dict(plain: Mapping[str, Any]) -> Rosbag2Metadata:
-    """Return what `dataclasses.asdict` was given, after a round trip through JSON.
-
-    Raises:
-        KeyError, TypeError: it is none.
-    """
+    """Return what `dataclasses.asdict` was given, after JSON; `KeyError` or `TypeError` if it is none."""
     values = dict(plain)
     values["files"] = tuple(values["files"])
     values["topics"] = tuple(StatedTopic(**topic) for topic in values["topics"])
@@ -277,7 +261,7 @@ def _summarise(request: dict[str, Any]) -> RecordingSummary:
     from kleinkram.recordings.summary import scan, scan_with_logs, summarise  # only in the child
 
     if "stream_bytes" in request:
-        reader = pipe_reader(sys.stdin.buffer, request["stream_bytes"], request["name"])
+        reader = PipeReader(sys.stdin.buffer, request["stream_bytes"], request["name"])
         try:
             return scan(reader)
         finally:

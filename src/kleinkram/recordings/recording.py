@@ -105,11 +105,7 @@ class Recording:
         return recording
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle the path or sources; unpickling opens them again.
-
-        Raises:
-            TypeError: it was not made by `open`.
-        """
+        """Pickle the path or sources; unpickling opens them again."""
         if self._opened_from is None:
             raise TypeError("a recording that was not made by Recording.open cannot be pickled")
         return _open_again, self._opened_from
@@ -137,12 +133,9 @@ class Recording:
     def problems(self) -> tuple[Problem, ...]:
         """All problems that `klein inspect` reports, and those met while messages were read.
 
-        The first time, this reads what a summary reads and reading messages does not: message indexes of an MCAP,
-        index data of a bag, all rows of a database. Once closed, a recording that was not opened by path names only
-        what is known by then.
-
-        Raises:
-            SourceError: the bytes cannot be read.
+        The first time, this reads what a summary reads and reading messages does not: message indexes of an MCAP, index
+        data of a bag, all rows of a database. Once closed, a recording that was not opened by path has only the
+        problems known then.
         """
         if self._of_summary is None:
             try:
@@ -240,11 +233,7 @@ class Recording:
         return arrow_batches(decoder, messages, fields=fields, notice=_DecodeProblemLogger(topic, self._problem_log))
 
     def topic(self, name: str) -> Topic:
-        """Return the topic of this name.
-
-        Raises:
-            NoSuchTopic: there is none.
-        """
+        """Return the topic of this name; `NoSuchTopic` if there is none."""
         for topic in self.topics:
             if topic.name == name:
                 return topic
@@ -345,10 +334,7 @@ def _decoder_of(message_encoding: str, schema: Schema) -> Decoder | Undecodable:
 def _timed(
     blocks: Iterable[Block], schema: Schema, encoding: str, problem_log: ProblemLog
 ) -> Iterator[tuple[int, int, bytes]]:
-    """Yield log time, publish time and bytes of the messages of one layout; others are left out and reported.
-
-    Schemas of one layout may differ in comments, white space and the order of their definitions.
-    """
+    """Yield log time, publish time and bytes of the messages of one layout; others are left out and reported."""
     fitting: dict[int, bool] = {}
     for block in blocks:
         for topic, log_ns, publish_ns, _sequence, data, channel in block:

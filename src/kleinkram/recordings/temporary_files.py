@@ -61,10 +61,7 @@ def temporary_database(
 def temporary_copy(
     read: Callable[[int], bytes], *, most_bytes: int = MAX_SPOOL_BYTES, beside: tuple[Path, str] | None = None
 ) -> Iterator[Path]:
-    """Write what `read` returns to a temporary file, which is removed afterwards.
-
-    `beside`: the path of another one, and what is appended to it.
-    """
+    """Write what `read` returns to a temporary file, which is removed afterwards; `beside`: at this path and suffix."""
     folder = Path(tempfile.gettempdir())
     _sweep(folder)
     if beside is None:

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
-from typing import NamedTuple
+from typing import NamedTuple, TypedDict
 
 from kleinkram.recordings.density import add_up, most_bins
 from kleinkram.recordings.errors import Malformed
@@ -86,12 +86,7 @@ def _summarise_topic(
         schema_encoding=kind.schema_encoding,
         message_encoding=kind.message_encoding,
         count=times.count,
-        first_ns=run.first_ns if run else None,
-        last_ns=run.last_ns if run else None,
-        rate_hz=rate_hz(run.count, run.first_ns, run.last_ns) if run else None,
-        longest_gap_ns=run.longest_gap_ns if run and run.count > 1 else None,
-        head_gap_ns=run.first_ns - island.first_ns if run and island else None,
-        tail_gap_ns=island.last_ns - run.last_ns if run and island else None,
+        **island_times(run, island),
         out_of_order_count=times.out_of_order,
         stored_bytes=times.stored_bytes,
         suspect_count=times.count - (run.count if run else 0),
@@ -99,11 +94,32 @@ def _summarise_topic(
     )
 
 
-def rate_hz(count: int, first_ns: int, last_ns: int) -> float | None:
-    """Return (count - 1) / (last - first) in messages a second; None below two messages or without a span."""
-    if count < 2 or last_ns <= first_ns:
-        return None
-    return (count - 1) * 1e9 / (last_ns - first_ns)
+class IslandTimes(TypedDict):
+    """The fields of a `TopicSummary` that follow from its messages inside the island."""
+
+    first_ns: int | None
+    last_ns: int | None
+    rate_hz: float | None
+    longest_gap_ns: int | None
+    head_gap_ns: int | None
+    tail_gap_ns: int | None
+
+
+def island_times(run: StampRun | None, island: StampRun | None) -> IslandTimes:
+    """Return times, rate and gaps of a topic whose messages inside the island are a run."""
+    if run is None or island is None:
+        return IslandTimes(
+            first_ns=None, last_ns=None, rate_hz=None, longest_gap_ns=None, head_gap_ns=None, tail_gap_ns=None
+        )
+    span_ns = run.last_ns - run.first_ns
+    return IslandTimes(
+        first_ns=run.first_ns,
+        last_ns=run.last_ns,
+        rate_hz=(run.count - 1) * 1e9 / span_ns if run.count > 1 and span_ns > 0 else None,
+        longest_gap_ns=run.longest_gap_ns if run.count > 1 else None,
+        head_gap_ns=run.first_ns - island.first_ns,
+        tail_gap_ns=island.last_ns - run.last_ns,
+    )
 
 
 def _problems_of_topic(topic: TopicSummary, types: Sequence[TopicType], times: TopicTimes) -> list[Problem]:
@@ -161,10 +177,7 @@ def publish_time_problems(lateness: Mapping[str, Lateness]) -> list[Problem]:
 
 
 def duplicate_channel_problems(channels: Iterable[tuple[str, str, str]]) -> list[Problem]:
-    """Report publishers with several channels of one topic and type.
-
-    `channels`: topic, type and publisher of each.
-    """
+    """Report publishers with several channels of one topic and type. `channels`: topic, type and publisher of each."""
     counts = Counter(channel for channel in channels if channel[2])
     problems = []
     for (topic, _, publisher), count in sorted(counts.items()):

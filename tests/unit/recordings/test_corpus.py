@@ -20,7 +20,7 @@ from kleinkram.recordings import (
     summarise,
     to_dict,
 )
-from kleinkram.recordings.sources import file_reader
+from kleinkram.recordings.sources import FileReader
 from kleinkram.recordings.summary import scan
 
 from .corpus import Entry, entries, params
@@ -63,7 +63,7 @@ def summarise_file(path: Path) -> RecordingSummary:
 
 
 def scan_file(path: Path) -> RecordingSummary:
-    with file_reader(path) as reader:
+    with FileReader(path) as reader:
         return scan(reader)
 
 

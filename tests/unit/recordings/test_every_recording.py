@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from kleinkram.recordings import Content, FileSource, RecordingFormat, RecordingSummary, summarise
-from kleinkram.recordings.sources import file_reader
+from kleinkram.recordings.sources import FileReader
 from kleinkram.recordings.summary import scan
 
 from .corpus import Entry, entries
@@ -35,7 +35,7 @@ def by_summary(path: Path) -> RecordingSummary:
 
 
 def by_scan(path: Path) -> RecordingSummary:
-    with file_reader(path) as reader:
+    with FileReader(path) as reader:
         return scan(reader)
 
 

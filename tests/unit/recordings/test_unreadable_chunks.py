@@ -14,7 +14,7 @@ import zstandard
 from kleinkram.recordings import Content, FileSource, Recording, RecordingSummary, summarise
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
-from kleinkram.recordings.sources import file_reader
+from kleinkram.recordings.sources import FileReader
 from kleinkram.recordings.summary import scan
 
 from .agreement import ParallelSource, accounts_of, disagreements
@@ -25,7 +25,7 @@ _MESSAGES = 1000
 
 
 def by_scan(path: Path) -> RecordingSummary:
-    with file_reader(path) as reader:
+    with FileReader(path) as reader:
         return scan(reader)
 
 

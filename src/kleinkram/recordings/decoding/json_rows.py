@@ -24,13 +24,7 @@ _SHOWN = 40
 
 
 class JsonArrays:
-    """Builds the arrays of one batch of JSON messages.
-
-    Attributes:
-        type_name: of the messages, for errors.
-        log_ns: the log time of each message.
-        notice: called with the log time of a message and what of it is null.
-    """
+    """Builds the arrays of one batch of JSON messages; `notice` receives log times and what of the message is null."""
 
     def __init__(self, type_name: str, log_ns: list[int], notice: Callable[[int, DecodeError], None]) -> None:
         self._type_name = type_name

@@ -46,11 +46,7 @@ _BROKEN = (OSError, SyntaxError, ValueError, TypeError, IndexError, EOFError, Ov
 
 
 def decode_image(data: Any, name: str) -> NDArray[Any]:
-    """Return a compressed image as [H, W, C]: uint8, or uint16 [H, W, 1] for 16 bits of grey.
-
-    Raises:
-        DecodeError: it is not such an image, broken, or larger than `MAX_IMAGE_PIXELS`.
-    """
+    """Return a compressed image as [H, W, C]: uint8, or uint16 [H, W, 1] for 16 bits of grey."""
     import numpy as np
     from PIL import Image
 
@@ -78,11 +74,7 @@ def _in_array_mode(picture: Any) -> Any:
 
 
 def uncompressed_depth(data: Any, form: str, name: str) -> NDArray[Any]:
-    """Return a `compressedDepth` image: uint16 [H, W, 1] as stored, or float32 [H, W, 1], metres, NaN for unknown.
-
-    Raises:
-        DecodeError: it is not compressed as PNG, broken or too large.
-    """
+    """Return a `compressedDepth` image: uint16 [H, W, 1] as stored, or float32 [H, W, 1], metres, NaN for unknown."""
     import numpy as np
 
     if "rvl" in form:

@@ -47,12 +47,7 @@ class NoSuchField(DecodeError):
 
 @dataclass(frozen=True)
 class TableColumn:
-    """One column.
-
-    Attributes:
-        path: the places of its field, from the message inwards.
-        names: the attributes by which it is reached.
-    """
+    """One column: the places of its field, from the message inwards, and the attributes by which it is reached."""
 
     name: str
     path: tuple[int, ...]
@@ -73,11 +68,7 @@ def column_name(name: str, kind: Type) -> str:
 
 
 def columns_of(root: Struct, fields: Sequence[str] | None) -> list[TableColumn]:
-    """Return the columns of a type; with `fields`, only those named or below a name, in the type's order.
-
-    Raises:
-        NoSuchField: a name matches no column.
-    """
+    """Return the columns of a type; with `fields`, only those named or below a name, in the type's order."""
     columns = list(_flat(root, (), ()))
     if fields is None:
         return columns

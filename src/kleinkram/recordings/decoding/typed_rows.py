@@ -76,12 +76,7 @@ Node = Number | Text | Numbers | Parts
 
 @dataclass(frozen=True)
 class Shape:
-    """The positions of the values of a message.
-
-    Attributes:
-        fixed: offsets of all bytes that determine the shape.
-        root: the fields of the message.
-    """
+    """The positions of the values of a message. `fixed`: offsets of all bytes that determine the shape."""
 
     order: str
     fixed: tuple[int, ...]
@@ -170,13 +165,7 @@ class _ShapeReader:
 
 
 def gather(rows: Any, shape: Shape, columns: list[TableColumn]) -> list[Any]:
-    """Return an Arrow array for each column.
-
-    Args:
-        rows: uint8 [N, size of a message], all of one shape.
-        shape: of each of them.
-        columns: the columns to read.
-    """
+    """Return an Arrow array for each column. `rows`: uint8 [N, size of a message], all of one shape."""
     reader = _ColumnReader(rows, shape.order)
     return [reader.array(_node(shape.root, column.path), column.kind) for column in columns]
 

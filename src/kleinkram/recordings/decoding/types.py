@@ -58,12 +58,7 @@ class SchemaError(RecordingError):
 
 
 class DecodeError(RecordingError):
-    """A message's bytes contradict its schema, or a value is not what was asked for.
-
-    Attributes:
-        type_name: the type that was being read.
-        offset: the byte of the message at which it was noticed, or None where no byte is to blame.
-    """
+    """A message's bytes contradict its schema, or a value is of another kind. `offset`: in the message, or None."""
 
     def __init__(self, type_name: str, message: str, *, offset: int | None = None) -> None:
         where = "" if offset is None else f" (near byte {offset} of the message)"
@@ -94,12 +89,7 @@ class ReadingExtraMissing(RecordingError):
 
 @dataclass(frozen=True)
 class Undecodable:
-    """Why messages of a schema cannot be decoded; their bytes can still be read.
-
-    Attributes:
-        type_name: the schema's name.
-        reason: a sentence for a person.
-    """
+    """Why messages of a schema cannot be decoded; their bytes can still be read."""
 
     type_name: str
     reason: str
@@ -113,12 +103,7 @@ ConstantValue = bool | int | float | str
 
 @dataclass(frozen=True)
 class Primitive:
-    """A number, a truth value or a text.
-
-    Attributes:
-        code: as in `struct`; empty for texts.
-        size: bytes on the wire; 0 for texts.
-    """
+    """A number, a truth value or a text. `code`: as in `struct`; empty for texts. `size`: on the wire; 0 for texts."""
 
     name: str
     code: str
@@ -143,14 +128,7 @@ class Field:
 
 @dataclass(frozen=True, eq=False)
 class Struct:
-    """A type with fields.
-
-    Attributes:
-        name: as the schema has it, such as "sensor_msgs/msg/Imu".
-        constants: those that the definition names, by their names.
-        field_count: fields after all nested types are written out.
-        loops: how deep arrays of anything but numbers nest below it.
-    """
+    """A type with fields. `field_count`: with all nested types written out. `loops`: how deep arrays of types nest."""
 
     name: str
     fields: tuple[Field, ...]

@@ -89,14 +89,7 @@ _CODE_POINTS = 0x110000
 
 @dataclass(frozen=True)
 class NumberReader:
-    """Functions that read arrays.
-
-    Attributes:
-        form: a primitive -> what `numbers` and `flags` take as their second argument.
-        numbers: (data, form, count, offset) -> array; ValueError where the bytes are not there.
-        flags: the same for truth values.
-        nothing: form -> an array without elements.
-    """
+    """Reads arrays of numbers and of truth values (`flags`) by the `form` of a primitive; `nothing`: an empty one."""
 
     form: Callable[[Primitive], Any]
     numbers: Callable[[bytes, Any, int, int], Any]

@@ -48,13 +48,7 @@ FactsT = TypeVar("FactsT", bound="ChunkedFacts[Any]")
 
 @dataclass
 class ChunkedFacts(Generic[ChannelT]):
-    """What the records of a file define.
-
-    Attributes:
-        channels: channels or connections by number.
-        table: chunks, as the index lists them.
-        index_faults: what the index says of chunks that is not so.
-    """
+    """What the records of a file define. `table`: chunks, by the index; `index_faults`: what of the index is wrong."""
 
     channels: dict[int, ChannelT] = field(default_factory=dict)
     table: ChunkTable = field(default_factory=ChunkTable)
@@ -85,9 +79,8 @@ class Hole(NamedTuple):
 class ChunkContents(NamedTuple):
     """The result of reading the records of a chunk.
 
-    Attributes:
-        end: of the chunk, in its content; before the end of the content where bytes of the chunk are missing.
-        readable_ranges: of whole records, which overlap behind a message whose length is wrong; None: all.
+    `end`: of the chunk, in its content; earlier than that of the content where bytes of the chunk are missing.
+    `readable_ranges`: of whole records; they overlap behind a message whose length is wrong. None: all.
     """
 
     holes: list[Hole]

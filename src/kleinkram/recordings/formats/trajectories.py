@@ -35,11 +35,7 @@ _PLACES_OF_KITTI = (3, 7, 11)
 
 @dataclass
 class Trajectory:
-    """What is known of a trajectory so far.
-
-    Attributes:
-        unit: of its stamps, a key of `_UNITS`; empty until the first one that is not 0 is read.
-    """
+    """What is known of a trajectory so far. `unit`: of its stamps; empty before the first one that is not 0."""
 
     unit: str = ""
     poses: int = 0
@@ -62,13 +58,17 @@ def describe_trajectory(kind: RecordingFormat, reader: SequentialReader) -> Reco
         if text and not text.startswith(b"#") and not _add(trajectory, kind, text):
             trajectory.bad_lines += 1
             trajectory.first_bad_line = trajectory.first_bad_line or number
+    unit_problems = []
+    if trajectory.unit not in ("", "s"):
+        message = f"the stamps are in {_UNIT_NAMES[trajectory.unit]}, where TUM has seconds; they are read as such"
+        unit_problems.append(Problem("stamp-unit", "file", message))
     return RecordingSummary(
         kind,
         Content.opaque,
         _REASONS[kind],
         start_ns=trajectory.start_ns,
         end_ns=trajectory.end_ns,
-        problems=(*_unit_problems(trajectory), *trajectory_problems(trajectory)),
+        problems=(*unit_problems, *trajectory_problems(trajectory)),
         facts=tuple(trajectory_facts(trajectory)),
     )
 
@@ -151,13 +151,6 @@ def parse_stamp(text: str, unit: str = "s") -> int:
     return stamp
 
 
-def _unit_problems(trajectory: Trajectory) -> list[Problem]:
-    if trajectory.unit in ("", "s"):
-        return []
-    message = f"the stamps are in {_UNIT_NAMES[trajectory.unit]}, where TUM has seconds; they are read as such"
-    return [Problem("stamp-unit", "file", message)]
-
-
 def trajectory_problems(trajectory: Trajectory) -> list[Problem]:
     """Return what is wrong with a trajectory."""
     problems: list[Problem] = []
@@ -200,7 +193,8 @@ def describe_table(reader: SequentialReader) -> RecordingSummary:
         rows += 1
         pose = line.split(b",")[:_POSE_COLUMNS]
         if rows == 1 and _are_poses(names, columns, pose):
-            trajectory = Trajectory(unit=_unit_in(names))
+            unit = re.search(r"\[\s*(s|ms|us|ns)\s*\]", names[0]) if names else None
+            trajectory = Trajectory(unit=unit[1] if unit else "")
         if trajectory is not None and not add_stamped_pose(trajectory, pose):
             trajectory.bad_lines += 1
             trajectory.first_bad_line = trajectory.first_bad_line or number
@@ -225,28 +219,16 @@ def _are_poses(names: list[str], columns: int, pose: list[bytes]) -> bool:
     if columns < _POSE_COLUMNS:
         return False
     if names:
-        return bool(_STAMP.search(names[0])) and all(map(_has, names[1:4], "xyz")) and all(map(_is_turn, names[4:8]))
+        # Such as "p_RS_R_x [m]", "tx", "position.x"; "q_RS_w []", "qx", "orientation.x".
+        position, rotation = r"(p|t|pos|position|translation|)", r"(q|quat|quaternion|rot|rotation|orientation)"
+        patterns = [_STAMP.pattern, *(rf"^{position}([_.]\w+)?[_.]?{axis}\b" for axis in "xyz")]
+        patterns += [rf"^{rotation}([_.]\w+)?[_.]?[wxyz]\b"] * 4
+        return all(re.search(pattern, name, re.I) for pattern, name in zip(patterns, names, strict=False))
     try:
         numbers = [float(cell) for cell in pose]
     except ValueError:
         return False
     return columns in _EUROC_COLUMNS and abs(hypot(*numbers[4:]) - 1) < _UNIT_TOLERANCE
-
-
-def _has(name: str, axis: str) -> bool:
-    """Return whether a column is a position along an axis: "p_RS_R_x [m]", "tx", "position.x"."""
-    return bool(re.match(rf"(p|t|pos|position|translation|)([_.]\w+)?[_.]?{axis}\b", name, re.I))
-
-
-def _is_turn(name: str) -> bool:
-    """Return whether a column is part of a quaternion: "q_RS_w []", "qx", "orientation.x"."""
-    return bool(re.match(r"(q|quat|quaternion|rot|rotation|orientation)([_.]\w+)?[_.]?[wxyz]\b", name, re.I))
-
-
-def _unit_in(names: list[str]) -> str:
-    """Return the unit in the first column's name; empty if there is none."""
-    match = re.search(r"\[\s*(s|ms|us|ns)\s*\]", names[0]) if names else None
-    return match[1] if match else ""
 
 
 def _cells(line: bytes) -> list[str]:

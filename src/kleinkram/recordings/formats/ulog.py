@@ -171,10 +171,7 @@ def _formats_of(definition: bytes) -> dict[str, str]:
 
 
 def as_ros1_definition(name: str, definition: bytes) -> bytes:
-    """Return a format as a ROS 1 message definition: the bytes of a message are laid out alike.
-
-    Padding at the end of a message is not logged, so it is left out.
-    """
+    """Return a format as a ROS 1 definition: messages are laid out alike, but for padding at the end."""
     formats = _formats_of(definition)
     texts = [_ros1_fields(formats.get(name, ""), is_top=True)]
     texts += [f"MSG: ulog/{nested}\n{_ros1_fields(fields)}" for nested, fields in formats.items() if nested != name]
@@ -430,11 +427,7 @@ def _problems(scan: UlogScan) -> list[Problem]:
 
 
 def open_ulog(file: RecordingFile, context: OpenContext) -> ChunkedMember:
-    """Open a flight log: one pass finds where its messages are.
-
-    Raises:
-        TooCostly: it has more bytes than may be read.
-    """
+    """Open a flight log, by one pass over it; `TooCostly` if it has more bytes than may be read."""
     source, problem_log = file.source, context.problem_log
     check_cost(source, context.limit_of(source), "a flight log (ULog) has no index")
     builder = ChunkTableBuilder(ChunkTable(), problem_log)

@@ -69,9 +69,8 @@ class _Unpacked:
 def scan_zstd_file(reader: SequentialReader, scan: Scan, *, most_bytes: int = MAX_SPOOL_BYTES) -> RecordingSummary:
     """Read a compressed file; `scan` reads what is inside, under its name without `.zstd`.
 
-    `format` is that of what is inside, `compression` says "file-zstd". A file whose compressed data is damaged is
-    `recovered` as far as it unpacks; one that unpacks to more than `most_bytes`, or than any recording does, is
-    `pending`.
+    A file whose compressed data is damaged is `recovered` as far as it unpacks; one that unpacks to more than
+    `most_bytes`, or than any recording does, is `pending`.
     """
     from kleinkram.recordings.formats import registry  # which imports this module
 

@@ -62,12 +62,7 @@ class ClockJump:
 
 @dataclass(frozen=True)
 class Faults:
-    """What goes wrong in a sample mission.
-
-    Attributes:
-        dropped_topic: is missing altogether.
-        truncate_to: share of each data file that is left of it, such as 0.6.
-    """
+    """What goes wrong in a sample mission. `truncate_to`: share of each data file that is left, such as 0.6."""
 
     dropped_topic: str | None = None
     gap: TopicGap | None = None
@@ -311,10 +306,7 @@ _SOI, _EOI = b"\xff\xd8", b"\xff\xd9"
 
 
 def mosaic_jpeg(tiles: Sequence[Sequence[int]]) -> bytes:
-    """Return a grey baseline JPEG of 8x8 tiles; `tiles`: rows of brightness, 0 (black) to 255.
-
-    With only the DC coefficient of each block there is no cosine transform to compute.
-    """
+    """Return a grey baseline JPEG of 8x8 tiles, DC coefficients only; `tiles`: rows of brightness, 0 to 255."""
     frame = struct.pack(">BHHBBBB", 8, len(tiles) * _BLOCK, len(tiles[0]) * _BLOCK, 1, 1, 0x11, 0)
     segments = (
         _segment(0xDB, b"\x00" + bytes([_BLOCK] * 64)),

@@ -256,7 +256,9 @@ class BagWriter(_ChunkedWriter):
             return
         raw, stored = self._compressed()
         start = self._position
-        self._put(_bag_record(Op.CHUNK, stored, compression=self._compression, size=_u32(len(raw))))
+        head = _fields(op=bytes([Op.CHUNK]), compression=self._compression, size=_u32(len(raw)))
+        self._put(_counted(head) + _u32(len(stored)))
+        self._put(stored)
         counts = b""
         for connection, index in self._index.items():
             entries, count = struct.pack(f"<{len(index)}I", *index), _u32(len(index) // 3)
@@ -337,12 +339,7 @@ _TOPIC_METADATA = """\
 
 
 class Db3Writer:
-    """Makes a rosbag2 folder, which must not exist yet; call `finish` at the end, or there is no metadata.yaml.
-
-    Attributes:
-        bytes_written: bytes of all messages so far, which is a little less than the size of the database.
-        path: the database.
-    """
+    """Makes a new rosbag2 folder with one database, `path`; call `finish` at the end, or there is no metadata.yaml."""
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True)

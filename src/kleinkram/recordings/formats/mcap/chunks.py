@@ -41,8 +41,7 @@ def points_at_messages(content: bytes, channel_id: int, stamps: Iterable[int], o
 def walk_messages(data: Buffer, at: int, end: int, batch: Batch) -> tuple[int, int]:
     """Add messages from `at` on to the batch, up to another record or one that ends after `end`.
 
-    Returns:
-        Where that is, and where the last message begins; twice the same without any message.
+    Returns where that is, and where the last message begins; twice the same without any message.
     """
     unpack, size, fixed = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size, MESSAGE_FIXED
     last_head, start = end - size, at

@@ -141,11 +141,7 @@ def _summary(
 
 
 def open_mcap(file: RecordingFile, context: OpenContext) -> ChunkedMember:
-    """Open by the index, or else by a scan.
-
-    Raises:
-        TooCostly: it would have to be read whole, and has more bytes than may be read.
-    """
+    """Open by the index, or else by a scan; `TooCostly` if the file has more bytes than may be read."""
     source, problem_log, message_compression = file.source, context.problem_log, context.message_compression
     try:
         facts = read_index(source)

@@ -40,15 +40,10 @@ _READERS = {
 
 
 def read_index(source: Source, times: tuple[Timeline, DamageReport] | None = None) -> McapFacts:
-    """Read the index.
+    """Read the index; `NotIndexed` if there is none, or it cannot be true.
 
-    Args:
-        source: the file.
-        times: where the messages of all message indexes are counted, and the chunks that cannot be read. None: no
-            message index is read.
-
-    Raises:
-        NotIndexed: there is no index, or it cannot be true.
+    `times`: receive the messages of all message indexes, and the chunks that cannot be read; None: no message index is
+    read.
     """
     known = _KnownEnds(source)
     facts = McapFacts()

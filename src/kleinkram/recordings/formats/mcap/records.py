@@ -87,9 +87,7 @@ NO_SCHEMA = Schema("", "", b"")
 class McapFacts(ChunkedFacts[ChannelRecord]):
     """What the records of a file define and count.
 
-    Attributes:
-        unknown_compression: by the start of a chunk, a compression that is not read.
-        outside_chunks: where attachments and metadata records are, [start, end), by their indexes.
+    `unknown_compression`: by the start of a chunk. `outside_chunks`: indexed places of attachments and metadata.
     """
 
     library: str = ""

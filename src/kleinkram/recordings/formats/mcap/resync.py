@@ -105,8 +105,8 @@ def is_unfinished_chunk(data: Buffer, at: int) -> bool:
 def is_disguised(data: Buffer, at: int, left: int, *, behind_chunk: bool) -> bool:
     """Return whether a message record has the lengths of a record whose opcode differs by one bit.
 
-    `left`: bytes from `at` to the end of the file. `behind_chunk`: or behind damage, where message indexes
-    may are; a message elsewhere may look like one by chance.
+    `left`: bytes from `at` to the end of the file. `behind_chunk`: or behind damage, where message indexes may be; a
+    message elsewhere may look like one by chance.
     """
     if left < RECORD_HEAD.size:
         return False
@@ -141,10 +141,10 @@ def _is_unknown_kind(data: Buffer, at: int, length: int, left: int) -> bool:
 
 
 def find_record(data: Buffer, start: int, end: int, left: int, channels: Container[int]) -> int | None:
-    """Return the first place in [start, end) where a record begins.
+    """Return the first place in [start, end) where a record begins; `left`: bytes from `start` to the end of the file.
 
-    `left`: bytes from `start` to the end of the file. The lengths in a record vouch for it. Those of a message are too
-    few: another record must follow, and several if it is of none of the `channels`.
+    The lengths in a record verify it. Those of a message are too few: another record must follow, and several if it is
+    of none of the `channels`.
     """
     for match in _CANDIDATE.finditer(data, start, end):
         at = match.start()
@@ -255,9 +255,7 @@ def pass_damage(stream: LookaheadStream, channels: Container[int], losses: Damag
 
 
 def find_inner(data: Buffer, start: int, end: int, left: int) -> int | None:
-    """Return the first place in [start, end) where another MCAP begins; `left`: bytes from `start` to the end of the
-    file, which ends with its own magic.
-    """
+    """Return the first place in [start, end) where another MCAP begins; `left`: bytes from `start` to the end."""
     for match in _MARK.finditer(data, start, min(len(data), end + FOOTER_BYTES)):
         if match.start() >= end:
             return None

@@ -242,10 +242,7 @@ class _McapScanner(ChunkScanner[McapFacts]):
             losses.note(Malformed(f"byte {stream.position}", f"{stream.left} bytes follow its end"))
 
     def _walk_unchunked(self) -> int:
-        """Take all messages outside of chunks in the window, and skip all but the last; return the size of that one.
-
-        0: none is here that is in memory as a whole.
-        """
+        """Take all unchunked messages in the window, and skip all but the last; return the size of that one, or 0."""
         stream = self._stream
         after, last = walk_messages(stream.window, stream.at, len(stream.window), self._unchunked)
         self._note_unchunked(after - stream.at)
@@ -289,8 +286,5 @@ def scan_records(
     observer: MessageObserver | None = None,
     channels: Mapping[int, ChannelRecord] | None = None,
 ) -> McapScan:
-    """Scan a whole file. Its content never raises. The observer receives every message that is counted.
-
-    `channels`: that are known before; a part of a file may not define its own.
-    """
+    """Scan a whole file; its content never raises. `channels`: known before, for a part that defines none."""
     return _McapScanner(reader, observer, channels or {}).run()

@@ -69,8 +69,7 @@ def learn_layout(data: Buffer, at: int) -> MessageLayout | None:
 def walk_messages(data: Buffer, at: int, end: int, layout: MessageLayout, batch: Batch) -> tuple[int, int]:
     """Add messages from `at` on to the batch, up to another record or one that ends after `end`.
 
-    Returns:
-        Where that is, and where the last message begins; twice the same without any message.
+    Returns where that is, and where the last message begins; twice the same without any message.
     """
     unpack, size = layout.layout.unpack_from, layout.layout.size
     constants, expected, values = layout.constants, layout.expected, layout.values
@@ -96,12 +95,7 @@ _MOST_CHECKED = 2
 
 @dataclass
 class BagFacts(ChunkedFacts[Connection]):
-    """What the records of a bag define.
-
-    Attributes:
-        counts: messages by connection, as the index lists them.
-        layout: of message headers, once one was read.
-    """
+    """What a bag's records define. `counts`: messages by connection, by the index; `layout`: of message headers."""
 
     counts: dict[int, int] = field(default_factory=lambda: defaultdict(int))
     layout: MessageLayout | None = None
@@ -173,10 +167,7 @@ def parse_record(data: Buffer, at: int, where: str) -> BagRecord:
 
 
 def find_record(data: Buffer, start: int, end: int, *, outside: bool = False) -> int | None:
-    """Return the first place in [start, end) where the header of a record begins, with its field `op` inside.
-
-    `outside`: only records of the kinds that are outside of chunks.
-    """
+    """Return the first place in [start, end) where a record header begins; `outside`: of a kind outside of chunks."""
     untried = start
     for match in (_OP_OUTSIDE if outside else _OP).finditer(data, start, end):
         field_at = match.start()
@@ -227,8 +218,7 @@ def opcode_at(data: Buffer, at: int) -> int | None:
 def walk_contents(raw: bytes, facts: BagFacts, batch: Batch, *, may_end_early: bool = False) -> ChunkContents:
     """Add the messages in `raw` to the batch.
 
-    `may_end_early`: `raw` may reach further than the chunk does, because bytes of it are missing: it ends where a
-    record is that no chunk holds.
+    `may_end_early`: bytes of the chunk may be missing, so that `raw` reaches further: to a record that no chunk holds.
     """
     holes: list[Hole] = []
     readable_ranges: list[tuple[int, int]] = []

@@ -102,11 +102,7 @@ def _summary(facts: BagFacts, timeline: Timeline, problems: Sequence[Problem]) -
 
 
 def open_bag(file: RecordingFile, context: OpenContext) -> ChunkedMember:
-    """Open by the index, or else by a scan.
-
-    Raises:
-        TooCostly: it would have to be read whole, and has more bytes than may be read.
-    """
+    """Open by the index, or else by a scan; `TooCostly` if the file has more bytes than may be read."""
     source, problem_log = file.source, context.problem_log
     try:
         facts = read_index(source)

@@ -28,17 +28,10 @@ _GUESSED_RATIO = 4
 
 
 def read_index(source: Source, times: tuple[Timeline, DamageReport] | None = None) -> BagFacts:
-    """Read the index section.
+    """Read the index section; `Malformed` if there is none, or it cannot be true.
 
     A chunk and its index data end where the next chunk begins; without index data, uncompressed sizes are guesses.
-
-    Args:
-        source: the bag.
-        times: where the messages of all index data are counted, and the chunks that cannot be read. None: no index
-            data are read.
-
-    Raises:
-        Malformed: there is no index, or it cannot be true.
+    `times`: receive the messages of all index data, and the chunks that cannot be read; None: no index data are read.
     """
     start = len(records.MAGIC)
     fields, _data_bytes = records.read_fields(open_range(source, start, source.size_bytes, window=_HEAD_WINDOW))

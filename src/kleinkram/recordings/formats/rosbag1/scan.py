@@ -30,7 +30,7 @@ class BagScan(ChunkScan[BagFacts]):
     """The result of a scan.
 
     Attributes:
-        index_start: where the bag's header says that the index begins; 0: nowhere; None: no header.
+        index_start: by the bag's header; 0: it was never closed; None: no header.
         listed: messages that the chunk infos say the bag has; None: not all chunk infos were found.
         refused: why nothing of the bag can be read though it may be whole.
     """

@@ -75,15 +75,7 @@ def read_header(head: bytes) -> Header:
 
 
 class PageFile:
-    """The pages of a file, numbered from 1. Close it, or use it in a `with`.
-
-    Attributes:
-        whole_pages: pages that are there to their last byte.
-
-    Raises:
-        SourceError: the file cannot be opened or read.
-        Malformed: as `read_header`.
-    """
+    """The pages of a file, numbered from 1; `whole_pages` are there to their last byte. Use it in a `with`."""
 
     def __init__(self, path: Path, name: str) -> None:
         self._name = name
@@ -149,10 +141,7 @@ class PageFile:
         return free
 
     def last_leaf(self, root: int) -> tuple[int, int]:
-        """Return the last leaf of the table at page `root`, and the largest key above it.
-
-        The leaf is 0 where the way is broken or ends outside of the file.
-        """
+        """Return the last leaf of the table at page `root` (0 if the tree is broken), and the largest key above it."""
         highest = 0
         number = root
         for _ in range(_MOST_LEVELS):
@@ -227,10 +216,7 @@ def _read_cell(page: bytes, at: int, usable_bytes: int) -> Cell | None:
 
 
 def read_columns(data: bytes, at: int, end: int, payload_bytes: int) -> list[Column] | None:
-    """Return the columns of the record whose payload begins at `data[at]`; None if it is invalid.
-
-    The record's own header must are before `end`.
-    """
+    """Return the columns of the record that begins at `data[at]`; None if invalid, or if its header passes `end`."""
     try:
         header_bytes, place = read_varint(data, at)
         if not 1 <= header_bytes <= end - at:

@@ -1,11 +1,9 @@
 """Recovers topics and messages from databases that SQLite calls malformed: cut, overwritten, or with invalid pages.
 
-Rows are whole in leaf pages, whatever became of the tree above them. So every page is looked at once: leaf pages
-that hold rows of the shape of messages are brought into the order of their row ids and read; a row whose data goes on
-in other pages counts only if all of those are there. rosbag2 numbers messages without gaps and deletes none, so row
-ids tell how many are missing. Holds 8 bytes a leaf page.
-
-What cannot be seen: a flipped byte inside of a message's data; SQLite keeps no checksums.
+Rows are whole in leaf pages, whatever became of the tree above them. Every page is read once; leaf pages that hold rows
+of the shape of messages are sorted by row id (8 bytes a page). A row counts if all its overflow pages are there.
+rosbag2 numbers messages without gaps and deletes none, so row ids tell how many are missing. A flipped byte inside of
+a message's data cannot be seen: SQLite keeps no checksums.
 """
 
 from __future__ import annotations
@@ -49,12 +47,10 @@ class Recovered:
     """The result of a recovery, complete once `Recovery.messages` is exhausted.
 
     Attributes:
-        claimed_bytes: the size that the file should have by its own header; its real size where that says nothing.
-        damaged_pages: pages that are invalid data, or of which rows cannot be read.
-        damaged_bytes: bytes of these pages, and of messages that are cut.
-        cut_messages: messages that begin and whose data is not all there.
-        lost_messages: how many are missing for sure, from the gaps in the numbers of the rows.
-        is_exact: no more than those are missing, because the last row that was written is there.
+        claimed_bytes: the file's size by its header; its real size where that says nothing.
+        damaged_pages: pages that are invalid, or of which rows cannot be read.
+        damaged_bytes: of these pages, and of messages that are cut.
+        lost_messages: missing for sure, by the gaps in the row ids; no more if `is_exact`, as the last row is there.
     """
 
     size_bytes: int
@@ -69,12 +65,7 @@ class Recovered:
 
 
 class Recovery:
-    """Reads a damaged database; use it in a `with`.
-
-    Raises:
-        Malformed: not even the header is there.
-        SourceError: the file cannot be read.
-    """
+    """Reads a damaged database; use it in a `with`. `Malformed` if not even the header is there."""
 
     def __init__(self, path: Path, name: str) -> None:
         self._file = PageFile(path, name)
@@ -123,37 +114,36 @@ class Recovery:
         """Find the leaf pages of messages, the topics, and invalid pages."""
         free = self._file.free_pages()
         for number in range(1, self._file.whole_pages + 1):
-            if number not in free:
-                self._look_at(number, self._file.page(number))
+            if number in free:
+                continue
+            page = self._file.page(number)
+            kind = page[pages.HEADER_BYTES if number == 1 else 0]
+            if kind == pages.LEAF_TABLE:
+                self._survey_leaf(number, page)
+            elif kind == 0:
+                # Pages of data begin with the number of the next one, and those of the freelist too.
+                if not any(page):
+                    self._note(number, "it is all zeros")
+            elif kind not in (pages.INTERIOR_TABLE, pages.INTERIOR_INDEX, pages.LEAF_INDEX) and number < 1 << 24:
+                self._note(number, "it is of no kind that there is")
         tail = self._file.size_bytes % self._file.header.page_bytes
         if tail:
             self.result.damaged_pages += 1
             self.result.damaged_bytes += tail
         self.result.topics = [self._topics[topic_id] for topic_id in sorted(self._topics)]
 
-    def _look_at(self, number: int, page: bytes) -> None:
-        kind = page[pages.HEADER_BYTES if number == 1 else 0]
-        if kind == pages.LEAF_TABLE:
-            self._look_at_leaf(number, page)
-        elif kind == 0:
-            # Pages of data begin with the number of the next one, and those of the freelist too.
-            if not any(page):
-                self._note(number, "it is all zeros")
-        elif kind not in (pages.INTERIOR_TABLE, pages.INTERIOR_INDEX, pages.LEAF_INDEX) and number < 1 << 24:
-            self._note(number, "it is of no kind that there is")
-
-    def _look_at_leaf(self, number: int, page: bytes) -> None:
+    def _survey_leaf(self, number: int, page: bytes) -> None:
         """Note a leaf page of messages, or read topics and roots from another leaf page."""
         try:
             for cell, columns in self._cells(number, page):
                 if _is_message(columns):
                     self._leaves.append(min(max(cell.row_id, 0), _MOST_ROW_ID) << _PAGE_BITS | number)
                     return
-                self._look_at_row(page, cell, columns)
+                self._read_row(page, cell, columns)
         except Malformed as error:
             self._note(number, error.message)
 
-    def _look_at_row(self, page: bytes, cell: Cell, columns: list[Column]) -> None:
+    def _read_row(self, page: bytes, cell: Cell, columns: list[Column]) -> None:
         texts = [self._text(page, cell, column) if pages.is_text(column) else "" for column in columns[:4]]
         if len(columns) == _SCHEMA_COLUMNS and texts[0] == "table" and pages.is_integer(columns[3]):
             self._roots.setdefault(texts[1], pages.read_integer(columns[3], page, cell.at))
@@ -265,11 +255,7 @@ _LATEST_NS = 2**63 - 1
 def open_recovered(
     path: Path, name: str, problem_log: ProblemLog, stack: ExitStack, *, message_compression: str = ""
 ) -> ChunkedMember:
-    """Open a recovered database; its temporary file of MCAP message records is removed with the stack.
-
-    Raises:
-        SourceError: it cannot be read, or there is no room for the temporary file.
-    """
+    """Open a recovered database by a temporary file of MCAP message records, which is removed with the stack."""
     channels: dict[int, Channel] = {}
     builder = ChunkTableBuilder(ChunkTable(), problem_log)
     try:
