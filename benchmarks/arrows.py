@@ -1,4 +1,4 @@
-"""The row about Arrow tables: an IMU topic from messages at hand, from a file of its own, and from among all others."""
+"""The row about Arrow tables: an IMU topic from memory, from a file of its own, from a file of all topics."""
 
 import statistics
 from pathlib import Path
@@ -14,11 +14,11 @@ _MOST_MB = 200
 _LEAST_PER_S = 300_000
 _IMU = "/imu/data"
 _MESSAGES = 150_000
-"""Twelve minutes of it; 50 MB as a table."""
+"""Twelve minutes; 50 MB as a table."""
 
 
 def arrow_row(path: Path) -> dict[str, object]:
-    """An IMU topic to an Arrow table of all fields, by every reader that leads there; `path`: a file of all topics."""
+    """An IMU topic to an Arrow table of all fields, by every reader that can; `path`: a file of all topics."""
     alone = _imu_alone(path)
     runs = take_turns(["arrow_ours", "arrow_at_hand", *_OTHERS], str(alone), _IMU, module=_SIDES, rounds=_RUNS)
     runs["among"] = take_turns(["arrow_ours"], str(path), _IMU, module=_SIDES, rounds=_RUNS)["arrow_ours"]

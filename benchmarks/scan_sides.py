@@ -60,8 +60,8 @@ def scan_rosbags(path: str) -> Facts:
 
 
 def summary_synthetic(size_bytes: str) -> Facts:
-    """Summarise a recording of that size, which is made as it is read."""
-    from tests.unit.recordings.synthetic import SyntheticMcap
+    """Summarise a recording of that size, which is generated while it is read."""
+    from tests.recording_files.synthetic import SyntheticMcap
 
     source = SyntheticMcap(int(size_bytes), chunk_bytes=_CHUNK_BYTES)
     counting = CountingSource(source)

@@ -20,9 +20,8 @@ from kleinkram.recordings.formats.rosbag1 import records as bag_records
 from kleinkram.recordings.sample.writers import Compression, McapWriter
 from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
-
-from .memory_source import MemorySource
-from .test_hostile import record, small_mcap
+from tests.recording_files.memory_source import MemorySource
+from tests.unit.recordings.test_hostile import record, small_mcap
 
 REACH = 128 * 1024
 HEADS = 2_000

@@ -16,8 +16,7 @@ from kleinkram.recordings.model import span_text
 from kleinkram.recordings.sample.writers import McapWriter
 from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
-
-from .memory_source import MemorySource
+from tests.recording_files.memory_source import MemorySource
 
 T0 = 1_700_000_000_000_000_000
 SECOND = 1_000_000_000
