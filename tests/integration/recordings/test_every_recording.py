@@ -23,7 +23,7 @@ from kleinkram.recordings import (
     summarise,
     to_dict,
 )
-from kleinkram.recordings.sources import file_reader
+from kleinkram.recordings.sources import FileReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.corpus import Entry, entries, params
 
@@ -50,7 +50,7 @@ def by_summary(path: Path) -> RecordingSummary:
 
 @cache
 def by_scan(path: Path) -> RecordingSummary:
-    with file_reader(path) as reader:
+    with FileReader(path) as reader:
         return scan(reader)
 
 

@@ -23,8 +23,8 @@ from kleinkram.recordings import (
     parse_rosbag2_metadata,
 )
 from kleinkram.recordings.formats.rosbag2.metadata import StatedFile, StatedTopic
-from kleinkram.recordings.formats.rosbag2.writer import Db3Writer
 from kleinkram.recordings.inspect import Inspection, InspectionKind, inspect_paths
+from kleinkram.recordings.sample.writers import Db3Writer
 from tests.recording_files.databases import T0, faults
 
 STATED = Rosbag2Metadata(

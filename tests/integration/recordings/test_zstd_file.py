@@ -10,14 +10,14 @@ import zstandard
 
 from kleinkram.recordings import Content, Depth, FileSource, RecordingFormat, RecordingSummary, summarise
 from kleinkram.recordings.formats.zstd_file import scan_zstd_file
-from kleinkram.recordings.sources import file_reader, pipe_reader
+from kleinkram.recordings.sources import FileReader, PipeReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.corpus import Entry, params
 from tests.recording_files.databases import make_database, steady
 
 
 def scan_bytes(data: bytes, name: str) -> RecordingSummary:
-    return scan(pipe_reader(io.BytesIO(data), len(data), name))
+    return scan(PipeReader(io.BytesIO(data), len(data), name))
 
 
 @pytest.fixture(autouse=True)
@@ -37,7 +37,7 @@ def database(tmp_path: Path) -> bytes:
 @pytest.mark.parametrize("entry", params("file-zstd of ROS2 sqlite3 db3", "file-zstd of MCAP"))
 def test_real_files(entry: Entry, recordings_dir: Path, temporary: Path) -> None:
     path = recordings_dir / entry.name
-    with file_reader(path) as reader, FileSource(path) as source:
+    with FileReader(path) as reader, FileSource(path) as source:
         scanned, summarised = scan(reader), summarise(source)
     assert scanned == summarised
     expected = entry.expected
@@ -116,7 +116,7 @@ def test_the_name_inside_must_tell_the_truth(database: bytes) -> None:
 def test_a_bomb_ends_at_the_bound(database: bytes, temporary: Path) -> None:
     bomb = zstandard.compress(database + bytes(200_000_000))
     assert len(bomb) < len(database)
-    reader = pipe_reader(io.BytesIO(bomb), len(bomb), "a.db3.zstd")
+    reader = PipeReader(io.BytesIO(bomb), len(bomb), "a.db3.zstd")
     summary = scan_zstd_file(reader, scan, most_bytes=5_000_000)
     assert summary.content is Content.pending
     assert "more than 5000000 bytes" in (summary.reason or "")

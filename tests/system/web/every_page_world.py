@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kleinkram.recordings.formats.mcap.writer import McapWriter
 from kleinkram.recordings.sample import Faults, TopicGap, generate_bag, generate_mcap
+from kleinkram.recordings.sample.writers import McapWriter
 from tests.acceptance.conftest import Terminal, wait_until
 
 # What would be asked for if any of it were an element.

@@ -25,7 +25,7 @@ from kleinkram.recordings.decoding import (
     to_plain,
     typed_rows,
 )
-from kleinkram.recordings.sample import definitions
+from kleinkram.recordings.sample.messages import ros2_definition
 from tests.conftest import MakeCase
 
 TEXT = """\
@@ -141,7 +141,7 @@ def imu(number: int, frame: str = "imu") -> bytes:
     return LITTLE + Cdr().put("i", number).put("I", 5).text(frame).put("d", *range(number, number + 37)).body
 
 
-IMU = decoder(definitions.ros2_definition("sensor_msgs/Imu"), "sensor_msgs/msg/Imu")
+IMU = decoder(ros2_definition("sensor_msgs/Imu"), "sensor_msgs/msg/Imu")
 
 
 def test_imu_table() -> None:

@@ -9,8 +9,8 @@ import pytest
 import zstandard
 
 from kleinkram.recordings import NoSuchTopic, Recording
-from kleinkram.recordings.formats.mcap.writer import McapWriter
 from kleinkram.recordings.sample import generate_bag, generate_mcap
+from kleinkram.recordings.sample.writers import McapWriter
 from tests.recording_files.builders import T0
 from tests.recording_files.memory_source import MemorySource
 
