@@ -14,13 +14,12 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, AliasChoices, BeforeValidator, ConfigDict, Field, model_validator
 from typing_extensions import Self
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.amounts import read_duration, read_size
-from kleinkram.contract.etags import ETag, etag_of
+from kleinkram.contract.base import ETag, Request, Response, etag_of
 from kleinkram.contract.names import Label, Name, Term, check_text
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
-from kleinkram.contract.rights import Right
-from kleinkram.contract.wire import Request, Response
 
 MAX_SCRIPT_CHARACTERS = 500_000
 MAX_PARAMETERS = 100

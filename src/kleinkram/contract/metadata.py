@@ -8,8 +8,8 @@ from typing import Annotated
 from pydantic import AfterValidator, Field, JsonValue, model_validator
 from typing_extensions import Self
 
+from kleinkram.contract.base import Request
 from kleinkram.contract.names import check_text
-from kleinkram.contract.wire import Request
 
 MAX_YAML_CHARACTERS = 200_000
 MAX_DEPTH = 20

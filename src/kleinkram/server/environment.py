@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 from pydantic_settings import SettingsError
 
-from kleinkram.contract.wording import message_of
+from kleinkram.contract.problems import message_of
 from kleinkram.server.settings import Settings, is_secret
 
 _PREFIX = "KLEINKRAM_"

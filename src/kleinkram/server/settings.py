@@ -21,9 +21,9 @@ from pydantic import (
 )
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
-from kleinkram.contract.emails import EmailDomain
+from kleinkram.contract.access import Right
 from kleinkram.contract.names import Name, name_key
-from kleinkram.contract.rights import Right
+from kleinkram.contract.people import EmailDomain
 
 Seconds = Annotated[float, Field(gt=0)]
 PerMinute = Annotated[int, Field(ge=0)]

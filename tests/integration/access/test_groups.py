@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from kleinkram.contract.rights import GroupKind, Right
+from kleinkram.contract.access import GroupKind, Right
 from kleinkram.server.access.email_groups import join_email_groups
 from kleinkram.server.access.groups import ADMINS_ID
 from kleinkram.server.db import open_database

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.contract.secrets import is_whole
+from kleinkram.contract.tokens import is_whole
 from kleinkram.server.app import create_app
 from kleinkram.server.people import local_owner as owner
 from tests.integration.api_server import Api

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from kleinkram.contract.rights import Right, Scope
+from kleinkram.contract.access import Right, Scope
 from kleinkram.server.audit import admin_access
 from tests.integration import people
 from tests.integration.api_server import Api

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.errors import Forbidden
-from kleinkram.contract.rights import Right
 from kleinkram.server.audit import refusals
 from kleinkram.server.audit.refusals import Refusals
 from kleinkram.server.context import AppContext

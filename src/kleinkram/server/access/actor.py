@@ -11,8 +11,8 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Row, Select, bindparam, case, exists, func, or_, select, update
 
+from kleinkram.contract.access import Right, Scope, TokenKind
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.rights import Right, Scope, TokenKind
 from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID, OWNER_TOKEN_NAME
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import membership, mission, person, project, session, share, share_file, token, token_limit

@@ -4,8 +4,8 @@ import uuid
 
 from sqlalchemy import exists, insert, select
 
+from kleinkram.contract.access import GroupKind, Right
 from kleinkram.contract.errors import Forbidden
-from kleinkram.contract.rights import GroupKind, Right
 from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.access.groups import own_group, own_project
 from kleinkram.server.access.ownership import ensure_owner_remains

@@ -8,8 +8,8 @@ import uuid
 from sqlalchemy import select
 from sqlalchemy.dialects.postgresql import insert as upsert
 
-from kleinkram.contract.emails import email_domain, email_key
-from kleinkram.contract.rights import GroupKind
+from kleinkram.contract.access import GroupKind
+from kleinkram.contract.people import email_domain, email_key
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import access_group, affiliation_domain, membership, person_email
 

@@ -5,9 +5,9 @@ import uuid
 from sqlalchemy import func, insert, select
 from sqlalchemy.dialects.postgresql import insert as upsert
 
-from kleinkram.contract.emails import email_key
+from kleinkram.contract.access import GroupKind, Right
 from kleinkram.contract.names import name_key
-from kleinkram.contract.rights import GroupKind, Right
+from kleinkram.contract.people import email_key
 from kleinkram.server.access.email_groups import join_email_groups
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import access_grant, access_group, membership, person, person_email

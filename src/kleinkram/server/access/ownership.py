@@ -10,8 +10,8 @@ from typing import Any
 
 from sqlalchemy import Row, Select, exists, select
 
+from kleinkram.contract.access import GroupKind, Right
 from kleinkram.contract.errors import LastAdmin, LastOwner
-from kleinkram.contract.rights import GroupKind, Right
 from kleinkram.server.access.groups import ADMINS_ID, own_project
 from kleinkram.server.access.rights import lock_rights
 from kleinkram.server.db import Connection

@@ -6,8 +6,8 @@ from typing import Any
 
 from sqlalchemy import Row, Select, func, select
 
+from kleinkram.contract.access import Right, Scope
 from kleinkram.contract.errors import Forbidden, NotAuthenticated, NotFound, ScopeMissing, SignInTooOld
-from kleinkram.contract.rights import Right, Scope
 from kleinkram.server.access.actor import Actor, ActorKind, find_person
 from kleinkram.server.access.operations import OPERATIONS, ResourceKind
 from kleinkram.server.access.visible import level_on_mission, level_on_project, visible_missions, visible_projects

@@ -3,7 +3,7 @@
 import secrets
 from dataclasses import dataclass, field
 
-from kleinkram.contract.secrets import SecretKind, is_whole, with_checksum
+from kleinkram.contract.tokens import SecretKind, is_whole, with_checksum
 from kleinkram.server.access.actor import secret_hash
 
 _RANDOM_BYTES = 32

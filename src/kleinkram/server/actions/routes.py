@@ -13,7 +13,7 @@ from kleinkram.contract.actions import (
     ActionVersionRead,
     VersionCreate,
 )
-from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.server.actions import service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Reading, Transaction
 from kleinkram.server.http.etags import IfMatch

@@ -16,10 +16,10 @@ from kleinkram.contract.actions import (
     ActionRead,
     ActionVersionRead,
 )
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import FieldProblem, Forbidden, InvalidRequest, NameTaken, NotFound
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
-from kleinkram.contract.paging import Page
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.creation import require_creator
 from kleinkram.server.access.rights import require_project

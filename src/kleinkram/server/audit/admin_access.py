@@ -13,7 +13,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Select, Text, Uuid, cast, exists, func, insert, literal, null, select, true
 from sqlalchemy.dialects.postgresql import JSONB
 
-from kleinkram.contract.rights import Right
+from kleinkram.contract.access import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.operations import OPERATIONS, ResourceKind
 from kleinkram.server.access.visible import level_on_mission, level_on_project

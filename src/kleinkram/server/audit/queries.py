@@ -22,9 +22,9 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects.postgresql import aggregate_order_by
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.audit import AuditFilter, AuditRead, CredentialRef
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import level_on_mission, level_on_project, trashed_projects, visible_projects
 from kleinkram.server.db import unnest_rows

@@ -7,7 +7,7 @@ from fastapi import APIRouter, Query
 from fastapi.responses import StreamingResponse
 
 from kleinkram.contract.audit import AuditFilter, AuditRead
-from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.server.audit import service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, Transaction
 from kleinkram.server.paging import PageRequest

@@ -6,11 +6,10 @@ from dataclasses import dataclass, field
 
 from sqlalchemy import Insert, Integer, column, insert, select
 
-from kleinkram.contract.audit import AuditFilter, AuditRead
-from kleinkram.contract.events import ChangeKind
+from kleinkram.contract.access import Right
+from kleinkram.contract.audit import AuditFilter, AuditRead, ChangeKind
+from kleinkram.contract.base import Page
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.paging import Page
-from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.operations import OPERATIONS, ResourceKind
 from kleinkram.server.audit import queries

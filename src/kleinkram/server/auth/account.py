@@ -10,11 +10,10 @@ from typing import Any, NamedTuple
 
 from sqlalchemy import Select, exists, func, select, update
 
-from kleinkram.contract.accounts import AccountRead, AddressRead, IdentityRead
+from kleinkram.contract.access import GroupKind, Scope
+from kleinkram.contract.accounts import AccountRead, AddressRead, CredentialKind, CredentialRead, IdentityRead, MeRead
 from kleinkram.contract.errors import LastSignInMethod, NotAuthenticated, NotFound
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.rights import GroupKind, Scope
-from kleinkram.contract.signing_in import CredentialKind, CredentialRead, MeRead
 from kleinkram.server.access.actor import Actor, ActorKind, unexpired
 from kleinkram.server.access.groups import OWNER_ID
 from kleinkram.server.access.rights import lock_person

@@ -13,9 +13,9 @@ from sqlalchemy import ColumnElement, exists, func, select, update
 from sqlalchemy.dialects.postgresql import insert
 
 from kleinkram.contract.accounts import MAX_PERSON_NAME_CHARACTERS, check_person_name
-from kleinkram.contract.emails import check_email, email_domain, email_key
 from kleinkram.contract.errors import SignInRefused
 from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.people import check_email, email_domain, email_key
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.groups import add_person, prove_address
 from kleinkram.server.audit.service import Event, record

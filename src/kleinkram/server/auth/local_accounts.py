@@ -26,7 +26,6 @@ from kleinkram.contract.accounts import (
     PasswordReset,
     PasswordSignIn,
 )
-from kleinkram.contract.emails import email_key
 from kleinkram.contract.errors import (
     FieldProblem,
     Forbidden,
@@ -38,6 +37,7 @@ from kleinkram.contract.errors import (
     SlowDown,
 )
 from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.people import email_key
 from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.access.groups import add_person, prove_address
 from kleinkram.server.access.rights import lock_person

@@ -14,12 +14,18 @@ from urllib.parse import urlencode
 from sqlalchemy import ColumnElement, delete, func, insert, or_, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
-from kleinkram.contract.accounts import DeviceRead, LoopbackApproval, LoopbackApproved
+from kleinkram.contract.access import Scope
+from kleinkram.contract.accounts import (
+    CliExchange,
+    DeviceCode,
+    DeviceRead,
+    LoopbackApproval,
+    LoopbackApproved,
+    SignedIn,
+)
 from kleinkram.contract.errors import CodeGone, SignInDenied, SignInExpired, SignInPending, SlowDown
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import MAX_LABEL_CHARACTERS, check_label
-from kleinkram.contract.rights import Scope
-from kleinkram.contract.signing_in import CliExchange, DeviceCode, SignedIn
 from kleinkram.contract.tokens import TokenCreate
 from kleinkram.server.access.actor import Actor, find_person, secret_hash
 from kleinkram.server.audit.service import Event, record

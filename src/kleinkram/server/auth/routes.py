@@ -13,15 +13,20 @@ from kleinkram.contract.accounts import (
     AccountRead,
     AdminBootstrap,
     BrowserSignedIn,
+    CliExchange,
     CodeRead,
     CodeSignIn,
+    DeviceBegin,
+    DeviceCode,
     DeviceDecision,
+    DeviceExchange,
     DeviceRead,
     IdentityRead,
     InvitationAccept,
     InvitationCreate,
     LoopbackApproval,
     LoopbackApproved,
+    MeRead,
     OneTimeLink,
     PasswordChange,
     PasswordReauthenticate,
@@ -31,20 +36,13 @@ from kleinkram.contract.accounts import (
     ProviderBegun,
     ProviderRef,
     RecoveryCodes,
+    SessionRead,
+    SignedIn,
     SignInMethods,
     TotpConfirm,
     TotpEnrolment,
 )
-from kleinkram.contract.paging import Cursor, Page, PageSize
-from kleinkram.contract.signing_in import (
-    CliExchange,
-    DeviceBegin,
-    DeviceCode,
-    DeviceExchange,
-    MeRead,
-    SessionRead,
-    SignedIn,
-)
+from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.server.auth import account as accounts
 from kleinkram.server.auth import bootstrap_admin, local_accounts, one_time_codes, program_logins, sessions, totp
 from kleinkram.server.auth.authorization_request import AuthorizationRequest, bind_browser, store_request

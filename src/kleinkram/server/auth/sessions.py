@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 from sqlalchemy import ColumnElement, func, insert, select, update
 
+from kleinkram.contract.accounts import SessionRead
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import NotFound, SignInRefused
-from kleinkram.contract.paging import Page
-from kleinkram.contract.signing_in import SessionRead
 from kleinkram.server.access.actor import Actor, find_person, secret_hash
 from kleinkram.server.access.rights import ensure_active_person
 from kleinkram.server.audit.service import Event, record

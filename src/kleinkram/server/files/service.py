@@ -8,6 +8,7 @@ from typing import Any
 
 from sqlalchemy import Row, func
 
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import FileUnavailable, NotFound
 from kleinkram.contract.files import (
     BlobState,
@@ -21,8 +22,7 @@ from kleinkram.contract.files import (
 )
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
-from kleinkram.contract.paging import Page
-from kleinkram.contract.trash import Deleted
+from kleinkram.contract.projects import Deleted
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.service import Event, record, record_all

@@ -31,7 +31,7 @@ from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.missions import MissionFilter
 from kleinkram.contract.names import is_id
-from kleinkram.contract.query.parsing import parse_term
+from kleinkram.contract.query import parse_term
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.dates import nanoseconds

@@ -28,9 +28,8 @@ from sqlalchemy import (
 )
 from sqlalchemy.types import TypeEngine
 
-from kleinkram.contract.grants import AccessRead, AccessThrough, GrantOn
+from kleinkram.contract.access import AccessRead, AccessThrough, GrantOn, GroupKind, Right
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.rights import GroupKind, Right
 from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.access.visible import (
     level_on_mission,

@@ -7,9 +7,8 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Row, Select, collate, func, select
 
-from kleinkram.contract.grants import Grantee, GranteeKind, GrantOn, GrantRead
+from kleinkram.contract.access import Grantee, GranteeKind, GrantOn, GrantRead, GroupKind, Right
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.rights import GroupKind, Right
 from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.access.visible import (
     lasting_level_on_mission,

@@ -6,8 +6,8 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict
 
-from kleinkram.contract.grants import AccessRead, GrantCreate, GrantOn, GrantRead, GrantUpdate
-from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.access import AccessRead, GrantCreate, GrantOn, GrantRead, GrantUpdate
+from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.server.grants import service
 from kleinkram.server.grants.queries import Place
 from kleinkram.server.http.dependencies import CurrentActor, Transaction

@@ -11,12 +11,11 @@ from typing import Any, NamedTuple
 from sqlalchemy import Row, delete, func, literal, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
-from kleinkram.contract.emails import email_key
+from kleinkram.contract.access import AccessRead, GrantCreate, GrantOn, GrantRead, GrantUpdate, Right
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import FieldProblem, Forbidden, InvalidRequest, NotFound, RightExceeded
-from kleinkram.contract.grants import AccessRead, GrantCreate, GrantOn, GrantRead, GrantUpdate
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.paging import Page
-from kleinkram.contract.rights import Right
+from kleinkram.contract.people import email_key
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.email_groups import email_group
 from kleinkram.server.access.groups import own_group

@@ -12,9 +12,9 @@ from sqlalchemy import ColumnElement, Row, Select, delete, exists, func, insert,
 from sqlalchemy.dialects.postgresql import insert as upsert
 from sqlalchemy.exc import IntegrityError
 
+from kleinkram.contract.access import GroupKind, Right
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
-from kleinkram.contract.rights import GroupKind, Right
 from kleinkram.server.access.ownership import give_to_admins, owned_by_groups
 from kleinkram.server.access.rights import lock_rights
 from kleinkram.server.audit.service import Event, record_all

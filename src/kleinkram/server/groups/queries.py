@@ -5,9 +5,8 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Row, Select, and_, case, func, null, select
 
-from kleinkram.contract.groups import GroupRead, MemberRead
+from kleinkram.contract.access import GroupKind, GroupRead, MemberRead, Right
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.rights import GroupKind, Right
 from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.access.visible import knows_addresses, visible_groups
 from kleinkram.server.filters.patterns import matches_key

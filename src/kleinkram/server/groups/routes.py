@@ -6,9 +6,9 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict
 
-from kleinkram.contract.groups import GroupCreate, GroupRead, GroupUpdate, MemberRead, MemberSet
+from kleinkram.contract.access import GroupCreate, GroupRead, GroupUpdate, MemberRead, MemberSet
+from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.contract.names import Term
-from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.server.groups import service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Transaction
 from kleinkram.server.http.etags import IfMatch

@@ -7,6 +7,8 @@ from sqlalchemy import Row, delete, func, insert, literal, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 from sqlalchemy.exc import IntegrityError
 
+from kleinkram.contract.access import GroupCreate, GroupKind, GroupRead, GroupUpdate, MemberRead, MemberSet, Right
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import (
     FieldProblem,
     Forbidden,
@@ -16,11 +18,8 @@ from kleinkram.contract.errors import (
     NotFound,
     RightExceeded,
 )
-from kleinkram.contract.groups import GroupCreate, GroupRead, GroupUpdate, MemberRead, MemberSet
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
-from kleinkram.contract.paging import Page
-from kleinkram.contract.rights import GroupKind, Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.creation import require_creator
 from kleinkram.server.access.ownership import ensure_admin_remains, ensure_owner_remains, owned_by_groups

@@ -6,8 +6,8 @@ from fastapi import APIRouter, Request, Response
 from fastapi.responses import PlainTextResponse
 
 import kleinkram
+from kleinkram.contract.access import TokenKind
 from kleinkram.contract.people import ServiceRead, ViewerRead
-from kleinkram.contract.rights import TokenKind
 from kleinkram.server.health.proxy_check import seen
 from kleinkram.server.health.readiness import Readiness, readiness
 from kleinkram.server.health.recent import Recent

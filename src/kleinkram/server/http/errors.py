@@ -20,8 +20,7 @@ from kleinkram.contract.errors import (
     RateLimited,
     WrongClient,
 )
-from kleinkram.contract.problems import to_problem
-from kleinkram.contract.wording import message_of
+from kleinkram.contract.problems import message_of, to_problem
 from kleinkram.server.audit.places import named
 from kleinkram.server.audit.refusals import ALSO_REFUSALS, Refusal, Refusals
 from kleinkram.server.http.pages import app_page, is_original_api_path, wants_page

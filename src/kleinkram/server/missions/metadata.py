@@ -16,7 +16,7 @@ from pydantic import HttpUrl, JsonValue, StringConstraints, TypeAdapter, Validat
 
 from kleinkram.contract.errors import FieldProblem, MetadataInvalid, YamlInvalid
 from kleinkram.contract.metadata import FieldType, Location, Metadata, MetadataField, MetadataFields, Undeclared
-from kleinkram.contract.wording import in_plain_words
+from kleinkram.contract.problems import in_plain_words
 from kleinkram.server.dates import iso_text
 from kleinkram.server.yaml_text import Document, Path, read_yaml
 

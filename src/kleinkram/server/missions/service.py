@@ -14,6 +14,7 @@ from typing import Any
 from sqlalchemy import Row, Update, func, insert
 from sqlalchemy.exc import IntegrityError
 
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import NameTaken, NotFound
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.metadata import Metadata, MetadataFields
@@ -26,8 +27,7 @@ from kleinkram.contract.missions import (
     MissionUpdate,
 )
 from kleinkram.contract.names import name_key
-from kleinkram.contract.paging import Page
-from kleinkram.contract.trash import Deleted
+from kleinkram.contract.projects import Deleted
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission, require_project
 from kleinkram.server.access.visible import sees_whole_missions, visible_missions

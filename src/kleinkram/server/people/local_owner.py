@@ -11,8 +11,8 @@ from pathlib import Path
 
 from sqlalchemy import func, insert, select, update
 
-from kleinkram.contract.rights import Scope
-from kleinkram.contract.secrets import SecretKind
+from kleinkram.contract.access import Scope
+from kleinkram.contract.tokens import SecretKind
 from kleinkram.server.access.actor import secret_hash
 from kleinkram.server.access.groups import OWNER_ID, OWNER_TOKEN_NAME, add_person, make_admin
 from kleinkram.server.access.secrets import beginning, new_secret

@@ -5,9 +5,9 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Row, Select, case, exists, func, select
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.names import name_key
 from kleinkram.contract.people import PersonRead
-from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.access.groups import ADMINS_ID
 from kleinkram.server.access.visible import knows_addresses, visible_people

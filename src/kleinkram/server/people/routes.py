@@ -6,8 +6,8 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict
 
+from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.contract.names import Term
-from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.people import Departure, PersonRead
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
 from kleinkram.server.paging import PageRequest

@@ -10,11 +10,11 @@ from typing import Any
 
 from sqlalchemy import Row, Table, delete, func, select, update
 
+from kleinkram.contract.access import Right
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.paging import Page
 from kleinkram.contract.people import Departure, PersonRead, PersonRef
-from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.groups import ADMINS_ID, make_admin
 from kleinkram.server.access.ownership import ensure_admin_remains, give_to_admins

@@ -7,7 +7,7 @@ from pydantic_core import ErrorDetails, SchemaError
 
 from kleinkram.contract.errors import FieldProblem, FieldsInvalid
 from kleinkram.contract.metadata import MetadataField, MetadataFields
-from kleinkram.contract.wording import message_of
+from kleinkram.contract.problems import message_of
 from kleinkram.server.missions.metadata import Judge, Wrong
 from kleinkram.server.yaml_text import Document, Path, read_yaml
 

@@ -19,8 +19,8 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects.postgresql import array
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.projects import ProjectRead, ProjectSort
-from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import (
     level_on_project,

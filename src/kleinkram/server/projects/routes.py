@@ -6,11 +6,10 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict
 
+from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.contract.missions import MissionTemplate
 from kleinkram.contract.names import Term
-from kleinkram.contract.paging import Cursor, Page, PageSize
-from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
-from kleinkram.contract.trash import Deleted
+from kleinkram.contract.projects import Deleted, ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Reading, Transaction
 from kleinkram.server.http.etags import IfMatch
 from kleinkram.server.paging import PageRequest

@@ -8,13 +8,12 @@ from typing import Any
 from sqlalchemy import func, insert
 from sqlalchemy.exc import IntegrityError
 
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import NameTaken, NotFound
 from kleinkram.contract.metadata import Metadata, MetadataFields
 from kleinkram.contract.missions import MissionTemplate
 from kleinkram.contract.names import name_key
-from kleinkram.contract.paging import Page
-from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
-from kleinkram.contract.trash import Deleted
+from kleinkram.contract.projects import Deleted, ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.creation import grant_first_rights, require_creator
 from kleinkram.server.access.rights import admit, require_project

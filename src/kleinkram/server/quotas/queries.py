@@ -5,7 +5,7 @@ from typing import Any
 
 from sqlalchemy import Select, func, literal, select, union_all
 
-from kleinkram.contract.rights import Scope
+from kleinkram.contract.access import Scope
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_projects
 from kleinkram.server.tables import blob, file, mission, project, upload

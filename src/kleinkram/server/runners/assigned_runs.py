@@ -8,13 +8,13 @@ from typing import Any
 
 from sqlalchemy import Row, func, insert, select, update
 
+from kleinkram.contract.access import Right
+from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.errors import KleinkramError, NotFound, RunGone
-from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.files import ContentState
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
 from kleinkram.contract.reports import PutBack, Report, Severity
-from kleinkram.contract.rights import Right
 from kleinkram.contract.runners import (
     InputsRequest,
     InputUrls,

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Response
 from fastapi.responses import HTMLResponse
 
 from kleinkram.contract.errors import NotFound
-from kleinkram.contract.shares import SHARE_PAGE
+from kleinkram.contract.tokens import SHARE_PAGE
 from kleinkram.server.http.dependencies import CurrentSettings
 from kleinkram.server.http.headers import PAGE_POLICY
 from kleinkram.server.http.pages import PAGE_HEAD, brand

@@ -6,11 +6,11 @@ from typing import Any
 
 from sqlalchemy import Row, Select, Update, case, false, func, select, update
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
-from kleinkram.contract.rights import Right
-from kleinkram.contract.shares import SharedRead, ShareRead
+from kleinkram.contract.tokens import SharedRead, ShareRead
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files, visible_missions
 from kleinkram.server.db import among

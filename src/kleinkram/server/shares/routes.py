@@ -6,8 +6,8 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict
 
-from kleinkram.contract.paging import Cursor, Page, PageSize
-from kleinkram.contract.shares import ShareCreate, SharedRead, ShareMade, ShareRead
+from kleinkram.contract.base import Cursor, Page, PageSize
+from kleinkram.contract.tokens import ShareCreate, SharedRead, ShareMade, ShareRead
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Transaction
 from kleinkram.server.paging import PageRequest
 from kleinkram.server.shares import service

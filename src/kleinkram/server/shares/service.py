@@ -6,11 +6,10 @@ from typing import Any
 
 from sqlalchemy import Row, Select, func, insert, select, update
 
+from kleinkram.contract.access import Right
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import FieldProblem, InvalidRequest, NotFound
-from kleinkram.contract.paging import Page
-from kleinkram.contract.rights import Right
-from kleinkram.contract.secrets import SecretKind
-from kleinkram.contract.shares import SHARE_PAGE, ShareCreate, SharedRead, ShareMade, ShareRead
+from kleinkram.contract.tokens import SHARE_PAGE, SecretKind, ShareCreate, SharedRead, ShareMade, ShareRead
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import ensure_active_person, require_mission
 from kleinkram.server.access.secrets import new_secret

@@ -6,8 +6,8 @@ from typing import Any
 
 from sqlalchemy import Row, Select, exists, func, literal, select, union_all
 
+from kleinkram.contract.access import Scope, TokenKind
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.rights import Scope, TokenKind
 from kleinkram.contract.tokens import TokenPlace, TokenRead, TokenRunner
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_missions, visible_projects

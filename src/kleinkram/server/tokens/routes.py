@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict
 
-from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.contract.tokens import TokenCreate, TokenMade, TokenRead
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Transaction
 from kleinkram.server.paging import PageRequest

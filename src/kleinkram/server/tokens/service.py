@@ -8,6 +8,8 @@ from typing import Any
 
 from sqlalchemy import Row, Select, func, insert, select, update
 
+from kleinkram.contract.access import Scope, TokenKind
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import (
     FieldProblem,
     Forbidden,
@@ -18,10 +20,7 @@ from kleinkram.contract.errors import (
     TokenTooWide,
 )
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.paging import Page
-from kleinkram.contract.rights import Scope, TokenKind
-from kleinkram.contract.secrets import SecretKind
-from kleinkram.contract.tokens import TokenCreate, TokenMade, TokenRead
+from kleinkram.contract.tokens import SecretKind, TokenCreate, TokenMade, TokenRead
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import ensure_active_person, lock_person, require_fresh_sign_in
 from kleinkram.server.access.secrets import NewSecret, new_secret

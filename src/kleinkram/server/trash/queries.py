@@ -7,7 +7,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Row, Select, Table, func, literal, select, union_all
 
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.trash import TrashNoun, TrashRead
+from kleinkram.contract.projects import TrashNoun, TrashRead
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import trashed_files, trashed_missions, trashed_projects
 from kleinkram.server.paging import Order

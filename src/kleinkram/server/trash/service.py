@@ -7,9 +7,9 @@ from typing import Any
 from sqlalchemy import Row, Select, Table, update
 from sqlalchemy.exc import IntegrityError
 
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import NameTaken, NotFound
-from kleinkram.contract.paging import Page
-from kleinkram.contract.trash import TrashNoun, TrashRead
+from kleinkram.contract.projects import TrashNoun, TrashRead
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint

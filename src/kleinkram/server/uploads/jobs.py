@@ -5,7 +5,7 @@ import datetime
 from procrastinate import JobContext
 from sqlalchemy import func, select, update
 
-from kleinkram.contract.events import ChangeKind
+from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.uploads import UploadState
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext

@@ -11,18 +11,18 @@ from typing import Any
 
 from sqlalchemy import func, select, update
 
+from kleinkram.contract.access import Scope
+from kleinkram.contract.audit import ChangeKind
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import (
     NameLeased,
     NotFound,
     PathConflict,
     StoreUnavailable,
 )
-from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.files import FileRead
 from kleinkram.contract.names import name_key
-from kleinkram.contract.paging import Page
 from kleinkram.contract.problems import to_problem
-from kleinkram.contract.rights import Scope
 from kleinkram.contract.uploads import (
     ChecksumKind,
     HashFirst,
