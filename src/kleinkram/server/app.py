@@ -13,10 +13,10 @@ from kleinkram.server.actions.routes import router as actions
 from kleinkram.server.admin.routes import router as admin
 from kleinkram.server.audit.admin_access import Looks
 from kleinkram.server.audit.routes import router as audit
-from kleinkram.server.auth.authorization_request import open_providers
-from kleinkram.server.auth.bootstrap_admin import log_bootstrap_code
+from kleinkram.server.auth.bootstrap import let_owner_in, log_bootstrap_code
 from kleinkram.server.auth.local_accounts import PasswordHasher
 from kleinkram.server.auth.pages import router as sign_in_pages
+from kleinkram.server.auth.provider_accounts import open_providers
 from kleinkram.server.auth.routes import me_router, people_router
 from kleinkram.server.auth.routes import router as auth
 from kleinkram.server.db import open_database
@@ -36,7 +36,6 @@ from kleinkram.server.http.middleware import RequestMiddleware
 from kleinkram.server.jobs.queue import queue
 from kleinkram.server.missions.routes import router as missions
 from kleinkram.server.overviews.routes import router as overviews
-from kleinkram.server.people.local_owner import let_owner_in
 from kleinkram.server.people.routes import router as people
 from kleinkram.server.projects.routes import router as projects
 from kleinkram.server.recordings.routes import router as recordings
@@ -46,7 +45,7 @@ from kleinkram.server.s3.capabilities import configure_cors, probe, record_capab
 from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.search.routes import router as search
 from kleinkram.server.settings import Settings
-from kleinkram.server.shares.page import router as share_page
+from kleinkram.server.shares.routes import page_router as share_page
 from kleinkram.server.shares.routes import router as shares
 from kleinkram.server.tokens.routes import router as tokens
 from kleinkram.server.trash.routes import router as trash

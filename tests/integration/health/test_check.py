@@ -11,7 +11,7 @@ import urllib3
 
 from kleinkram.recordings import isolation
 from kleinkram.server import checks
-from kleinkram.server.health.proxy_check import HEADER, Seen, proof
+from kleinkram.server.http.headers import HEADER, Seen, proof
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.ports import choose_port

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from kleinkram.contract.tokens import PATTERN, SecretKind, is_mangled, is_whole, with_checksum
-from kleinkram.server.access.secrets import beginning, new_secret
+from kleinkram.server.access.actor import beginning, new_secret
 
 
 @pytest.mark.parametrize("kind", SecretKind)

@@ -1,18 +1,38 @@
-"""Whether somebody may do something: what a credential is for at all, and what right its carrier has on a place."""
+"""Permission checks: what a credential may do, what right its holder has on a place, and that every project keeps an owner."""
 
 import uuid
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
-from sqlalchemy import Row, Select, func, select
+from sqlalchemy import Row, Select, exists, func, insert, select
 
-from kleinkram.contract.access import Right, Scope
-from kleinkram.contract.errors import Forbidden, NotAuthenticated, NotFound, ScopeMissing, SignInTooOld
-from kleinkram.server.access.actor import Actor, ActorKind, find_person
+from kleinkram.contract.access import GroupKind, Right, Scope
+from kleinkram.contract.errors import (
+    Forbidden,
+    LastAdmin,
+    LastOwner,
+    NotAuthenticated,
+    NotFound,
+    ScopeMissing,
+    SignInTooOld,
+)
+from kleinkram.server.access.actor import Actor, ActorKind, find_person, unexpired
+from kleinkram.server.access.groups import ADMINS_ID, own_group, own_project
 from kleinkram.server.access.operations import OPERATIONS, ResourceKind
 from kleinkram.server.access.visible import level_on_mission, level_on_project, visible_missions, visible_projects
 from kleinkram.server.db import Connection
-from kleinkram.server.tables import mission, person, project, share
+from kleinkram.server.settings import Creators
+from kleinkram.server.tables import (
+    access_grant,
+    access_group,
+    affiliation,
+    affiliation_domain,
+    membership,
+    mission,
+    person,
+    project,
+    share,
+)
 
 # Held for the length of a transaction by whatever takes rights away, so that two cannot each leave the other's.
 _TAKING = 0x6B6C5247
@@ -149,3 +169,108 @@ def _words(operation: str) -> str:
 
 def _any_of(scopes: Iterable[Scope]) -> str:
     return " or ".join(f"`{scope}`" for scope in sorted(scope.value for scope in scopes))
+
+
+def owned_by_groups(group_ids: Collection[uuid.UUID]) -> Select[Any]:
+    """Return the ids of the projects that some groups own without an end."""
+    lasting = (access_grant.c.level == Right.delete.level) & access_grant.c.expires_at.is_(None)
+    return select(access_grant.c.project_id).where(
+        lasting, access_grant.c.project_id.is_not(None), access_grant.c.group_id.in_(group_ids)
+    )
+
+
+async def ensure_owner_remains(db: Connection, project_ids: Sequence[uuid.UUID]) -> None:
+    """After a change that took rights away, see that none of some projects lost its last lasting owner.
+
+    Raises:
+        LastOwner: one did.
+    """
+    rows = await _unowned(db, project_ids)
+    if rows:
+        raise LastOwner(projects=[row.name for row in rows])
+
+
+async def ensure_admin_remains(db: Connection) -> None:
+    """After a change that took the power of an admin away, see that somebody active keeps it without an end.
+
+    Raises:
+        LastAdmin: nobody does.
+    """
+    lasting = (membership.c.group_id == ADMINS_ID) & membership.c.expires_at.is_(None)
+    joined = select(person.c.id).join_from(membership, person, person.c.id == membership.c.person_id)
+    if (await db.execute(joined.where(lasting, person.c.deactivated_at.is_(None)).limit(1))).first() is None:
+        raise LastAdmin
+
+
+async def give_to_admins(db: Connection, project_ids: Sequence[uuid.UUID]) -> Sequence[Row[Any]]:
+    """Make the admins owners of those of some projects that nobody owns any more, and return these (`id`, `name`)."""
+    rows = await _unowned(db, project_ids)
+    for row in rows:
+        await own_project(db, project_id=row.id, group_id=ADMINS_ID)
+    return rows
+
+
+async def _unowned(db: Connection, project_ids: Sequence[uuid.UUID]) -> Sequence[Row[Any]]:
+    await lock_rights(db)
+    owned = (
+        exists()
+        .where(
+            access_grant.c.project_id == project.c.id,
+            access_grant.c.level == Right.delete.level,
+            access_grant.c.expires_at.is_(None),
+            access_group.c.id == access_grant.c.group_id,
+            access_group.c.kind != GroupKind.email.value,
+            membership.c.group_id == access_grant.c.group_id,
+            membership.c.expires_at.is_(None),
+            person.c.id == membership.c.person_id,
+            person.c.deactivated_at.is_(None),
+        )
+        .correlate(project)
+    )
+    stmt = select(project.c.id, project.c.name).where(project.c.id.in_(project_ids), ~owned)
+    return (await db.execute(stmt.order_by(project.c.name, project.c.id))).all()
+
+
+async def require_creator(db: Connection, actor: Actor, creators: Creators, *, noun: str) -> bool:
+    """See that `actor` may make a project or a group, and return whether that took the power of an admin.
+
+    Where there are no affiliations, everybody counts as affiliated.
+
+    Raises:
+        Forbidden: the setting lets others, or what they came with is limited to what is there.
+    """
+    if actor.limits is not None:
+        raise Forbidden(noun="server", operation=f"create a {noun}", needs="a token without limits")
+    if creators == "everybody" or (creators == "affiliated" and await _is_affiliated(db, actor)):
+        return False
+    if actor.is_admin:
+        return True
+    needs = "admin rights" if creators == "admins" else "an affiliation with the lab"
+    raise Forbidden(noun="server", operation=f"create a {noun}", needs=needs)
+
+
+async def _is_affiliated(db: Connection, actor: Actor) -> bool:
+    mine = (membership.c.person_id == actor.person_id) & unexpired(membership.c.expires_at)
+    affiliated = exists().where(
+        mine, access_group.c.id == membership.c.group_id, access_group.c.kind == GroupKind.affiliation.value
+    )
+    found = await db.execute(select(affiliated | ~exists(select(affiliation_domain.c.domain))))
+    return bool(found.scalar_one())
+
+
+async def grant_first_rights(db: Connection, actor: Actor, project_id: uuid.UUID) -> dict[str, Right]:
+    """Make whoever made a project its owner, and give each affiliation group what the settings say; return these.
+
+    Raises:
+        LastOwner: its maker left meanwhile.
+    """
+    await lock_rights(db)
+    await own_project(db, project_id=project_id, group_id=await own_group(db, actor.person_id))
+    stmt = select(access_group.c.id, access_group.c.name, affiliation.c.default_level).join(affiliation)
+    rows = (await db.execute(stmt.where(affiliation.c.default_level.is_not(None)))).all()
+    if rows:
+        place = {"project_id": project_id, "granted_by_id": actor.person_id}
+        given = [{"group_id": row.id, "level": row.default_level, "id": uuid.uuid4(), **place} for row in rows]
+        await db.execute(insert(access_grant), given)
+    await ensure_owner_remains(db, [project_id])
+    return {row.name: Right.of_level(row.default_level) for row in rows}

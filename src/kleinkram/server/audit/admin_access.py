@@ -17,7 +17,7 @@ from kleinkram.contract.access import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.operations import OPERATIONS, ResourceKind
 from kleinkram.server.access.visible import level_on_mission, level_on_project
-from kleinkram.server.audit.places import Named, whereabouts
+from kleinkram.server.audit.queries import Named, whereabouts
 from kleinkram.server.db import Database, among
 from kleinkram.server.tables import audit_event, membership, mission, project
 

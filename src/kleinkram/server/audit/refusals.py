@@ -17,7 +17,7 @@ from typing import NamedTuple
 from kleinkram.contract.errors import DatabaseUnavailable, ErrorCode
 from kleinkram.contract.metadata import Metadata
 from kleinkram.server.access.actor import STRANGER, Actor, ActorKind
-from kleinkram.server.audit.places import Named, whereabouts
+from kleinkram.server.audit.queries import Named, whereabouts
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, Database
 

@@ -68,7 +68,7 @@ async def record_all(db: Connection, actor: Actor | None, events: Sequence[Event
     await publish(db, [notice for event in events if (notice := _notice(actor, event)) is not None])
 
 
-def _insert_marked(admin: Actor, rows: Sequence[Mapping[str, object]], places: Sequence[queries.Place]) -> Insert:
+def _insert_marked(admin: Actor, rows: Sequence[Mapping[str, object]], places: Sequence[queries.EventPlace]) -> Insert:
     """Return what inserts rows with the mark of what took an admin's power, each by where it happened."""
     numbers = {place: number for number, place in enumerate(dict.fromkeys(places), start=1)}
     numbered = [{**row, "place": numbers[place]} for row, place in zip(rows, places, strict=True)]
@@ -108,8 +108,8 @@ def _values(actor: Actor | None, event: Event) -> dict[str, object]:
     return values | who
 
 
-def _place(actor: Actor, event: Event) -> queries.Place:
-    return queries.Place(event.project_id, event.mission_id, _needed(actor, event))
+def _place(actor: Actor, event: Event) -> queries.EventPlace:
+    return queries.EventPlace(event.project_id, event.mission_id, _needed(actor, event))
 
 
 def _needed(actor: Actor, event: Event) -> int:

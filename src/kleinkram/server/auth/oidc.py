@@ -23,7 +23,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, Va
 
 from kleinkram.contract.errors import ProviderUnavailable, SignInRefused
 from kleinkram.contract.names import check_text
-from kleinkram.server.auth.authorization_request import AuthorizationRequest, VerifiedIdentity
+from kleinkram.server.auth.provider_accounts import AuthorizationRequest, VerifiedIdentity
 from kleinkram.server.settings import OidcProvider
 
 T = TypeVar("T", bound=BaseModel)

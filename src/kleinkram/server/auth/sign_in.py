@@ -14,9 +14,9 @@ from kleinkram.contract.accounts import BrowserSignedIn
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.people import PersonRef
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.auth.authorization_request import Providers, set_cookie
 from kleinkram.server.auth.local_accounts import PasswordHasher
 from kleinkram.server.auth.one_time_codes import describe_code
+from kleinkram.server.auth.provider_accounts import Providers, set_cookie
 from kleinkram.server.auth.sessions import Browser, start_session
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, session_cookie

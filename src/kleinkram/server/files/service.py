@@ -33,10 +33,10 @@ from kleinkram.server.files import queries
 from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.files.topics import TOPIC_ORDER, to_topics
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
-from kleinkram.server.http.etags import require_match
+from kleinkram.server.http.headers import require_match
 from kleinkram.server.missions import service as missions
 from kleinkram.server.paging import PageRequest, Rows, execute_after, fetch_page, values_after
-from kleinkram.server.quotas.service import Amount, project_of, require_room
+from kleinkram.server.quotas import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.shares.service import note_downloads
 from kleinkram.server.tables import file

@@ -17,16 +17,13 @@ from kleinkram.contract.errors import FieldProblem, Forbidden, InvalidRequest, N
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.people import email_key
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.email_groups import email_group
-from kleinkram.server.access.groups import own_group
-from kleinkram.server.access.ownership import ensure_owner_remains
-from kleinkram.server.access.rights import lock_rights, require_mission, require_project
+from kleinkram.server.access.groups import email_group, own_group
+from kleinkram.server.access.rights import ensure_owner_remains, lock_rights, require_mission, require_project
 from kleinkram.server.access.visible import visible_groups, visible_people
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection
 from kleinkram.server.grants import queries
-from kleinkram.server.grants.access import access_on, to_access
-from kleinkram.server.grants.queries import Place
+from kleinkram.server.grants.queries import GrantPlace, access_on, to_access
 from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.tables import access_grant, access_group, person
 
@@ -34,7 +31,7 @@ from kleinkram.server.tables import access_grant, access_group, person
 class Standing(NamedTuple):
     """Where somebody is about to change rights, and the level that they hold there themselves."""
 
-    place: Place
+    place: GrantPlace
     project_id: uuid.UUID
     level: int
 
@@ -48,7 +45,7 @@ class Change(NamedTuple):
     after: Metadata
 
 
-async def list_grants(db: Connection, actor: Actor, *, place: Place, page: PageRequest) -> Page[GrantRead]:
+async def list_grants(db: Connection, actor: Actor, *, place: GrantPlace, page: PageRequest) -> Page[GrantRead]:
     """Return a page of the grants on a place, by the name of whom they are to.
 
     Raises:
@@ -61,7 +58,7 @@ async def list_grants(db: Connection, actor: Actor, *, place: Place, page: PageR
     return Page(items=[queries.to_grant(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
-async def list_access(db: Connection, actor: Actor, *, place: Place, page: PageRequest) -> Page[AccessRead]:
+async def list_access(db: Connection, actor: Actor, *, place: GrantPlace, page: PageRequest) -> Page[AccessRead]:
     """Return a page of who has a right on a place now, and by what; whoever holds less than WRITE sees their own part.
 
     Raises:
@@ -73,7 +70,7 @@ async def list_access(db: Connection, actor: Actor, *, place: Place, page: PageR
     return Page(items=[to_access(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
-async def give(db: Connection, actor: Actor, *, place: Place, wanted: GrantCreate) -> GrantRead:
+async def give(db: Connection, actor: Actor, *, place: GrantPlace, wanted: GrantCreate) -> GrantRead:
     """Give a right, in place of the one that was given there to the same one before, and return it.
 
     To an address it is given in the same way and with the same answer whether or not anybody has it.
@@ -105,7 +102,9 @@ async def give(db: Connection, actor: Actor, *, place: Place, wanted: GrantCreat
     return queries.to_grant((await db.execute(of_group)).one())
 
 
-async def change(db: Connection, actor: Actor, *, place: Place, grant_id: uuid.UUID, changes: GrantUpdate) -> GrantRead:
+async def change(
+    db: Connection, actor: Actor, *, place: GrantPlace, grant_id: uuid.UUID, changes: GrantUpdate
+) -> GrantRead:
     """Change what is given of a grant and return it.
 
     Raises:
@@ -128,7 +127,7 @@ async def change(db: Connection, actor: Actor, *, place: Place, grant_id: uuid.U
     return queries.to_grant(await _grant(db, place, grant_id))
 
 
-async def revoke(db: Connection, actor: Actor, *, place: Place, grant_id: uuid.UUID) -> None:
+async def revoke(db: Connection, actor: Actor, *, place: GrantPlace, grant_id: uuid.UUID) -> None:
     """Take a right away.
 
     Raises:
@@ -144,14 +143,14 @@ async def revoke(db: Connection, actor: Actor, *, place: Place, grant_id: uuid.U
     await _see_owners(db, place)
 
 
-async def _standing(db: Connection, actor: Actor, operation: str, place: Place) -> Standing:
+async def _standing(db: Connection, actor: Actor, operation: str, place: GrantPlace) -> Standing:
     await lock_rights(db)
     await _require(db, actor, operation, place)
     row = (await db.execute(queries.place_seen(actor, place))).one()
     return Standing(place, row.project_id, row.level)
 
 
-async def _require(db: Connection, actor: Actor, operation: str, place: Place) -> None:
+async def _require(db: Connection, actor: Actor, operation: str, place: GrantPlace) -> None:
     require = require_project if place.on is GrantOn.project else require_mission
     await require(db, actor, operation, place.id)
 
@@ -170,7 +169,7 @@ async def _group_of(db: Connection, actor: Actor, wanted: GrantCreate) -> tuple[
     return row.id, row.name
 
 
-async def _grant(db: Connection, place: Place, grant_id: uuid.UUID) -> Row[Any]:
+async def _grant(db: Connection, place: GrantPlace, grant_id: uuid.UUID) -> Row[Any]:
     found = queries.grants_on(place).where(access_grant.c.id == grant_id)
     if (row := (await db.execute(found)).one_or_none()) is None:
         raise NotFound(noun="grant", ref=str(grant_id))
@@ -199,7 +198,7 @@ async def _see_that_it_is_theirs_to_give(
         raise RightExceeded(noun=standing.place.on.value, requested=f"{right.value} {until}", own=own)
 
 
-async def _see_owners(db: Connection, place: Place) -> None:
+async def _see_owners(db: Connection, place: GrantPlace) -> None:
     if place.on is GrantOn.project:
         await ensure_owner_remains(db, [place.id])
 

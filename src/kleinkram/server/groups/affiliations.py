@@ -15,8 +15,7 @@ from sqlalchemy.exc import IntegrityError
 from kleinkram.contract.access import GroupKind, Right
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
-from kleinkram.server.access.ownership import give_to_admins, owned_by_groups
-from kleinkram.server.access.rights import lock_rights
+from kleinkram.server.access.rights import give_to_admins, lock_rights, owned_by_groups
 from kleinkram.server.audit.service import Event, record_all
 from kleinkram.server.db import Connection
 from kleinkram.server.settings import Affiliation

@@ -11,7 +11,7 @@ from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.contract.names import Term
 from kleinkram.server.groups import service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Transaction
-from kleinkram.server.http.etags import IfMatch
+from kleinkram.server.http.headers import IfMatch
 from kleinkram.server.paging import PageRequest
 
 router = APIRouter(prefix="/api/v1/groups", tags=["groups"])

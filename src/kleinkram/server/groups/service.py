@@ -21,14 +21,18 @@ from kleinkram.contract.errors import (
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.creation import require_creator
-from kleinkram.server.access.ownership import ensure_admin_remains, ensure_owner_remains, owned_by_groups
-from kleinkram.server.access.rights import lock_rights
+from kleinkram.server.access.rights import (
+    ensure_admin_remains,
+    ensure_owner_remains,
+    lock_rights,
+    owned_by_groups,
+    require_creator,
+)
 from kleinkram.server.access.visible import visible_people
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.groups import queries
-from kleinkram.server.http.etags import require_match
+from kleinkram.server.http.headers import require_match
 from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.settings import Creators
 from kleinkram.server.tables import access_group, membership, person

@@ -24,8 +24,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.contract.files import BlobState
 from kleinkram.server.db import Database
-from kleinkram.server.health.recent import Recent
-from kleinkram.server.health.worker_heartbeat import Workers, find_workers
+from kleinkram.server.health.readiness import Recent, Workers, find_workers
 from kleinkram.server.metrics import REGISTRY
 from kleinkram.server.settings import Settings, plain_dsn
 from kleinkram.server.tables import blob, scrub, upload

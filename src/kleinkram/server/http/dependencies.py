@@ -12,7 +12,7 @@ from kleinkram.server.access.actor import STRANGER, Actor, ActorKind, find_actor
 from kleinkram.server.access.operations import OPERATIONS
 from kleinkram.server.access.rights import admit, is_public_endpoint, require_fresh_sign_in, still_shares
 from kleinkram.server.audit.admin_access import Looks
-from kleinkram.server.audit.places import named
+from kleinkram.server.audit.queries import named
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.http.rate_limit import limit_expensive

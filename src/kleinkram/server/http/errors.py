@@ -21,7 +21,7 @@ from kleinkram.contract.errors import (
     WrongClient,
 )
 from kleinkram.contract.problems import message_of, to_problem
-from kleinkram.server.audit.places import named
+from kleinkram.server.audit.queries import named
 from kleinkram.server.audit.refusals import ALSO_REFUSALS, Refusal, Refusals
 from kleinkram.server.http.pages import app_page, is_original_api_path, wants_page
 from kleinkram.server.settings import Settings

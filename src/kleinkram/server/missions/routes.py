@@ -18,7 +18,7 @@ from kleinkram.contract.projects import Deleted
 from kleinkram.contract.query import parse
 from kleinkram.contract.search import QueryText
 from kleinkram.server.http.dependencies import CurrentActor, Reading, Transaction
-from kleinkram.server.http.etags import IfMatch
+from kleinkram.server.http.headers import IfMatch
 from kleinkram.server.missions import service
 from kleinkram.server.paging import PageRequest
 

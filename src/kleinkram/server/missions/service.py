@@ -34,13 +34,13 @@ from kleinkram.server.access.visible import sees_whole_missions, visible_mission
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.filters.plan import ID_COUNT, NO_PLAN, SearchPlan, rounded
-from kleinkram.server.http.etags import require_match
+from kleinkram.server.http.headers import require_match
 from kleinkram.server.missions import queries
 from kleinkram.server.missions.amounts import NOTHING
 from kleinkram.server.missions.metadata import Judge, read_metadata, satisfying
 from kleinkram.server.missions.template import carried_over, defaults, write_template
 from kleinkram.server.paging import PageRequest, fetch_page
-from kleinkram.server.quotas.service import require_room_for_mission
+from kleinkram.server.quotas import require_room_for_mission
 from kleinkram.server.tables import mission
 from kleinkram.server.yaml_text import Document
 

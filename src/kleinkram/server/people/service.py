@@ -1,30 +1,103 @@
-"""What may be done with people. Whatever takes the power of an admin, or somebody's account, begins with `lock_rights`.
-
-Who leaves keeps their name in the record, their memberships and their grants: all of it is back when they are. What
-ends for good are their sessions, tokens and one-time codes, and the links they made: they know the secret of each.
-"""
+"""What is asked of people. Functions return selects; they touch no connection."""
 
 import uuid
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import Row, Table, delete, func, select, update
+from sqlalchemy import ColumnElement, Row, Select, Table, case, delete, exists, func, select, update
 
 from kleinkram.contract.access import Right
 from kleinkram.contract.base import Page
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.names import name_key
 from kleinkram.contract.people import Departure, PersonRead, PersonRef
-from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.access.groups import ADMINS_ID, make_admin
-from kleinkram.server.access.ownership import ensure_admin_remains, give_to_admins
-from kleinkram.server.access.rights import lock_rights
+from kleinkram.server.access.rights import ensure_admin_remains, give_to_admins, lock_rights
+from kleinkram.server.access.visible import knows_addresses, visible_people
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.auth.one_time_codes import revoke_codes
 from kleinkram.server.db import Connection
-from kleinkram.server.paging import PageRequest, fetch_page
-from kleinkram.server.people import queries
-from kleinkram.server.tables import membership, person, session, share, token
+from kleinkram.server.filters.patterns import holds_word
+from kleinkram.server.paging import Order, PageRequest, fetch_page
+from kleinkram.server.tables import access_grant, membership, mission, person, person_email, session, share, token
+
+# By name, then by age.
+PEOPLE_ORDER = Order([person.c.name.collate("C"), person.c.id])
+
+
+def people_seen(actor: Actor) -> Select[Any]:
+    """Return the visible people, as `to_person` reads them."""
+    is_admin = exists().where(
+        membership.c.group_id == ADMINS_ID, membership.c.person_id == person.c.id, unexpired(membership.c.expires_at)
+    )
+    emails = case((knows_addresses(actor), addresses_of(person.c.id)), else_=None).label("emails")
+    return visible_people(actor).add_columns(is_admin.label("is_admin"), emails)
+
+
+def addresses_of(person_id: ColumnElement[Any]) -> ColumnElement[Any]:
+    """Return the verified addresses of each person of a select, as one array."""
+    stmt = select(person_email.c.email).where(person_email.c.person_id == person_id)
+    verified = stmt.where(person_email.c.verified_at.is_not(None)).order_by(person_email.c.email_key)
+    return func.array(verified.correlate_except(person_email).scalar_subquery())
+
+
+def matching_people(actor: Actor, *, text: str | None, active: bool | None) -> Select[Any]:
+    """Return the visible people of whom every word of `text` is in their name, or in an address that one may know."""
+    stmt = people_seen(actor)
+    for word in (text or "").split():
+        address = exists().where(
+            person_email.c.person_id == person.c.id,
+            person_email.c.verified_at.is_not(None),
+            person_email.c.email_key.contains(name_key(word), autoescape=True),
+        )
+        stmt = stmt.where(holds_word(person.c.name, word) | (knows_addresses(actor) & address))
+    if active is not None:
+        stmt = stmt.where(person.c.deactivated_at.is_(None) == active)
+    return stmt
+
+
+def to_person(row: Row[Any]) -> PersonRead:
+    """Return the person that a row stands for."""
+    return PersonRead(
+        id=row.id,
+        name=row.name,
+        emails=row.emails or [],
+        is_admin=row.is_admin,
+        created_at=row.created_at,
+        deactivated_at=row.deactivated_at,
+    )
+
+
+def lock_person(person_id: uuid.UUID) -> Select[Any]:
+    """Return the select that keeps others from changing whether somebody is active, and from acting for them anew."""
+    return select(person).where(person.c.id == person_id).with_for_update()
+
+
+def open_tokens(person_id: uuid.UUID) -> Select[Any]:
+    """Return the ids and names of somebody's tokens that are not revoked."""
+    return select(token.c.id, token.c.name).where(token.c.person_id == person_id, token.c.revoked_at.is_(None))
+
+
+def open_sessions(person_id: uuid.UUID) -> Select[Any]:
+    """Return the ids of somebody's sessions that are not revoked."""
+    return select(session.c.id).where(session.c.person_id == person_id, session.c.revoked_at.is_(None))
+
+
+def open_links(person_id: uuid.UUID) -> Select[Any]:
+    """Return the links that somebody made and that are not revoked, with where they lead."""
+    stmt = select(share.c.id, share.c.name, share.c.mission_id, mission.c.project_id)
+    joined = stmt.join(mission, mission.c.id == share.c.mission_id)
+    return joined.where(share.c.created_by_id == person_id, share.c.revoked_at.is_(None))
+
+
+def owned_by_person(person_id: uuid.UUID) -> Select[Any]:
+    """Return the ids of the projects that somebody owns without an end, by whatever group."""
+    lasting = (access_grant.c.level == Right.delete.level) & access_grant.c.expires_at.is_(None)
+    joined = select(access_grant.c.project_id).join(membership, membership.c.group_id == access_grant.c.group_id)
+    theirs = (membership.c.person_id == person_id) & membership.c.expires_at.is_(None)
+    return joined.where(lasting, theirs, access_grant.c.project_id.is_not(None)).distinct()
 
 
 async def list_people(
@@ -35,8 +108,8 @@ async def list_people(
     Raises:
         InvalidCursor: the cursor is not of this list.
     """
-    rows = await fetch_page(db, queries.matching_people(actor, text=text, active=active), queries.PEOPLE_ORDER, page)
-    return Page(items=[queries.to_person(row) for row in rows.items], next=rows.next, total=rows.total)
+    rows = await fetch_page(db, matching_people(actor, text=text, active=active), PEOPLE_ORDER, page)
+    return Page(items=[to_person(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
 async def get_person(db: Connection, actor: Actor, person_id: uuid.UUID) -> PersonRead:
@@ -45,10 +118,10 @@ async def get_person(db: Connection, actor: Actor, person_id: uuid.UUID) -> Pers
     Raises:
         NotFound: there is nobody of that id whom `actor` may know of.
     """
-    row = (await db.execute(queries.people_seen(actor).where(person.c.id == person_id))).one_or_none()
+    row = (await db.execute(people_seen(actor).where(person.c.id == person_id))).one_or_none()
     if row is None:
         raise NotFound(noun="person", ref=str(person_id))
-    return queries.to_person(row)
+    return to_person(row)
 
 
 async def appoint(db: Connection, actor: Actor, person_id: uuid.UUID) -> PersonRead:
@@ -97,10 +170,10 @@ async def deactivate(db: Connection, actor: Actor, person_id: uuid.UUID) -> Depa
     await db.execute(update(person).where(person.c.id == person_id).values(deactivated_at=func.now()))
     await ensure_admin_remains(db)
     await revoke_codes(db, person_id)
-    sessions = await _end(db, session, (await db.execute(queries.open_sessions(person_id))).all())
-    tokens = (await db.execute(queries.open_tokens(person_id))).all()
-    links = (await db.execute(queries.open_links(person_id))).all()
-    owned = (await db.execute(queries.owned_by_person(person_id))).scalars().all()
+    sessions = await _end(db, session, (await db.execute(open_sessions(person_id))).all())
+    tokens = (await db.execute(open_tokens(person_id))).all()
+    links = (await db.execute(open_links(person_id))).all()
+    owned = (await db.execute(owned_by_person(person_id))).scalars().all()
     handed = await give_to_admins(db, owned)
     departure = Departure(
         person=PersonRef(id=person_id, name=row.name),
@@ -132,7 +205,7 @@ async def reactivate(db: Connection, actor: Actor, person_id: uuid.UUID) -> Pers
 
 
 async def _active(db: Connection, person_id: uuid.UUID) -> Row[Any]:
-    row = (await db.execute(queries.lock_person(person_id))).one_or_none()
+    row = (await db.execute(lock_person(person_id))).one_or_none()
     if row is None or row.deactivated_at is not None:
         raise NotFound(noun="active person", ref=str(person_id))
     return row

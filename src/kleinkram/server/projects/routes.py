@@ -11,7 +11,7 @@ from kleinkram.contract.missions import MissionTemplate
 from kleinkram.contract.names import Term
 from kleinkram.contract.projects import Deleted, ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Reading, Transaction
-from kleinkram.server.http.etags import IfMatch
+from kleinkram.server.http.headers import IfMatch
 from kleinkram.server.paging import PageRequest
 from kleinkram.server.projects import service
 

@@ -30,8 +30,7 @@ from kleinkram.contract.runners import (
 )
 from kleinkram.contract.runs import MAX_SAMPLES, ActionRef, EndReason, RunState
 from kleinkram.contract.tokens import SecretKind
-from kleinkram.server.access.actor import Actor, find_person, unexpired
-from kleinkram.server.access.secrets import new_secret
+from kleinkram.server.access.actor import Actor, find_person, new_secret, unexpired
 from kleinkram.server.access.visible import level_on_mission, visible_missions
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.change_events import ChangeEvent, publish

@@ -1,15 +1,22 @@
-"""Links over HTTP: for those who make them, and for those who have one."""
+"""Routes of share links: for those who create them and those who open them; and the page that a link opens."""
 
 import uuid
+from functools import cache
+from importlib import resources
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Response
+from fastapi.responses import HTMLResponse
 from pydantic import BaseModel, ConfigDict
 
 from kleinkram.contract.base import Cursor, Page, PageSize
-from kleinkram.contract.tokens import ShareCreate, SharedRead, ShareMade, ShareRead
+from kleinkram.contract.errors import NotFound
+from kleinkram.contract.tokens import SHARE_PAGE, ShareCreate, SharedRead, ShareMade, ShareRead
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Transaction
+from kleinkram.server.http.headers import PAGE_POLICY
+from kleinkram.server.http.pages import PAGE_HEAD, brand
 from kleinkram.server.paging import PageRequest
+from kleinkram.server.settings import Settings
 from kleinkram.server.shares import service
 
 router = APIRouter(prefix="/api/v1", tags=["shares"])
@@ -53,3 +60,52 @@ async def revoke_share(share_id: uuid.UUID, db: Transaction, actor: CurrentActor
 async def get_shared(db: Transaction, actor: CurrentActor) -> SharedRead:
     """Say what the link shows that the request came with."""
     return await service.get_shared(db, actor)
+
+
+# Not part of the API: for people, not for programs.
+page_router = APIRouter(prefix=SHARE_PAGE, include_in_schema=False)
+_STATIC = {"share.js": "text/javascript", "share.css": "text/css"}
+_HEAD = (
+    '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+    '<meta name="viewport" content="width=device-width, initial-scale=1"><title>Shared · Kleinkram</title>'
+    f'{PAGE_HEAD}<link rel="stylesheet" href="{SHARE_PAGE}/static/share.css">'
+    f'<script src="{SHARE_PAGE}/static/share.js" defer></script></head><body>'
+)
+_MAIN = (
+    '<main><h1>Shared with you</h1><p id="message" role="status" hidden></p><p id="what"></p>'
+    '<div id="all" hidden><button type="button" id="download" class="primary"></button>'
+    '<p id="progress" role="status"></p><p>With the command line: <code id="command"></code></p></div>'
+    '<div id="about" hidden><img id="picture" alt="" hidden><dl id="metadata"></dl></div>'
+    '<details id="topics" hidden><summary></summary><table><thead><tr><th>Topic</th><th>Type</th><th>Messages</th></tr>'
+    "</thead><tbody></tbody></table></details>"
+    '<h2>Files</h2><table><tbody id="files"></tbody></table>'
+    '<button type="button" id="more" hidden>More</button>'
+    "<noscript><p>This page needs JavaScript; `klein download ADDRESS` does without.</p></noscript>"
+    "</main></body></html>"
+)
+
+
+@page_router.get("")
+async def page(settings: CurrentSettings) -> HTMLResponse:
+    """Show the page of a link."""
+    return HTMLResponse(_HEAD + brand(settings) + _MAIN, headers={"Content-Security-Policy": share_policy(settings)})
+
+
+def share_policy(settings: Settings) -> str:
+    """Return what the page may do: as other pages of ours, and fetch and show what is shared from the store."""
+    store = settings.store_origin
+    shown = PAGE_POLICY.replace("img-src 'self'", f"img-src 'self' {store}")
+    return shown.replace("connect-src 'self'", f"connect-src 'self' {store}")
+
+
+@page_router.get("/static/{name}")
+async def static(name: str) -> Response:
+    """Give the page's script and stylesheet."""
+    if name not in _STATIC:
+        raise NotFound(noun="page", ref=name)
+    return Response(_read(name), media_type=_STATIC[name])
+
+
+@cache
+def _read(name: str) -> bytes:
+    return (resources.files("kleinkram.server.shares") / "static" / name).read_bytes()

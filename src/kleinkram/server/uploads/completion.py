@@ -39,7 +39,7 @@ from kleinkram.server.db import Connection, among, insert_rows, unnest_rows
 from kleinkram.server.files import service as files
 from kleinkram.server.files.paths import path_conflicts
 from kleinkram.server.missions import service as missions
-from kleinkram.server.quotas.service import project_of
+from kleinkram.server.quotas import project_of
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.tables import blob, file, upload
 from kleinkram.server.uploads import queries

@@ -47,7 +47,7 @@ from kleinkram.server.files import service as files
 from kleinkram.server.files.paths import path_conflicts
 from kleinkram.server.missions import service as missions
 from kleinkram.server.paging import Order, PageRequest, fetch_page
-from kleinkram.server.quotas.service import Amount, project_of, require_room
+from kleinkram.server.quotas import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.tables import blob, file, upload
 from kleinkram.server.tables.upload import UNDER_WAY
