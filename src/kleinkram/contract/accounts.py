@@ -22,11 +22,7 @@ from kleinkram.contract.people import EmailAddress, PersonRef
 
 
 def check_client_name(name: str) -> str:
-    """Return what a program calls itself, or say why it cannot.
-
-    Raises:
-        ValueError: it has nothing in it to read, or holds what would change how the text around it reads.
-    """
+    """Return what a program calls itself, or say why it cannot. Raises ValueError."""
     if not name.isprintable() or not name.strip():
         raise ValueError("is empty, or holds what cannot be printed")
     return name
@@ -129,11 +125,7 @@ MAX_PERSON_NAME_CHARACTERS = 128
 
 
 def check_person_name(name: str) -> str:
-    """Return somebody's name in NFC, or say why it cannot be one.
-
-    Raises:
-        ValueError: it has control characters, or spaces around it, or nothing in it.
-    """
+    """Return somebody's name in NFC, or say why it cannot be one. Raises ValueError."""
     name = unicodedata.normalize("NFC", name)
     if not name or name != name.strip() or not name.isprintable():
         raise ValueError("is empty, begins or ends with a space, or holds what cannot be printed")

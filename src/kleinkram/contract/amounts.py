@@ -36,11 +36,7 @@ _ZONE = re.compile(r"[-+]\d{2}(:?\d{2})?$")
 
 
 def read_size(text: str) -> Fraction:
-    """Return the bytes of `200MB`, `8MiB`, `1.5G`, `1500`; units are decimal unless they say `i`.
-
-    Raises:
-        ValueError: it is none of these.
-    """
+    """Return the bytes of `200MB`, `8MiB`, `1.5G`, `1500`; units are decimal unless they say `i`. Raises ValueError."""
     found = _NUMBER.fullmatch(text.strip())
     unit = found["unit"].lower() if found else ""
     stem = unit.removesuffix("b")
@@ -53,11 +49,7 @@ def read_size(text: str) -> Fraction:
 
 
 def read_duration(text: str) -> Fraction:
-    """Return the nanoseconds of `10m`, `1.5h`, `200ms`.
-
-    Raises:
-        ValueError: it is none of these.
-    """
+    """Return the nanoseconds of `10m`, `1.5h`, `200ms`. Raises ValueError."""
     found = _NUMBER.fullmatch(text.strip())
     if found is None or found["unit"] not in DURATIONS:
         raise ValueError("say a number with d, h, m, s, ms, us or ns")
@@ -67,8 +59,7 @@ def read_duration(text: str) -> Fraction:
 def bounds(operator: str, amount: Fraction) -> tuple[int | None, int | None]:
     """Return the smallest and the largest whole number that a comparison with `amount` lets through.
 
-    Raises:
-        ValueError: nothing can be so small or so large.
+    Raises ValueError.
     """
     lowest, highest = math.ceil(amount), math.floor(amount)
     least = {">": highest + 1, ">=": lowest, ":": lowest, "=": lowest}.get(operator)
@@ -92,8 +83,7 @@ def say_bound(operator: str, number: int, units: Mapping[str, int]) -> str:
 def read_time(text: str) -> datetime.datetime:
     """Return the time of `2026`, `2026-05`, `2026-05-01` (their beginning) or `2026-05-01T10:00Z`; UTC unless it says.
 
-    Raises:
-        ValueError: it is none of these.
+    Raises ValueError.
     """
     try:
         return _read_time(text.strip())
@@ -113,11 +103,7 @@ def say_time(at: datetime.datetime) -> str:
 
 
 def read_month(text: str) -> str:
-    """Return a month such as `2026-05`.
-
-    Raises:
-        ValueError: it is none.
-    """
+    """Return a month such as `2026-05`. Raises ValueError."""
     if _MONTH.fullmatch(text) is None:
         raise ValueError("say a month as 2026-05")
     return text

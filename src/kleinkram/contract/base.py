@@ -54,11 +54,7 @@ _FIRST_YEAR, _LAST_YEAR = 2, 9998
 
 
 def check_expiry(at: datetime.datetime) -> datetime.datetime:
-    """Return a time in UTC, or say why nothing can end then.
-
-    Raises:
-        ValueError: it is before the year 2 or beyond the year 9998.
-    """
+    """Return a time in UTC, or say why nothing can end then. Raises ValueError."""
     if at.year < _FIRST_YEAR:
         raise ValueError("has passed already")
     if at.year > _LAST_YEAR:

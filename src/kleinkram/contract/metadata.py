@@ -55,8 +55,7 @@ Metadata = dict[str, JsonValue]
 def check_values(given: Metadata) -> Metadata:
     """Return metadata as it is, or say why it cannot be kept: what a form sends is bounded as a document is.
 
-    Raises:
-        ValueError: it is nested too deep, has too many values or characters, or a text that no database keeps.
+    Raises ValueError.
     """
     values = characters = 0
     waiting: list[tuple[int, JsonValue]] = [(1, given)]

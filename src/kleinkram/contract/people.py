@@ -78,22 +78,14 @@ _WHOLE_DOMAIN = re.compile(_DOMAIN)
 
 
 def check_email(address: str) -> str:
-    """Return an address as it is, or say why it is none that is taken.
-
-    Raises:
-        ValueError: it has no form of `name@domain`, is too long, or holds letters beyond ASCII.
-    """
+    """Return an address as it is, or say why it is none that is taken. Raises ValueError."""
     if len(address) > MAX_EMAIL_CHARACTERS or not _ADDRESS.fullmatch(address):
         raise ValueError("is not an address such as ada@lab.example (a domain beyond ASCII is written as xn--…)")
     return address
 
 
 def check_domain(domain: str) -> str:
-    """Return a domain in lower case, or say why it is none.
-
-    Raises:
-        ValueError: it is not the part of an address after the @.
-    """
+    """Return a domain in lower case, or say why it is none. Raises ValueError."""
     if not _WHOLE_DOMAIN.fullmatch(domain):
         raise ValueError("is not a domain such as lab.example, without @ and wildcards")
     return domain.lower()

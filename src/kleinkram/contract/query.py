@@ -54,11 +54,7 @@ class Word:
 
 
 def split(text: str) -> Iterator[Word]:
-    """Yield the words of a query.
-
-    Raises:
-        InvalidQuery: a quote is not closed, or something follows it without a space.
-    """
+    """Yield the words of a query. Raises InvalidQuery."""
     at = 0
     while at < len(text):
         if text[at].isspace():
@@ -69,11 +65,7 @@ def split(text: str) -> Iterator[Word]:
 
 
 def single(text: str) -> Word:
-    """Return the one word of a term that is left out, as a filter's `without` holds it.
-
-    Raises:
-        InvalidQuery: it cannot be read, is negative itself, or is not just one.
-    """
+    """Return the one word of a term that is left out, as a filter's `without` holds it. Raises InvalidQuery."""
     words = [*split(text)]
     if len(words) != 1 or words[0].is_negative:
         raise InvalidQuery(expression=text, reason="what is left out is one term each, such as label:night")
@@ -234,8 +226,7 @@ _UNITS: Mapping[str, Mapping[str, int]] = {"size": SIZES, "duration": DURATIONS}
 def render(matching: FileFilter) -> str:
     """Return the text of a filter: words first, then what it says by keys, then what is left out.
 
-    Raises:
-        InvalidQuery: a comparison in `where` is none, or what is left out is not one term.
+    Raises InvalidQuery.
     """
     return in_words(terms(matching))
 
@@ -243,8 +234,7 @@ def render(matching: FileFilter) -> str:
 def terms(matching: FileFilter) -> dict[str, list[str]]:
     """Return the terms of a filter by what they say: `text`, each key, `meta.` and `without`; in their order.
 
-    Raises:
-        InvalidQuery: as for `render`.
+    Raises InvalidQuery.
     """
     return {part: terms_of(part, matching) for part in _PARTS}
 
@@ -257,8 +247,7 @@ def in_words(by_part: Mapping[str, list[str]]) -> str:
 def terms_of(part: str, matching: FileFilter) -> list[str]:
     """Return the terms of one part of a filter; those of a key do not depend on anything else that the filter says.
 
-    Raises:
-        InvalidQuery: as for `render`.
+    Raises InvalidQuery.
     """
     if part == "text":
         return [as_word(word) for word in phrases(matching.text or "")]
@@ -270,11 +259,7 @@ def terms_of(part: str, matching: FileFilter) -> list[str]:
 
 
 def render_where(expression: str) -> str:
-    """Return the term that says a comparison with metadata.
-
-    Raises:
-        InvalidQuery: it is none.
-    """
+    """Return the term that says a comparison with metadata. Raises InvalidQuery."""
     found = WHERE_EXPRESSION.fullmatch(expression.strip())
     if found is None:
         raise InvalidQuery(expression=expression, reason="it is not a comparison; write it like robot=anymal")
@@ -322,11 +307,7 @@ _TIGHTEST: dict[str, Callable[[datetime.datetime, datetime.datetime], datetime.d
 
 
 def parse(text: str) -> FileFilter:
-    """Return the filter that a query means; an empty text means everything.
-
-    Raises:
-        InvalidQuery: it cannot be read; says which word, at which column, and what is possible.
-    """
+    """Return the filter that a query means; an empty text means everything. Raises InvalidQuery."""
     reading = _Reading()
     for word in split(text):
         reading.take(word)
@@ -334,11 +315,7 @@ def parse(text: str) -> FileFilter:
 
 
 def parse_term(text: str) -> FileFilter:
-    """Return the filter that one term means, such as those of a filter's `without`.
-
-    Raises:
-        InvalidQuery: it cannot be read, is negative itself, or is not just one.
-    """
+    """Return the filter that one term means, such as those of a filter's `without`. Raises InvalidQuery."""
     reading = _Reading()
     reading.take(single(text))
     return reading.filter()
@@ -370,11 +347,7 @@ class _Reading:
             self._take_key(KEYS[word.key], word)
 
     def filter(self) -> FileFilter:
-        """Return the filter of all that was read.
-
-        Raises:
-            InvalidQuery: there is too much of something.
-        """
+        """Return the filter of all that was read. Raises InvalidQuery."""
         given: dict[str, object] = {**self._values, **self._numbers, **self._times, **self._lists}
         for key in KEYS.values():
             values = self._lists.get(key.several_field or "", [])
@@ -468,8 +441,7 @@ def _unknown(word: Word) -> str:
 def whole(asked: FileQuery) -> FileFilter:
     """Return the one filter that a filter and the text beside it mean together, as if said in one text.
 
-    Raises:
-        InvalidQuery: the text cannot be read, or says again what may be said once.
+    Raises InvalidQuery.
     """
     plain = FileFilter.model_construct(**{name: getattr(asked, name) for name in FileFilter.model_fields})
     if asked.query is None:

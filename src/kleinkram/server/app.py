@@ -151,10 +151,7 @@ def create_app(settings: Settings) -> FastAPI:
 def require_guards(routers: Sequence[APIRouter]) -> None:
     """See that each route asks who comes and has said what it takes, or is one of the few that are for everybody.
 
-    Looks at the routers themselves: what an app makes of them is the framework's own affair.
-
-    Raises:
-        RuntimeError: one does neither; names it.
+    Looks at the routers themselves: what an app makes of them is the framework's own affair. Raises RuntimeError.
     """
     for route in (route for router in routers for route in router.routes):
         is_guarded = isinstance(route, APIRoute) and requires_actor(route) and route.operation_id in OPERATIONS

@@ -30,7 +30,7 @@ class Amount(NamedTuple):
 async def require_room(db: Connection, actor: Actor, *, project_id: uuid.UUID, asked: Amount) -> None:
     """Require that a project has room for more, and lock that room until this transaction ends.
 
-    Raises: QuotaExceeded.
+    Raises QuotaExceeded.
     """
     seen = visible_projects(actor).with_only_columns(project.c.id).where(project.c.id == project_id)
     is_known = (literal(Scope.read in actor.scopes) & seen.exists()).label("is_known")

@@ -70,8 +70,7 @@ class Document:
 def read_yaml(text: str) -> Document:
     """Return the one document of a text; an empty text says null.
 
-    Raises:
-        YamlInvalid: it is not YAML, or holds what is not wanted here; says where.
+    Raises YamlInvalid.
 
     Source: YAML 1.2.2, chapter 10.3, core schema.
     """
@@ -89,11 +88,7 @@ def read_yaml(text: str) -> Document:
 
 
 def resolve_plain(text: str) -> JsonValue:
-    """Return what an unquoted scalar says: null, a boolean, a number, else text.
-
-    Raises:
-        ValueError: a number too large to be kept.
-    """
+    """Return what an unquoted scalar says: null, a boolean, a number, else text. Raises ValueError."""
     if text in _NULL:
         return None
     if text in _TRUE or text in _FALSE:

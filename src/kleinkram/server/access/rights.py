@@ -1,4 +1,4 @@
-"""Permission checks: what a credential may do, what right its holder has on a place, and that every project keeps an owner."""
+"""Permission checks: what a credential is for, its holder's right on a place, and that every project keeps an owner."""
 
 import uuid
 from collections.abc import Collection, Iterable, Sequence
@@ -42,10 +42,7 @@ _COUNTABLE = frozenset({"action", "file", "grant", "group", "mission", "project"
 def admit(actor: Actor, operation: str) -> None:
     """See that a credential may be used for an operation at all, whatever its carrier's rights are.
 
-    Raises:
-        NotAuthenticated: it takes an account, and there is none.
-        ScopeMissing: the token, or the link, is not for this.
-        Forbidden: it is for admins.
+    Raises NotAuthenticated, ScopeMissing or Forbidden.
     """
     need = OPERATIONS[operation]
     if actor.kind is ActorKind.stranger and not need.guests:
@@ -70,11 +67,7 @@ def admit(actor: Actor, operation: str) -> None:
 
 
 def require_fresh_sign_in(actor: Actor, operation: str, *, within_s: float) -> None:
-    """See that `actor` proved who they are a short while ago.
-
-    Raises:
-        SignInTooOld: it is longer ago, or not known.
-    """
+    """See that `actor` proved who they are a short while ago. Raises SignInTooOld."""
     if actor.sign_in_age_s is None or actor.sign_in_age_s > within_s:
         raise SignInTooOld(operation=_words(operation), minutes=round(within_s / 60, 1))
 
@@ -86,23 +79,13 @@ def is_public_endpoint(operation: str) -> bool:
 
 
 async def require_project(db: Connection, actor: Actor, operation: str, project_id: uuid.UUID) -> None:
-    """See that `actor` may do `operation` on a project.
-
-    Raises:
-        NotFound: it is not there, or not for this actor.
-        Forbidden: they may see it, but the operation takes more.
-    """
+    """See that `actor` may do `operation` on a project. Raises NotFound or Forbidden."""
     row = (await db.execute(_project_level(actor, project_id))).one_or_none()
     _require(row, operation, noun="project", ref=project_id)
 
 
 async def require_mission(db: Connection, actor: Actor, operation: str, mission_id: uuid.UUID) -> None:
-    """See that `actor` may do `operation` on a mission.
-
-    Raises:
-        NotFound: it is not there, or not for this actor.
-        Forbidden: they may see it, but the operation takes more.
-    """
+    """See that `actor` may do `operation` on a mission. Raises NotFound or Forbidden."""
     row = (await db.execute(_mission_level(actor, mission_id))).one_or_none()
     _require(row, operation, noun="mission", ref=mission_id)
 
@@ -121,10 +104,7 @@ async def still_shares(db: Connection, guest: Actor) -> bool:
 async def ensure_active_person(db: Connection, person_id: uuid.UUID | None) -> None:
     """Before a credential is made for somebody, see that they have not left, and keep them until this transaction ends.
 
-    Who leaves while it is made would find it good when they are back.
-
-    Raises:
-        NotAuthenticated: they left.
+    Who leaves while it is made would find it good when they are back. Raises NotAuthenticated.
     """
     here = select(person.c.id).where(person.c.id == person_id, person.c.deactivated_at.is_(None))
     if (await db.execute(here.with_for_update(read=True, key_share=True))).first() is None:
@@ -182,8 +162,7 @@ def owned_by_groups(group_ids: Collection[uuid.UUID]) -> Select[Any]:
 async def ensure_owner_remains(db: Connection, project_ids: Sequence[uuid.UUID]) -> None:
     """After a change that took rights away, see that none of some projects lost its last lasting owner.
 
-    Raises:
-        LastOwner: one did.
+    Raises LastOwner.
     """
     rows = await _unowned(db, project_ids)
     if rows:
@@ -193,8 +172,7 @@ async def ensure_owner_remains(db: Connection, project_ids: Sequence[uuid.UUID])
 async def ensure_admin_remains(db: Connection) -> None:
     """After a change that took the power of an admin away, see that somebody active keeps it without an end.
 
-    Raises:
-        LastAdmin: nobody does.
+    Raises LastAdmin.
     """
     lasting = (membership.c.group_id == ADMINS_ID) & membership.c.expires_at.is_(None)
     joined = select(person.c.id).join_from(membership, person, person.c.id == membership.c.person_id)
@@ -234,10 +212,7 @@ async def _unowned(db: Connection, project_ids: Sequence[uuid.UUID]) -> Sequence
 async def require_creator(db: Connection, actor: Actor, creators: Creators, *, noun: str) -> bool:
     """See that `actor` may make a project or a group, and return whether that took the power of an admin.
 
-    Where there are no affiliations, everybody counts as affiliated.
-
-    Raises:
-        Forbidden: the setting lets others, or what they came with is limited to what is there.
+    Where there are no affiliations, everybody counts as affiliated. Raises Forbidden.
     """
     if actor.limits is not None:
         raise Forbidden(noun="server", operation=f"create a {noun}", needs="a token without limits")
@@ -261,8 +236,7 @@ async def _is_affiliated(db: Connection, actor: Actor) -> bool:
 async def grant_first_rights(db: Connection, actor: Actor, project_id: uuid.UUID) -> dict[str, Right]:
     """Make whoever made a project its owner, and give each affiliation group what the settings say; return these.
 
-    Raises:
-        LastOwner: its maker left meanwhile.
+    Raises LastOwner.
     """
     await lock_rights(db)
     await own_project(db, project_id=project_id, group_id=await own_group(db, actor.person_id))

@@ -41,8 +41,7 @@ class Looks:
     async def note(self, database: Database, admin: Actor, of: Named | None) -> None:
         """Note that an admin is about to see what by their own rights they could not; nothing for what they could.
 
-        Raises:
-            DatabaseUnavailable: it could not be noted; so it is not shown either.
+        Raises DatabaseUnavailable.
         """
         operation = admin.operation or ""
         if not is_a_look(operation):

@@ -124,11 +124,7 @@ def _needed(actor: Actor, event: Event) -> int:
 
 
 async def list_events(db: Connection, actor: Actor, *, matching: AuditFilter, page: PageRequest) -> Page[AuditRead]:
-    """Return a page of the events that match, latest first.
-
-    Raises:
-        InvalidCursor: the cursor is not of this list.
-    """
+    """Return a page of the events that match, latest first. Raises InvalidCursor."""
     rows = await fetch_page(db, queries.matching_events(actor, matching), queries.AUDIT_ORDER, page)
     return Page(items=[queries.to_event(row, actor) for row in rows.items], next=rows.next, total=rows.total)
 

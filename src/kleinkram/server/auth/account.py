@@ -96,9 +96,7 @@ async def read_totp(db: Connection, person_id: uuid.UUID | None) -> TotpRead | N
 async def begin_totp(db: Connection, actor: Actor, *, settings: Settings) -> TotpEnrolment:
     """Create a secret for an authenticator app; it takes effect once one of its codes is confirmed.
 
-    Raises:
-        Forbidden: the account has no password, which the second factor would protect.
-        NameTaken: the account has a second factor.
+    Raises Forbidden or NameTaken.
     """
     if actor.person_id is None or not await _has_password(db, actor.person_id):
         needs = "an account with a password; providers have second factors of their own"
@@ -119,9 +117,7 @@ async def begin_totp(db: Connection, actor: Actor, *, settings: Settings) -> Tot
 async def confirm_totp(database: Database, actor: Actor, *, code: str) -> RecoveryCodes:
     """Confirm a second factor with one of its codes, and sign the actor's other browsers out.
 
-    Raises:
-        NotFound: there is no unconfirmed second factor.
-        SecondFactorWrong: the code is wrong.
+    Raises NotFound or SecondFactorWrong.
     """
     async with database.begin() as db:
         enrolled = await _lock_totp(db, actor.person_id, ~_is_confirmed())
@@ -138,11 +134,7 @@ async def confirm_totp(database: Database, actor: Actor, *, code: str) -> Recove
 
 
 async def renew_recovery_codes(db: Connection, actor: Actor) -> RecoveryCodes:
-    """Replace the recovery codes.
-
-    Raises:
-        NotFound: the account has no second factor.
-    """
+    """Replace the recovery codes. Raises NotFound."""
     if actor.person_id is None or await read_totp(db, actor.person_id) is None:
         raise NotFound(noun="second factor", ref=actor.name)
     await record(db, actor, Event("totp.renew_codes", "person", actor.person_id, actor.name, None))
@@ -150,11 +142,7 @@ async def renew_recovery_codes(db: Connection, actor: Actor) -> RecoveryCodes:
 
 
 async def disable_totp(db: Connection, actor: Actor) -> None:
-    """Remove the actor's second factor.
-
-    Raises:
-        NotFound: the account has no second factor.
-    """
+    """Remove the actor's second factor. Raises NotFound."""
     stmt = delete(totp).where(totp.c.person_id == actor.person_id, _is_confirmed()).returning(totp.c.person_id)
     if (await db.execute(stmt)).first() is None:
         raise NotFound(noun="second factor", ref=actor.name)
@@ -162,11 +150,7 @@ async def disable_totp(db: Connection, actor: Actor) -> None:
 
 
 async def reset_totp(db: Connection, admin: Actor, *, person_id: uuid.UUID) -> None:
-    """Remove the second factor of a person who lost their device and recovery codes.
-
-    Raises:
-        NotFound: no active person with a second factor has this id.
-    """
+    """Remove the second factor of a person who lost their device and recovery codes. Raises NotFound."""
     owner = await find_person(db, person_id)
     stmt = delete(totp).where(totp.c.person_id == person_id).returning(totp.c.person_id)
     if owner is None or (await db.execute(stmt)).first() is None:
@@ -179,9 +163,7 @@ async def require_second_factor(database: Database, person_id: uuid.UUID, code: 
 
     In a transaction of its own: the code is used up, and a wrong one counts, whatever happens afterwards.
 
-    Raises:
-        SecondFactorNeeded: there is no code.
-        SecondFactorWrong: the code is wrong or was used before, or too many codes were wrong.
+    Raises SecondFactorNeeded or SecondFactorWrong.
     """
     async with database.begin() as db:
         enrolled = await _lock_totp(db, person_id, _is_confirmed())
@@ -269,8 +251,7 @@ async def get_me(db: Connection, actor: Actor) -> MeRead:
 
     Addresses and groups are left out for tokens of robots and runners, which may be lost with their machine.
 
-    Raises:
-        NotAuthenticated: the actor has no account.
+    Raises NotAuthenticated.
     """
     if actor.ref is None:
         raise NotAuthenticated(reason="this requires an account")
@@ -319,11 +300,7 @@ async def _get_credential(db: Connection, actor: Actor) -> CredentialRead:
 
 
 async def get_account(db: Connection, actor: Actor, *, settings: Settings) -> AccountRead:
-    """Return the actor's account.
-
-    Raises:
-        NotAuthenticated: the actor has no account.
-    """
+    """Return the actor's account. Raises NotAuthenticated."""
     if actor.ref is None:
         raise NotAuthenticated(reason="this requires an account")
     created_at = (await db.execute(select(person.c.created_at).where(person.c.id == actor.person_id))).scalar_one()
@@ -337,7 +314,7 @@ async def get_account(db: Connection, actor: Actor, *, settings: Settings) -> Ac
             for row in await db.execute(_addresses(actor))
         ],
         affiliations=sorted((await db.execute(affiliations)).scalars()),
-        has_password=await _has_password(db, actor, settings),
+        has_password=await _may_use_password(db, actor, settings),
         totp=await read_totp(db, actor.person_id),
         created_at=created_at,
     )
@@ -354,12 +331,7 @@ async def list_identities(db: Connection, actor: Actor, *, settings: Settings) -
 
 
 async def unlink_identity(db: Connection, actor: Actor, *, identity_id: uuid.UUID, settings: Settings) -> None:
-    """Unlink an identity, so that it no longer opens the account.
-
-    Raises:
-        NotFound: the actor has no linked identity with this id.
-        LastSignInMethod: it is their last sign-in method.
-    """
+    """Unlink an identity, so that it no longer opens the account. Raises NotFound or LastSignInMethod."""
     if actor.person_id is not None:
         # Serializes concurrent requests, which could otherwise unlink all identities.
         await lock_person(db, actor.person_id)
@@ -380,7 +352,7 @@ def _addresses(actor: Actor) -> Select[Any]:
     return select(person_email).where(verified).order_by(person_email.c.email_key)
 
 
-async def _has_password(db: Connection, actor: Actor, settings: Settings) -> bool:
+async def _may_use_password(db: Connection, actor: Actor, settings: Settings) -> bool:
     has_password = exists().where(password.c.person_id == actor.person_id)
     return settings.local_accounts and bool((await db.execute(select(has_password))).scalar_one())
 
@@ -390,7 +362,7 @@ async def _has_other_method(db: Connection, actor: Actor, settings: Settings) ->
     if actor.person_id == OWNER_ID and settings.owner_token_file is not None:
         return True
     has_address = (await db.execute(_addresses(actor))).first() is not None
-    return has_address and await _has_password(db, actor, settings)
+    return has_address and await _may_use_password(db, actor, settings)
 
 
 def _to_read(

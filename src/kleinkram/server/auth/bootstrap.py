@@ -49,10 +49,7 @@ async def bootstrap_admin(
 ) -> uuid.UUID:
     """Make the signed-in person, or a new local account, the first admin; returns the person.
 
-    Raises:
-        CodeGone: the code is not valid, or the server has an admin.
-        InvalidRequest: a new account requires a name, an address and a password.
-        SignInRefused: the address belongs to another account.
+    Raises CodeGone, InvalidRequest or SignInRefused.
     """
     await db.execute(select(func.pg_advisory_xact_lock(_BOOTSTRAP_LOCK)))
     if await has_admin(db):
@@ -69,11 +66,7 @@ async def bootstrap_admin(
 
 
 async def create_owner_link(db: Connection, actor: Actor, *, settings: Settings) -> OneTimeLink:
-    """Return a link with which the owner of `klein up` signs in.
-
-    Raises:
-        Forbidden: the actor is not the owner.
-    """
+    """Return a link with which the owner of `klein up` signs in. Raises Forbidden."""
     if actor.person_id != OWNER_ID:
         raise Forbidden(noun="server", operation="sign in as its owner", needs="the owner's token")
     code = await create_code(db, CodeRequest(CodePurpose.owner, settings.owner_link_s, person_id=OWNER_ID))
@@ -107,8 +100,7 @@ OWNER_NAME = "owner"
 async def let_owner_in(db: Connection, token_file: Path) -> None:
     """Make the local owner exist, with the token in a file; one that was revoked is replaced there by a new one.
 
-    Raises:
-        RuntimeError: a new one cannot be written there.
+    Raises RuntimeError.
     """
     held = (await asyncio.to_thread(token_file.read_text, encoding="ascii")).strip()
     if held and await ensure_owner(db, held):

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from fastapi import Request, Response
 from sqlalchemy import ColumnElement, delete, exists, func, insert, select, update
-from sqlalchemy.dialects.postgresql import insert
+from sqlalchemy.dialects.postgresql import insert as upsert
 
 from kleinkram.contract.accounts import MAX_PERSON_NAME_CHARACTERS, check_person_name
 from kleinkram.contract.errors import NotFound, SignInRefused
@@ -77,11 +77,7 @@ class Providers:
         self._providers = providers
 
     def get(self, name: str) -> "OpenIdProvider":
-        """Return a provider.
-
-        Raises:
-            NotFound: no provider has this name.
-        """
+        """Return a provider. Raises NotFound."""
         if name not in self._providers:
             raise NotFound(noun="provider", ref=name)
         return self._providers[name]
@@ -136,11 +132,7 @@ async def store_request(db: Connection, request: AuthorizationRequest, *, provid
 
 
 async def take_request(db: Connection, *, provider: str, state: str, browser_secret: str) -> AuthorizationRequest:
-    """Return and delete the request of a callback, so that a replayed callback finds nothing.
-
-    Raises:
-        SignInRefused: another browser started it, it was finished before, or it expired.
-    """
+    """Return and delete the request of a callback, so that a replayed callback finds nothing. Raises SignInRefused."""
     same = (
         oidc_login.c.state_sha256 == secret_hash(state),
         oidc_login.c.browser_sha256 == secret_hash(browser_secret),
@@ -199,8 +191,7 @@ async def open_account(
 ) -> uuid.UUID:
     """Return the person whose account an identity opens; creates or links the account if the settings allow it.
 
-    Raises:
-        SignInRefused: the person must link the identity themselves, or gets no account.
+    Raises SignInRefused.
     """
     await db.execute(select(func.pg_advisory_xact_lock(_ACCOUNT_LOCK)))
     address = _address(verified)
@@ -223,11 +214,7 @@ async def open_account(
 
 
 async def link_identity(db: Connection, actor: Actor, *, verified: VerifiedIdentity, provider: OidcProvider) -> None:
-    """Link an identity to the actor's account.
-
-    Raises:
-        SignInRefused: it is linked to another account.
-    """
+    """Link an identity to the actor's account. Raises SignInRefused."""
     await db.execute(select(func.pg_advisory_xact_lock(_ACCOUNT_LOCK)))
     linked_to = await _find_linked_person(db, verified)
     if linked_to is not None and linked_to != actor.person_id:
@@ -240,11 +227,7 @@ async def link_identity(db: Connection, actor: Actor, *, verified: VerifiedIdent
 
 
 async def reauthenticate(db: Connection, actor: Actor, *, verified: VerifiedIdentity, provider: OidcProvider) -> None:
-    """Record that the actor has just reauthenticated at a provider.
-
-    Raises:
-        SignInRefused: the provider names another person, or did not ask for the password.
-    """
+    """Record that the actor has just reauthenticated at a provider. Raises SignInRefused."""
     if await _find_linked_person(db, verified) != actor.person_id:
         raise SignInRefused(reason=f"{provider.title} signed another person in. Start again with your own account.")
     if verified.auth_time is not None and verified.auth_time < time.time() - _MAX_AUTH_AGE_S:
@@ -311,7 +294,7 @@ async def _link(
     row = {"person_id": person_id, "issuer": verified.issuer, "subject": verified.subject, "email": _address(verified)}
     # An unlinked identity moves to the account that links it now.
     relinked = {**row, "created_at": func.now(), "last_used_at": func.now(), "unlinked_at": None}
-    linked = insert(identity).values(id=uuid.uuid4(), **row)
+    linked = upsert(identity).values(id=uuid.uuid4(), **row)
     linked = linked.on_conflict_do_update(index_elements=["issuer", "subject"], set_=relinked)
     identity_id: uuid.UUID = (await db.execute(linked.returning(identity.c.id))).scalar_one()
     after: Metadata = {"issuer": verified.issuer, "email": verified.email, "person_id": str(person_id)}

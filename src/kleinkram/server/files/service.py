@@ -38,7 +38,7 @@ from kleinkram.server.missions import service as missions
 from kleinkram.server.paging import PageRequest, Rows, execute_after, fetch_page, values_after
 from kleinkram.server.quotas import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
-from kleinkram.server.shares.service import note_downloads
+from kleinkram.server.shares.service import count_downloads
 from kleinkram.server.tables import file
 
 _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
@@ -222,7 +222,7 @@ async def link_files(
             if row.state in _UNREADABLE:
                 raise FileUnavailable(path=row.path, state=row.state)
         await record_all(db, actor, [_event(_FETCHED[purpose], row) for row in rows])
-        await note_downloads(db, actor, files=len(rows), size_bytes=sum(row.size_bytes for row in rows))
+        await count_downloads(db, actor, files=len(rows), size_bytes=sum(row.size_bytes for row in rows))
     return [_link(context, row) for row in rows]
 
 

@@ -119,11 +119,7 @@ class _SiteGauges:
 
 @asynccontextmanager
 async def serve_metrics(settings: Settings, database: Database) -> AsyncIterator[int | None]:
-    """Serve `/metrics` on a port of its own, where one is set; yields the port.
-
-    Raises:
-        MetricsPortUnusable: it is taken, or the address is none of this machine's.
-    """
+    """Serve `/metrics` on a port of its own, where one is set; yields the port. Raises MetricsPortUnusable."""
     if settings.metrics_port is None:
         yield None
         return

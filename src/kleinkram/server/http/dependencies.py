@@ -124,8 +124,7 @@ def session_cookie(settings: Settings) -> str:
 def require_same_origin(request: Request) -> None:
     """Require that a change sent with a session cookie comes from a page of this server (CSRF).
 
-    Raises:
-        NotAuthenticated: the Origin header is missing or names another site.
+    Raises NotAuthenticated.
     """
     if request.method in {"GET", "HEAD", "OPTIONS"}:
         return

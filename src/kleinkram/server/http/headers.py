@@ -110,8 +110,7 @@ IfMatch = Annotated[
 def require_match(if_match: str | None, etag: str, *, noun: str, name: str) -> None:
     """Check that an object still has one of the ETags in an If-Match header; without a header, there is no check.
 
-    Raises:
-        EditConflict: somebody else changed the object meanwhile.
+    Raises EditConflict.
     """
     if if_match is None:
         return
