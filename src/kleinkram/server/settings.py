@@ -111,119 +111,100 @@ class Settings(BaseSettings):
     # What is wrong is said without what was given: it may be a password.
     model_config = SettingsConfigDict(env_prefix="KLEINKRAM_", frozen=True, extra="ignore", hide_input_in_errors=True)
 
-    database_url: Annotated[
-        PostgresDsn, Field(repr=False, description="PostgreSQL as the role that serves; no rights on the schema.")
-    ]
-    migration_database_url: Annotated[
-        PostgresDsn | None,
-        Field(repr=False, description="PostgreSQL as the role that owns the schema; only `migrate` needs it."),
-    ] = None
-    database_password: Annotated[
-        SecretStr | None, Field(description="Password for `DATABASE_URL`, where the address has none.")
-    ] = None
-    migration_database_password: Annotated[
-        SecretStr | None, Field(description="Password for `MIGRATION_DATABASE_URL`, where the address has none.")
-    ] = None
-    serving_role: Annotated[
-        str, Field(pattern=r"^[a-z_][a-z0-9_]*$", description="The role in `database_url`, which migrations grant to.")
-    ] = "kleinkram_serve"
-    database_connections: Annotated[
-        int,
-        Field(
-            ge=2,
-            le=200,
-            description="Connections in a process's pool; beside it, an API process opens 2 more, a worker 13.",
-        ),
-    ] = 8
-
-    s3_internal_url: Annotated[str, Field(description="The store's address as this server reaches it.")]
-    s3_public_url: Annotated[
-        str | None,
-        Field(
-            description="The store's address as clients reach it: part of every signature. Default: the internal one."
-        ),
-    ] = None
-    s3_bucket: Annotated[str, Field(min_length=3, description="The bucket; it must exist.")] = "kleinkram"
-    s3_region: Annotated[str, Field(description="The region that signatures name.")] = "us-east-1"
-    s3_access_key: Annotated[
-        str, Field(description="Access key of an identity that may read, write and list the bucket.")
-    ]
-    s3_secret_key: Annotated[SecretStr, Field(description="Its secret key.")]
-    s3_ca_file: Annotated[
-        Path | None, Field(description="Certificate authority of the store, where it is a private one.")
-    ] = None
-    s3_cors: Annotated[
-        Literal["set", "leave"],
-        Field(
-            description="Whether the API, when it starts, writes the bucket's CORS rules, so that its pages (and the "
-            "viewers) may send and fetch; `leave` where somebody else writes them."
-        ),
-    ] = "set"
-    store_id: Annotated[
-        str,
-        Field(
-            description="The name by which the database refers to the bucket. There is one bucket: after the first "
-            "start, never change this, also not when the files move to another store."
-        ),
-    ] = "main"
-
-    store_folder: Annotated[
-        Path | None,
-        Field(description="A folder on the store's disk where that is this machine's, for telling how full it is."),
-    ] = None
-
-    public_url: Annotated[str, Field(description="This server's address as clients reach it.")] = (
-        "http://127.0.0.1:8000"
+    database_url: PostgresDsn = Field(
+        repr=False, description="PostgreSQL as the role that serves; no rights on the schema."
     )
-    lab_name: Annotated[str, Field(min_length=1, max_length=64, description="What the pages call this server.")] = (
-        "Kleinkram"
+    migration_database_url: PostgresDsn | None = Field(
+        default=None, repr=False, description="PostgreSQL as the role that owns the schema; only `migrate` needs it."
     )
-    viewers: Annotated[
-        tuple[Viewer, ...],
-        Field(
-            description="Pages elsewhere that open a recording by its address, which they then learn: a JSON list of "
-            '{"name": "Lichtblick", "url": "https://lichtblick.example/?ds=remote-file&ds.url={url}"}; `[]` for none.'
-        ),
-    ] = (Viewer(name="Foxglove", url="https://app.foxglove.dev/~/view?ds=remote-file&ds.url={url}"),)
-    owner_token_file: Annotated[
-        Path | None, Field(description="File with the local owner's token; made by `klein up`, mode 0600.")
-    ] = None
-    oidc_providers: Annotated[
-        tuple[OidcProvider, ...],
-        Field(description="Who says who people are: a JSON list of OpenID Connect providers (see the sign-in page)."),
-    ] = ()
-    local_accounts: Annotated[bool, Field(description="Whether one may sign in with an address and a password.")] = True
-    session_idle_s: Annotated[Seconds, Field(description="After how long unused a browser is signed out.")] = (
-        14 * 86_400
+    database_password: SecretStr | None = Field(
+        default=None, description="Password for `DATABASE_URL`, where the address has none."
     )
-    session_s: Annotated[Seconds, Field(description="After how long it is signed out in any case.")] = 90 * 86_400
-    login_token_days: Annotated[
-        int, Field(ge=1, le=3650, description="How long a token that `klein login` gets is good for.")
-    ] = 90
-    token_days_default: Annotated[
-        int, Field(ge=1, le=3650, description="How long a token is good for that is made without an end.")
-    ] = 90
-    token_days_max: Annotated[
-        int,
-        Field(
-            ge=0,
-            le=3650,
-            description="How long a token may be good at most, and how long a runner's is by default; "
-            "0: any time, and for ever if that is asked for.",
-        ),
-    ] = 365
-    fresh_sign_in_s: Annotated[
-        Seconds,
-        Field(
-            description="How long after signing in one may change passwords, second factors and ways to sign in "
-            "(admins also those of others), and make tokens with the scope admin, before one is asked to sign in again."
-        ),
-    ] = 900
-    owner_link_s: Annotated[
-        Seconds, Field(description="How long the link is good by which the owner of `klein up` signs in.")
-    ] = 900
-    invitation_s: Annotated[Seconds, Field(description="How long an invitation is good.")] = 7 * 86_400
-    reset_link_s: Annotated[Seconds, Field(description="How long a link to a new password is good.")] = 86_400
+    migration_database_password: SecretStr | None = Field(
+        default=None, description="Password for `MIGRATION_DATABASE_URL`, where the address has none."
+    )
+    serving_role: str = Field(
+        default="kleinkram_serve",
+        pattern=r"^[a-z_][a-z0-9_]*$",
+        description="The role in `database_url`, which migrations grant to.",
+    )
+    database_connections: int = Field(
+        default=8,
+        ge=2,
+        le=200,
+        description="Connections in a process's pool; beside it, an API process opens 2 more, a worker 13.",
+    )
+
+    s3_internal_url: str = Field(description="The store's address as this server reaches it.")
+    s3_public_url: str | None = Field(
+        default=None,
+        description="The store's address as clients reach it: part of every signature. Default: the internal one.",
+    )
+    s3_bucket: str = Field(default="kleinkram", min_length=3, description="The bucket; it must exist.")
+    s3_region: str = Field(default="us-east-1", description="The region that signatures name.")
+    s3_access_key: str = Field(description="Access key of an identity that may read, write and list the bucket.")
+    s3_secret_key: SecretStr = Field(description="Its secret key.")
+    s3_ca_file: Path | None = Field(
+        default=None, description="Certificate authority of the store, where it is a private one."
+    )
+    s3_cors: Literal["set", "leave"] = Field(
+        default="set",
+        description="Whether the API, when it starts, writes the bucket's CORS rules, so that its pages (and the "
+        "viewers) may send and fetch; `leave` where somebody else writes them.",
+    )
+    store_id: str = Field(
+        default="main",
+        description="The name by which the database refers to the bucket. There is one bucket: after the first "
+        "start, never change this, also not when the files move to another store.",
+    )
+
+    store_folder: Path | None = Field(
+        default=None,
+        description="A folder on the store's disk where that is this machine's, for telling how full it is.",
+    )
+
+    public_url: str = Field(default="http://127.0.0.1:8000", description="This server's address as clients reach it.")
+    lab_name: str = Field(
+        default="Kleinkram", min_length=1, max_length=64, description="What the pages call this server."
+    )
+    viewers: tuple[Viewer, ...] = Field(
+        default=(Viewer(name="Foxglove", url="https://app.foxglove.dev/~/view?ds=remote-file&ds.url={url}"),),
+        description="Pages elsewhere that open a recording by its address, which they then learn: a JSON list of "
+        '{"name": "Lichtblick", "url": "https://lichtblick.example/?ds=remote-file&ds.url={url}"}; `[]` for none.',
+    )
+    owner_token_file: Path | None = Field(
+        default=None, description="File with the local owner's token; made by `klein up`, mode 0600."
+    )
+    oidc_providers: tuple[OidcProvider, ...] = Field(
+        default=(),
+        description="Who says who people are: a JSON list of OpenID Connect providers (see the sign-in page).",
+    )
+    local_accounts: bool = Field(default=True, description="Whether one may sign in with an address and a password.")
+    session_idle_s: Seconds = Field(default=14 * 86_400, description="After how long unused a browser is signed out.")
+    session_s: Seconds = Field(default=90 * 86_400, description="After how long it is signed out in any case.")
+    login_token_days: int = Field(
+        default=90, ge=1, le=3650, description="How long a token that `klein login` gets is good for."
+    )
+    token_days_default: int = Field(
+        default=90, ge=1, le=3650, description="How long a token is good for that is made without an end."
+    )
+    token_days_max: int = Field(
+        default=365,
+        ge=0,
+        le=3650,
+        description="How long a token may be good at most, and how long a runner's is by default; "
+        "0: any time, and for ever if that is asked for.",
+    )
+    fresh_sign_in_s: Seconds = Field(
+        default=900,
+        description="How long after signing in one may change passwords, second factors and ways to sign in "
+        "(admins also those of others), and make tokens with the scope admin, before one is asked to sign in again.",
+    )
+    owner_link_s: Seconds = Field(
+        default=900, description="How long the link is good by which the owner of `klein up` signs in."
+    )
+    invitation_s: Seconds = Field(default=7 * 86_400, description="How long an invitation is good.")
+    reset_link_s: Seconds = Field(default=86_400, description="How long a link to a new password is good.")
 
     trusted_proxies: Annotated[
         tuple[Network, ...],
@@ -242,89 +223,78 @@ class Settings(BaseSettings):
             "Default: this machine."
         ),
     ] = (ipaddress.IPv4Network("127.0.0.0/8"), ipaddress.IPv6Network("::1/128"))
-    metrics_port: Annotated[
-        int | None,
-        Field(
-            ge=0,
-            le=65535,
-            description="Port on which a process serves its Prometheus metrics, one of its own for each process; "
-            "`--metrics-port` overrides it. Default: metrics are not served.",
-        ),
-    ] = None
-    metrics_address: Annotated[
-        str,
-        Field(
-            description="Address on which metrics are served. Whoever reaches it can read them: keep it on this "
-            "machine or in a private network."
-        ),
-    ] = "127.0.0.1"
-    log_format: Annotated[Literal["json", "text"], Field(description="How log lines look.")] = "json"
+    metrics_port: int | None = Field(
+        default=None,
+        ge=0,
+        le=65535,
+        description="Port on which a process serves its Prometheus metrics, one of its own for each process; "
+        "`--metrics-port` overrides it. Default: metrics are not served.",
+    )
+    metrics_address: str = Field(
+        default="127.0.0.1",
+        description="Address on which metrics are served. Whoever reaches it can read them: keep it on this "
+        "machine or in a private network.",
+    )
+    log_format: Literal["json", "text"] = Field(default="json", description="How log lines look.")
 
-    affiliations: Annotated[
-        tuple[Affiliation, ...],
-        Field(
-            description="Groups filled by the exact domains of verified addresses: a JSON list of "
-            '{"name": "Lab", "domains": ["lab.example"], "default_right": "READ"}; the right is given on new projects.'
-        ),
-    ] = ()
-    creators: Annotated[
-        Creators,
-        Field(
-            description="Who may make projects and groups: `affiliated` people (everybody, where there are no "
-            "affiliations), `everybody` or `admins`."
-        ),
-    ] = "affiliated"
+    affiliations: tuple[Affiliation, ...] = Field(
+        default=(),
+        description="Groups filled by the exact domains of verified addresses: a JSON list of "
+        '{"name": "Lab", "domains": ["lab.example"], "default_right": "READ"}; the right is given on new projects.',
+    )
+    creators: Creators = Field(
+        default="affiliated",
+        description="Who may make projects and groups: `affiliated` people (everybody, where there are no "
+        "affiliations), `everybody` or `admins`.",
+    )
 
-    body_limit_bytes: Annotated[int, Field(ge=65_536, description="Largest request body.")] = 4 * 1024 * 1024
-    connections_per_address: Annotated[
-        int,
-        Field(
-            ge=16,
-            description="Connections that one address may have open with one API process; trusted proxies may have any "
-            "number.",
-        ),
-    ] = 512
-    sign_ins_per_minute: Annotated[
-        PerMinute,
-        Field(description="Tries to sign in from one address; beyond three times as many an account's wait; 0: any."),
-    ] = 10
-    searches_per_minute: Annotated[
-        PerMinute,
-        Field(description="Searches by text or topic, and statistics, for one token, session or link; 0: any number."),
-    ] = 300
-    downloads_per_minute: Annotated[
-        PerMinute, Field(description="Requests for addresses of files to fetch (500 each), likewise.")
-    ] = 600
-    uploads_per_minute: Annotated[PerMinute, Field(description="Requests that announce files to send, likewise.")] = 600
-    verifications_per_minute: Annotated[PerMinute, Field(description="Files to verify again, likewise.")] = 600
-    exports_per_minute: Annotated[PerMinute, Field(description="Exports of the record, likewise.")] = 6
-    upload_lease_s: Annotated[
-        Seconds, Field(description="How long a name stays held after the last part was signed.")
-    ] = 60
-    upload_expires_s: Annotated[Seconds, Field(description="How long an unfinished upload is kept.")] = 7 * 86_400
-    part_url_s: Annotated[Seconds, Field(description="How long the address of a part to send is good for.")] = 900
-    download_url_s: Annotated[Seconds, Field(description="How long the address of a file to fetch is good for.")] = 900
-    share_days_max: Annotated[int, Field(ge=1, le=3650, description="How long a link may be good at most.")] = 90
-    trash_days: Annotated[int, Field(ge=0, description="How long deleted things can be had back.")] = 30
-    sweep_grace_s: Annotated[
-        float, Field(ge=0, description="Between dooming an unreferenced blob and deleting its object.")
-    ] = 3600
-    verify_bytes_per_s: Annotated[
-        int, Field(ge=1_048_576, description="How fast one worker process reads new blobs to verify them.")
-    ] = 100_000_000
-    reverify_days: Annotated[
-        int, Field(ge=0, description="After how many days a verified blob is read and compared again; 0: never.")
-    ] = 90
-    scrub_hours: Annotated[
-        float,
-        Field(
-            ge=0, description="How often the store's list is compared with the database, in hours; 0: only when asked."
-        ),
-    ] = 24
-    summary_memory_bytes: Annotated[
-        int, Field(ge=128 * 1024**2, description="Address space of the process that reads untrusted recordings.")
-    ] = 1024**3
-    summary_timeout_s: Annotated[Seconds, Field(description="How long reading one recording's summary may take.")] = 300
+    body_limit_bytes: int = Field(default=4 * 1024 * 1024, ge=65_536, description="Largest request body.")
+    connections_per_address: int = Field(
+        default=512,
+        ge=16,
+        description="Connections that one address may have open with one API process; trusted proxies may have any "
+        "number.",
+    )
+    sign_ins_per_minute: PerMinute = Field(
+        default=10,
+        description="Tries to sign in from one address; beyond three times as many an account's wait; 0: any.",
+    )
+    searches_per_minute: PerMinute = Field(
+        default=300,
+        description="Searches by text or topic, and statistics, for one token, session or link; 0: any number.",
+    )
+    downloads_per_minute: PerMinute = Field(
+        default=600, description="Requests for addresses of files to fetch (500 each), likewise."
+    )
+    uploads_per_minute: PerMinute = Field(default=600, description="Requests that announce files to send, likewise.")
+    verifications_per_minute: PerMinute = Field(default=600, description="Files to verify again, likewise.")
+    exports_per_minute: PerMinute = Field(default=6, description="Exports of the record, likewise.")
+    upload_lease_s: Seconds = Field(
+        default=60, description="How long a name stays held after the last part was signed."
+    )
+    upload_expires_s: Seconds = Field(default=7 * 86_400, description="How long an unfinished upload is kept.")
+    part_url_s: Seconds = Field(default=900, description="How long the address of a part to send is good for.")
+    download_url_s: Seconds = Field(default=900, description="How long the address of a file to fetch is good for.")
+    share_days_max: int = Field(default=90, ge=1, le=3650, description="How long a link may be good at most.")
+    trash_days: int = Field(default=30, ge=0, description="How long deleted things can be had back.")
+    sweep_grace_s: float = Field(
+        default=3600, ge=0, description="Between dooming an unreferenced blob and deleting its object."
+    )
+    verify_bytes_per_s: int = Field(
+        default=100_000_000, ge=1_048_576, description="How fast one worker process reads new blobs to verify them."
+    )
+    reverify_days: int = Field(
+        default=90, ge=0, description="After how many days a verified blob is read and compared again; 0: never."
+    )
+    scrub_hours: float = Field(
+        default=24,
+        ge=0,
+        description="How often the store's list is compared with the database, in hours; 0: only when asked.",
+    )
+    summary_memory_bytes: int = Field(
+        default=1024**3, ge=128 * 1024**2, description="Address space of the process that reads untrusted recordings."
+    )
+    summary_timeout_s: Seconds = Field(default=300, description="How long reading one recording's summary may take.")
 
     @model_validator(mode="before")
     @classmethod
