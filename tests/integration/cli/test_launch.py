@@ -13,8 +13,8 @@ from kleinkram.cli.launch import parameter_values, split_version
 from kleinkram.cli.main import app
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.actions import ActionDefinition, Parameter, ParameterType
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import NotFound
-from kleinkram.contract.paging import Page
 from kleinkram.contract.problems import to_problem
 from kleinkram.contract.runs import LogChunkRead, RunCreated, RunRead, RunRefused, RunsCreated, RunState
 from tests.api_objects import action_read, mission_read, run_detail

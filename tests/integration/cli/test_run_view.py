@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 
 from kleinkram.cli.main import app
 from kleinkram.cli.run_view import standing
-from kleinkram.contract.paging import Page
+from kleinkram.contract.base import Page
 from kleinkram.contract.reports import Progress, Severity
 from kleinkram.contract.runs import EndReason, LineageFile, LineageRead, LineageRun, RunRead, RunState
 from tests.api_objects import action_read, file_read, run_detail

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from kleinkram.client import Client, Endpoint, EndpointSource, server
-from kleinkram.contract.events import Change, Refetch
+from kleinkram.contract.audit import Change, Refetch
 from tests.scripted_server import scripted
 
 NOTHING = {"id": None, "project_id": None, "mission_id": None}

@@ -13,6 +13,8 @@ import urllib3
 from kleinkram.client.config import Endpoint, EndpointSource
 from kleinkram.client.errors import AnswerNotUnderstood, ServerUnreachable
 from kleinkram.client.sign_in import begin_browser, begin_device, end_token, see_server, wait_for_device, who_has
+from kleinkram.contract.access import Scope
+from kleinkram.contract.accounts import CredentialKind, CredentialRead, DeviceCode, MeRead, SignedIn
 from kleinkram.contract.errors import (
     KleinkramError,
     NotAuthenticated,
@@ -23,8 +25,6 @@ from kleinkram.contract.errors import (
     SlowDown,
 )
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.rights import Scope
-from kleinkram.contract.signing_in import CredentialKind, CredentialRead, DeviceCode, MeRead, SignedIn
 from tests.scripted_server import scripted
 
 ADA = PersonRef(id=uuid.uuid4(), name="Ada")
