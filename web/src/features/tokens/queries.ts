@@ -1,10 +1,11 @@
 // What the page of tokens asks the server, and what it has it do.
-import { useQuery, useQueryClient } from "@tanstack/vue-query";
+import { keepPreviousData, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { computed, type ComputedRef } from "vue";
 import { api, call } from "@/api/client";
 import { keys, usePages } from "@/api/queries";
 import type { components } from "@/api/schema";
 import type { Token } from "@/api/types";
+import { globOf } from "@/components/glob";
 import { texts } from "@/texts/tokens";
 
 export type TokenCreate = components["schemas"]["TokenCreate"];
@@ -50,14 +51,14 @@ export interface PlaceOffer {
 
 const MOST_SUGGESTIONS = 8;
 
-/** Projects and missions whose names hold what was typed. */
-export function usePlaces(typed: () => string): ComputedRef<readonly PlaceOffer[] | undefined> {
+/** The first projects and missions whose names contain a text. */
+export function usePlaces(typed: () => string, nouns: "missions" | "places"): ComputedRef<readonly PlaceOffer[] | undefined> {
   const offers = useQuery({
-    queryKey: ["missions", "places", typed],
+    queryKey: ["missions", nouns, typed],
     queryFn: async ({ signal }) => {
-      const query = { limit: MOST_SUGGESTIONS, ...(typed() !== "" && { name: `*${typed()}*` }) };
+      const query = { limit: MOST_SUGGESTIONS, ...(typed() !== "" && { name: globOf(typed()) }) };
       const [projects, missions] = await Promise.all([
-        call(api.GET("/api/v1/projects", { params: { query }, signal })),
+        nouns === "missions" ? { items: [] } : call(api.GET("/api/v1/projects", { params: { query }, signal })),
         call(api.GET("/api/v1/missions", { params: { query }, signal })),
       ]);
       return [
@@ -65,6 +66,7 @@ export function usePlaces(typed: () => string): ComputedRef<readonly PlaceOffer[
         ...missions.items.map(({ id, name, project }) => ({ noun: "mission" as const, id, label: texts.mission(name, project.name) })),
       ];
     },
+    placeholderData: keepPreviousData,
   });
   return computed(() => offers.data.value);
 }
