@@ -1,6 +1,6 @@
-// What the browser does with texts and data: the clipboard, and files that are saved.
+// Clipboard and file downloads.
 
-/** Copies a text; says whether the browser did. */
+/** Copies a text; returns whether the browser allowed it. */
 export async function copyText(text: string): Promise<boolean> {
   if (globalThis.isSecureContext) {
     try {

@@ -1,4 +1,4 @@
-// The components that most pages use; the others of this folder are imported by their file.
+// The components that most pages use. Others are imported from their file.
 export { default as AppButton } from "./AppButton.vue";
 export { default as AppDialog } from "./AppDialog.vue";
 export { default as AppIcon } from "./AppIcon.vue";

@@ -1,4 +1,4 @@
-// Short messages at the window's edge: what was done, and how to undo it.
+// Toast messages: what was done, and how to undo it.
 import { reactive } from "vue";
 
 export interface Toast {

@@ -1,5 +1,7 @@
 // Texts that several pages share.
 import type { Span } from "@/components/time";
+import { counted } from "@/components/format";
+import type { Trashed } from "@/api/types";
 
 export const texts = {
   product: "Kleinkram",
@@ -73,4 +75,24 @@ export const placeTexts = {
   places: { legend: "Projects and missions", find: "Find a project or mission", nothingFound: "No matching projects or missions." },
   add: (name: string) => `Add ${name}`,
   remove: (name: string) => `Remove ${name}`,
+} as const;
+
+const nouns: Readonly<Record<Trashed["noun"], string>> = { project: "Project", mission: "Mission", file: "File" };
+
+export const trashTexts = {
+  title: "Trash",
+  lead: "Deleted objects that you can restore. On the date shown, they are deleted permanently.",
+  label: "Trash",
+  what: "Type",
+  everything: "All types",
+  only: { project: "Projects", mission: "Missions", file: "Files" },
+  nouns,
+  columns: { name: "Name", noun: "Type", holds: "Content", deleted: "Deleted", drops: "Deleted permanently", act: "Restore" },
+  files: (count: number) => counted(count, "file"),
+  by: (name: string) => `by ${name}`,
+  restore: "Restore",
+  restored: (name: string) => `${name} restored.`,
+  open: "Open",
+  empty: "The trash is empty.",
+  emptyText: "Deleted objects stay here for a limited time.",
 } as const;

@@ -1,4 +1,4 @@
-// What the page that runs an action asks the server.
+// Queries of the launch page, and validation of parameters.
 import { keepPreviousData, useQuery } from "@tanstack/vue-query";
 import { computed, type ComputedRef } from "vue";
 import { api, call } from "@/api/client";
@@ -34,7 +34,7 @@ export function useTopicNames(missionId: () => string | undefined): ComputedRef<
 }
 
 export type Value = string | number | boolean;
-/** What stands in the form: nothing where the default is meant. */
+/** The values of the form; null means the default. */
 export type ParameterValues = Readonly<Record<string, Value | null>>;
 
 const texts = all.launch.wants;

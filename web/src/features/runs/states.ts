@@ -1,4 +1,4 @@
-// How runs are told: by the tone of their state, by how long they took, by the commands that do the same.
+// Display of runs: the tone of each state, the duration, the equivalent commands, and their results.
 import type { Run, RunState } from "@/api/types";
 import { formatDuration } from "@/components/format";
 import type { Tone } from "@/components/tones";

@@ -1,11 +1,11 @@
-// What the page of tokens asks the server, and what it has it do.
+// Queries and mutations of tokens, and their scopes.
 import { keepPreviousData, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { computed, type ComputedRef } from "vue";
 import { api, call } from "@/api/client";
 import { keys, usePages } from "@/api/queries";
 import type { components } from "@/api/schema";
 import type { Token } from "@/api/types";
-import { globOf } from "@/components/glob";
+import { globOf } from "@/components/format";
 import { texts } from "@/texts/tokens";
 
 export type TokenCreate = components["schemas"]["TokenCreate"];
@@ -94,17 +94,17 @@ export interface Draft {
   readonly labels: string;
 }
 
-/** Returns the scopes that a kind may have, and those that it has unless said. */
+/** Returns the allowed and the default scopes of a kind. */
 export function scopesOf(kind: TokenKind): { readonly offered: readonly Scope[]; readonly usual: readonly Scope[] } {
   return { offered: ALLOWED[kind], usual: USUAL[kind] };
 }
 
-/** Says whether a scope is had anyway by another one that was chosen. */
+/** Returns whether a scope is included in another selected one. */
 export function isContained(scope: Scope, chosen: readonly Scope[]): boolean {
   return chosen.some((item) => CONTAINED[item]?.includes(scope) === true);
 }
 
-/** Says whether a draft has all that the server will ask for. */
+/** Returns whether a draft is complete. */
 export function isReady(draft: Draft): boolean {
   const isLimited = draft.projectIds.length + draft.missionIds.length > 0;
   return draft.name.trim() !== "" && draft.scopes.length > 0 && (draft.kind !== "robot" || isLimited);
