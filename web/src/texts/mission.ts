@@ -91,7 +91,7 @@ export const texts = {
   densityUnknown: "Distribution over time not known yet",
 
   problems: "Warnings",
-  noProblems: "No warnings.",
+  noWarnings: "No warnings.",
   missingFile: (path: string) => `The recording lists ${path}, but this file is missing. Upload it to complete the recording.`,
   surplusFile: (path: string) => `${path} is in the folder of the recording, but the recording does not list it.`,
   metadataProblem: (field: string, message: string) => `${field}: ${message}`,

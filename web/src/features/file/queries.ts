@@ -7,7 +7,7 @@ import type { components } from "@/api/schema";
 import type { File, Topic } from "@/api/types";
 import { showToast } from "@/components/toasts";
 import { texts } from "@/texts/file";
-import type { Problem } from "@/components/problems";
+import type { Problem } from "@/components/warnings";
 import { blobTexts, contentTexts } from "@/texts/states";
 
 type Change = components["schemas"]["FileUpdate"];
@@ -123,7 +123,7 @@ export function coverage(topic: Topic, file: File): number[] {
 }
 
 /** Returns all problems of a file. */
-export function problemsOfFile(file: File): readonly Problem[] {
+export function warningsOfFile(file: File): readonly Problem[] {
   const problems: Problem[] = [];
   const add = (code: string, message: string, where = "") => problems.push({ code, message, where, source: file.path, fileId: file.id });
   if (file.state === "lost" || file.state === "corrupt") add(`bytes-${file.state}`, file.state_reason ?? blobTexts[file.state].why);

@@ -4,8 +4,8 @@ import { api, call, ifMatch, noteNewEtag, type EtagCarrier } from "@/api/client"
 import { keys } from "@/api/queries";
 import type { components } from "@/api/schema";
 import type { File, Mission, Recording } from "@/api/types";
-import type { Problem } from "@/components/problems";
-import { problemsOfFile } from "@/features/file/queries";
+import type { Problem } from "@/components/warnings";
+import { warningsOfFile } from "@/features/file/queries";
 import { texts } from "@/texts/mission";
 
 type Schemas = components["schemas"];
@@ -175,9 +175,9 @@ function ofRecording(recording: Recording): Problem[] {
 }
 
 /** Returns all problems of a mission. */
-export function problemsOfMission(mission: Mission | undefined, recordings: readonly Recording[], files: readonly File[]): readonly Problem[] {
+export function warningsOfMission(mission: Mission | undefined, recordings: readonly Recording[], files: readonly File[]): readonly Problem[] {
   const ofMetadata = (mission?.metadata_problems ?? []).map(({ field, message }) => (
     { code: "metadata", message: texts.metadataProblem(field, message), where: "", source: "", fileId: null }
   ));
-  return [...ofMetadata, ...recordings.flatMap(ofRecording), ...files.flatMap(problemsOfFile)];
+  return [...ofMetadata, ...recordings.flatMap(ofRecording), ...files.flatMap(warningsOfFile)];
 }

@@ -3,7 +3,7 @@ import type { Run, RunState } from "@/api/types";
 import { formatDuration } from "@/components/format";
 import type { Tone } from "@/components/tones";
 import { texts as common } from "@/texts/common";
-import { severityTones } from "@/components/problems";
+import { severityTones } from "@/components/warnings";
 import { severityTexts, texts } from "@/texts/runs";
 
 const NS_PER_MS = 1_000_000;
