@@ -1,7 +1,6 @@
-"""Failures that only a client can have: no server, no configuration, files of this machine that are not as they were.
+"""Failures of the client: no server, no configuration, local files. Those of the server are in `contract.errors`.
 
-Failures that the server names are raised as the classes of `kleinkram.contract.errors`; both kinds share one base.
-A class's docstring is its sentence; its fields fill the braces.
+The docstring of a class is its sentence; its fields fill the braces.
 """
 
 from dataclasses import dataclass

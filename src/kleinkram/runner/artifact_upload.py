@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from kleinkram.client._retry import Backoff
+from kleinkram.client._http import Backoff
 from kleinkram.client.errors import ServerUnreachable, StoreTroubled, StoreUnreachable
-from kleinkram.client.runners import ArtifactUploads
+from kleinkram.client.runs import ArtifactUploads
 from kleinkram.client.transfer.plan import LocalFile, identity_of
-from kleinkram.client.transfer.report import SilentObserver, TransferResult
+from kleinkram.client.transfer.report import TransferResult, Watcher
 from kleinkram.client.transfer.threads import RateLimit
 from kleinkram.client.transfer.upload import Uploader
 from kleinkram.contract.errors import (
@@ -223,7 +223,7 @@ class _ArtifactUploader:
             server,
             assignment.run_id,
             pace=RateLimit(None),
-            watcher=SilentObserver(),
+            watcher=Watcher(),
             ended=self._add_result,
             journals=journals,
         )

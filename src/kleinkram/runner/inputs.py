@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import urllib3
 
-from kleinkram.client._retry import Backoff
-from kleinkram.client.runners import Runners
+from kleinkram.client._http import Backoff
+from kleinkram.client.runs import Runners
 from kleinkram.client.server import Service
 from kleinkram.client.transfer.store import PATIENCE_S, StoreAnswer, StoreClient
 from kleinkram.contract.actions import Network

@@ -8,9 +8,9 @@ import pytest
 from pydantic import BaseModel
 from typer.testing import CliRunner, Result
 
-from kleinkram.cli.errors import ExitCode, Refused
-from kleinkram.cli.launch import parameter_values, split_version
+from kleinkram.cli.errors import ExitCode, NotConfirmed
 from kleinkram.cli.main import app
+from kleinkram.cli.run import parameter_values, split_version
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.actions import ActionDefinition, Parameter, ParameterType
 from kleinkram.contract.errors import NotFound
@@ -71,7 +71,7 @@ def test_many_missions_are_asked_about_first() -> None:
     several = [MISSION, mission_read("dusk")]
     with scripted(page(*several), page(action_read("look"))) as script:
         ran = klein(script, "action", "run", "look", "--query", "alps")
-    assert isinstance(ran.exception, Refused)
+    assert isinstance(ran.exception, NotConfirmed)
     assert len(script.asked) == 2
     assert "Run look on 2 missions: alps/day, alps/dusk?" in ran.stderr
     with scripted(page(*several), page(action_read("look")), RunsCreated(items=[])) as script:

@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from kleinkram.cli.main import app
-from kleinkram.cli.run_view import standing
+from kleinkram.cli.run_view import status_text
 from kleinkram.contract.paging import Page
 from kleinkram.contract.reports import Progress, Severity
 from kleinkram.contract.runs import EndReason, LineageFile, LineageRead, LineageRun, RunRead, RunState
@@ -34,7 +34,7 @@ def shown(script: Scripted, *arguments: object) -> str:
     ],
 )
 def test_what_a_run_is_at_is_said_in_a_few_words(state: RunState, more: dict[str, object], said: str) -> None:
-    assert standing(run_detail(state, **more)) == said
+    assert status_text(run_detail(state, **more)) == said
 
 
 def test_all_of_a_run_is_shown_and_names_obey_nobody() -> None:

@@ -12,7 +12,7 @@ import urllib3
 
 from kleinkram.client.config import Endpoint, EndpointSource
 from kleinkram.client.errors import AnswerNotUnderstood, ServerUnreachable
-from kleinkram.client.sign_in import begin_browser, begin_device, end_token, see_server, wait_for_device, who_has
+from kleinkram.client.sign_in import begin_browser, begin_device, check_server, end_token, wait_for_device, who_has
 from kleinkram.contract.errors import (
     KleinkramError,
     NotAuthenticated,
@@ -151,9 +151,9 @@ def test_a_token_that_is_good_for_nothing_needs_no_ending() -> None:
 
 def test_nobody_is_sent_to_what_is_no_server() -> None:
     with scripted(NotAuthenticated(reason="the request has no bearer token")) as server:
-        see_server(server.url)
+        check_server(server.url)
     with scripted(b"<html>a printer</html>") as printer, pytest.raises(AnswerNotUnderstood):
-        see_server(printer.url)
+        check_server(printer.url)
     with pytest.raises(ServerUnreachable):
         begin_device(printer.url, "klein")
     with (

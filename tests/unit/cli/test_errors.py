@@ -2,7 +2,7 @@
 
 import pytest
 
-from kleinkram.cli.errors import EXIT_CODES, ExitCode, Interrupted, Refused, exit_code_of, explain
+from kleinkram.cli.errors import EXIT_CODES, ExitCode, Interrupted, NotConfirmed, exit_code_of, explain
 from kleinkram.client import errors as local
 from kleinkram.client.errors import ClientError, remember_request
 from kleinkram.contract.errors import ERRORS, FieldProblem, KleinkramError, MetadataInvalid, NotFound
@@ -14,7 +14,7 @@ def test_every_failure_has_an_exit_code() -> None:
         for cls in vars(local).values()
         if isinstance(cls, type) and issubclass(cls, ClientError) and cls is not ClientError
     }
-    assert set(EXIT_CODES) == {*ERRORS.values(), *ours, Interrupted, Refused}
+    assert set(EXIT_CODES) == {*ERRORS.values(), *ours, Interrupted, NotConfirmed}
     assert 0 not in {int(code) for code in EXIT_CODES.values()}
 
 

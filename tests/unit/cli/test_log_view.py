@@ -2,7 +2,7 @@
 
 import pytest
 
-from kleinkram.cli.log_view import harmless
+from kleinkram.cli.run_view import harmless
 
 
 @pytest.mark.parametrize(

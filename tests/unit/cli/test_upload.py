@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from kleinkram.cli import upload as module
+from kleinkram.cli import transfer as module
 from kleinkram.cli.errors import ExitCode, Interrupted
 from kleinkram.contract.errors import KleinkramError, NotFound
 
@@ -23,7 +23,7 @@ def _upload(folder: Path, failure: KleinkramError, monkeypatch: pytest.MonkeyPat
         return {}, 0
 
     monkeypatch.setattr(module, "_upload", upload)
-    how = module._How(True, None, False, (), None, 1, None, False)
+    how = module._UploadOptions(True, None, False, (), None, 1, None, False)
     client: Any = None
     return begun, lambda: module._upload_folders(client, "alpine", [str(folder)], how)
 

@@ -1,6 +1,6 @@
 """Not faster than asked."""
 
-from kleinkram.client._retry import LONGEST_WAIT_S, Backoff
+from kleinkram.client._http import LONGEST_WAIT_S, Backoff
 from kleinkram.client.transfer.threads import RateLimit
 
 
