@@ -10,14 +10,14 @@ import typer
 
 from kleinkram.cli.errors import ExitCode, Interrupted
 from kleinkram.cli.options import AsJson, Many, Text, argument, flag, option
-from kleinkram.cli.render import details, escape, line, note, show_json, table
+from kleinkram.cli.render import details, line, note, show_json, table
 from kleinkram.cli.units import count, duration, instant, parse_size, rate, size, span
 from kleinkram.client.errors import InvalidInput
 from kleinkram.recordings.inspect import Inspection, ScanProgress, inspect_paths, to_plain
 from kleinkram.recordings.model import Content, Depth, Lost, RecordingFormat, RecordingSummary
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
+    from kleinkram.cli.transfer import ProgressBars
 
 _CONTENTS = {
     Content.indexed: "whole",
@@ -35,41 +35,29 @@ def watching(deep: bool) -> Iterator[ScanProgress | None]:
     if not deep or not sys.stderr.isatty():
         yield None
         return
-    # Slow to import, and only for this.
-    from rich import progress as rich_progress
-    from rich.console import Console
+    from kleinkram.cli.transfer import ProgressBars  # slow to import
 
-    columns = (
-        rich_progress.TextColumn("{task.description}"),
-        rich_progress.BarColumn(),
-        rich_progress.DownloadColumn(),
-        rich_progress.TransferSpeedColumn(),
-        rich_progress.TimeRemainingColumn(),
-    )
-    with rich_progress.Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        yield _Bar(progress)
+    bars = ProgressBars()
+    with bars.progress:
+        yield _ScanBar(bars)
 
 
-class _Bar:
+class _ScanBar:
     """The bar of the file that is being read."""
 
-    def __init__(self, progress: "Progress") -> None:
-        self._progress = progress
-        self._task: TaskID | None = None
+    def __init__(self, bars: "ProgressBars") -> None:
+        self._bars = bars
+        self._path, self._size_bytes = "", 0
 
     def began(self, path: str, size_bytes: int) -> None:
-        from rich.markup import escape as escape_markup
-
-        self._task = self._progress.add_task(escape_markup(escape(path)), total=size_bytes)
+        self._path, self._size_bytes = path, size_bytes
+        self.moved(0)
 
     def moved(self, size_bytes: int) -> None:
-        if self._task is not None:
-            self._progress.advance(self._task, size_bytes)
+        self._bars.moved(self._path, size_bytes, self._size_bytes)
 
     def ended(self) -> None:
-        if self._task is not None:
-            self._progress.remove_task(self._task)
-            self._task = None
+        self._bars.ended(self._path, "", None)
 
 
 def inspect(

@@ -69,7 +69,7 @@ def has_address(address: tuple[Any, ...]) -> bool:  # Any: the shape of a socket
 
 def _connections() -> "list[WatchedConnection]":
     """Return the open connections; they may change meanwhile."""
-    return [connection for each in _open_connections.valuerefs() if (connection := each()) is not None]
+    return [connection for ref in _open_connections.valuerefs() if (connection := ref()) is not None]
 
 
 class WatchedConnection(HTTPConnection):
@@ -192,8 +192,9 @@ class NetworkMonitor:
     def _watch(self) -> None:
         while not self._over.wait(_LOOK_EVERY_S):
             with _lock:
-                ended = {address for each in _connections() if (address := each.end_if_stranded())}
-                stalled = {peer for each in _connections() if each.stalled_s() > _STALLED_S and (peer := each.peer())}
+                opened = _connections()
+                ended = {address for one in opened if (address := one.end_if_stranded())}
+                stalled = {peer for one in opened if one.stalled_s() > _STALLED_S and (peer := one.peer())}
             for address in ended:
                 self._lost(address)
             self._answered_at = {peer: moment for peer, moment in self._answered_at.items() if peer in stalled}
@@ -213,7 +214,7 @@ class NetworkMonitor:
             self._answered_at[peer] = time.monotonic()
         answered_s = time.monotonic() - self._answered_at[peer]
         with _lock:
-            dead = [each for each in _connections() if each.peer() == peer and answered_s > each.stalled_s() / 2 > 0]
-            dead = [each for each in dead if each.stalled_s() > 2 * _STALLED_S and each.shut_down()]
+            dead = [one for one in _connections() if one.peer() == peer and answered_s > one.stalled_s() / 2 > 0]
+            dead = [one for one in dead if one.stalled_s() > 2 * _STALLED_S and one.shut_down()]
         if dead:
             self._lost(None)

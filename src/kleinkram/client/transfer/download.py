@@ -148,7 +148,7 @@ def _check_room(plan: DownloadPlan) -> None:
         raise DiskFull(path=os.fspath(dest), reason=f"{needed} bytes are needed and {free} are free")
 
 
-class _Range(NamedTuple):
+class _FileRange(NamedTuple):
     """A range of a file to fetch, both ends inclusive."""
 
     fetching: PartialFile
@@ -183,7 +183,7 @@ class Downloader:
         self._ended = ended
         self._under_way = Budget(self._stop, _FILES_UNDER_WAY)
         self._ahead = Budget(self._stop, _RANGES_AHEAD)
-        self._ranges: WorkQueue[_Range] = WorkQueue(self._stop)
+        self._ranges: WorkQueue[_FileRange] = WorkQueue(self._stop)
         self._targets: dict[uuid.UUID, DownloadTarget] = {}
         self._open: dict[uuid.UUID, PartialFile] = {}
 
@@ -274,7 +274,7 @@ class Downloader:
                     break
                 self._ahead.acquire(1)
                 fetching.add_range()
-                self._ranges.put(_Range(fetching, number, first, last))
+                self._ranges.put(_FileRange(fetching, number, first, last))
             self._count_done(fetching)
 
     # -- fetching: the other threads ----------------------------------------------------------------------------------
@@ -294,7 +294,7 @@ class Downloader:
                 self._ahead.release(1)
                 self._count_done(fetching)
 
-    def _fetch(self, part: _Range, place: int) -> None:
+    def _fetch(self, part: _FileRange, place: int) -> None:
         fetching, offset, refusals = part.fetching, part.first, 0
         backoff = Backoff(PATIENCE_S, self._stop.wait)
         while offset <= part.last:
@@ -320,7 +320,7 @@ class Downloader:
             else:
                 raise TransferFailed(path=fetching.link.path, reason=result.reason)
 
-    def _get(self, part: _Range, offset: int) -> tuple[GetResult, int]:
+    def _get(self, part: _FileRange, offset: int) -> tuple[GetResult, int]:
         """Write the bytes from an offset to the range's end; return the store's answer and the offset reached."""
         began_at, began_offset = time.monotonic(), offset
         result = self._store.get(part.fetching.link.url, offset, part.last, SLICE_BYTES)
