@@ -17,8 +17,8 @@ NOW = datetime.datetime(2026, 5, 1, tzinfo=datetime.timezone.utc)
 
 def file_read(path: str, *, mission: str = "day", project: str = "alps", content: bytes = b"") -> FileRead:
     """A file as a server, honest or not, may describe it."""
-    given: dict[str, object] = dict.fromkeys(FileRead.model_fields)
-    given |= {
+    fields: dict[str, object] = dict.fromkeys(FileRead.model_fields)
+    fields |= {
         "id": uuid.uuid4(),
         "mission": MissionRef(id=uuid.uuid4(), name=mission, project=ProjectRef(id=uuid.uuid4(), name=project)),
         "path": path,
@@ -35,7 +35,7 @@ def file_read(path: str, *, mission: str = "day", project: str = "alps", content
         "facts": [],
         "etag": "0" * 16,
     }
-    return FileRead.model_validate(given)
+    return FileRead.model_validate(fields)
 
 
 def link_to(file: FileRead, *, sha256: str | None, crc64nvme: str | None = None) -> DownloadLink:
@@ -54,9 +54,9 @@ def link_to(file: FileRead, *, sha256: str | None, crc64nvme: str | None = None)
 
 def mission_read(name: str, *, project: str = "alps") -> MissionRead:
     """A mission without files."""
-    given: dict[str, object] = dict.fromkeys(MissionRead.model_fields)
-    given |= dict.fromkeys(("file_count", "size_bytes", "message_count", "pending_file_count"), 0)
-    given |= {
+    fields: dict[str, object] = dict.fromkeys(MissionRead.model_fields)
+    fields |= dict.fromkeys(("file_count", "size_bytes", "message_count", "pending_file_count"), 0)
+    fields |= {
         "etag": "0" * 16,
         "id": uuid.uuid4(),
         "name": name,
@@ -69,7 +69,7 @@ def mission_read(name: str, *, project: str = "alps") -> MissionRead:
         "recordings_current": True,
         "right": Right.write,
     }
-    return MissionRead.model_validate(given)
+    return MissionRead.model_validate(fields)
 
 
 def action_read(name: str, *, project: str | None = None, number: int = 1) -> ActionRead:
@@ -94,8 +94,8 @@ def action_read(name: str, *, project: str | None = None, number: int = 1) -> Ac
 
 def run_detail(state: RunState, **more: object) -> RunDetail:
     """A run of a script on a mission."""
-    given: dict[str, object] = dict.fromkeys(RunDetail.model_fields)
-    given |= {
+    fields: dict[str, object] = dict.fromkeys(RunDetail.model_fields)
+    fields |= {
         "id": uuid.uuid4(),
         "mission": MissionRef(id=uuid.uuid4(), name="day", project=ProjectRef(id=uuid.uuid4(), name="alps")),
         "action": ActionRef(id=uuid.uuid4(), name="look", version=1),
@@ -120,4 +120,4 @@ def run_detail(state: RunState, **more: object) -> RunDetail:
         "previews": [],
         "samples": [],
     }
-    return RunDetail.model_validate(given | more)
+    return RunDetail.model_validate(fields | more)

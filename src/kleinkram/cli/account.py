@@ -153,8 +153,7 @@ def create_token(
     name: Annotated[str, argument("NAME", "Name of the token, such as its purpose.")],
     kind: Annotated[TokenKind, option("--kind", None, "Set who uses it.")] = TokenKind.personal,
     scope: Annotated[
-        list[Scope] | None,
-        option("--scope", None, "Allow this; repeatable. Default: write, for robots upload."),
+        list[Scope] | None, option("--scope", None, "Allow this; repeatable. Default: write, for robots upload.")
     ] = None,
     project: Annotated[Many, option("--project -p", "PROJECT", "Limit it to this project; repeatable.")] = None,
     mission: Annotated[Many, option("--mission -m", "PROJECT/MISSION", "Limit it to this mission; repeatable.")] = None,
@@ -261,8 +260,7 @@ def create_share(
     name: Annotated[Text, option("--name", None, "Name the link, such as by its purpose.")] = None,
     until: Until = None,
     days: Annotated[
-        int | None,
-        option("--days", "N", f"Set that it ends in N days. Default: {_DEFAULT_DAYS}.", min=1, max=3650),
+        int | None, option("--days", "N", f"Set that it ends in N days. Default: {_DEFAULT_DAYS}.", min=1, max=3650)
     ] = None,
     as_json: AsJson = False,
 ) -> None:

@@ -61,13 +61,7 @@ _CLASSES: dict[ExitCode, tuple[type[KleinkramError], ...]] = {
         local.ReadingMissing,
         NotConfirmed,
     ),
-    ExitCode.not_found: (
-        remote.NotFound,
-        remote.UploadGone,
-        remote.NoInputs,
-        local.NoSuchEndpoint,
-        local.NothingToDo,
-    ),
+    ExitCode.not_found: (remote.NotFound, remote.UploadGone, remote.NoInputs, local.NoSuchEndpoint, local.NothingToDo),
     ExitCode.not_allowed: (
         remote.NotAuthenticated,
         remote.SignInPending,

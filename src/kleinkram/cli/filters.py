@@ -39,8 +39,7 @@ class Choice:
         Many, option("--state", "STATE", "Select by state of the bytes: stored, verified, lost, corrupt.")
     ] = None
     content: Annotated[
-        Many,
-        option("--content", "STATE", "Select by content: pending, indexed, recovered, broken, opaque, error."),
+        Many, option("--content", "STATE", "Select by content: pending, indexed, recovered, broken, opaque, error.")
     ] = None
     after: Annotated[Text, option("--after", "TIME", "Select files recorded after TIME.")] = None
     before: Annotated[Text, option("--before", "TIME", "Select files recorded before TIME.")] = None

@@ -123,8 +123,7 @@ def resolve_data_dir(data_dir: Path | None) -> Path:
 app = Noun("Create, list, verify and forget backups of a whole site.")
 _CONNECTIONS = 8
 Place = Annotated[
-    str,
-    argument("PLACE", "A folder, or s3://bucket/folder (KLEINKRAM_BACKUP_S3_URL, _S3_ACCESS_KEY, _S3_SECRET_KEY)."),
+    str, argument("PLACE", "A folder, or s3://bucket/folder (KLEINKRAM_BACKUP_S3_URL, _S3_ACCESS_KEY, _S3_SECRET_KEY).")
 ]
 PassphraseFile = Annotated[
     Path | None,

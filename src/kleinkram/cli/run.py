@@ -29,15 +29,7 @@ from kleinkram.cli.options import (
     option,
 )
 from kleinkram.cli.render import note, show_count, show_json, show_json_list, show_rows
-from kleinkram.cli.run_view import (
-    action_name,
-    follow,
-    mission_name,
-    show_results,
-    show_run,
-    show_runs,
-    write_log,
-)
+from kleinkram.cli.run_view import action_name, follow, mission_name, show_results, show_run, show_runs, write_log
 from kleinkram.cli.transfer import end_transfer, run_transfer
 from kleinkram.cli.units import count, instant, size
 from kleinkram.client import Client

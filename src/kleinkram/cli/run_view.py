@@ -6,7 +6,7 @@ import sys
 import threading
 import uuid
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Protocol, TextIO
+from typing import TYPE_CHECKING, TextIO
 
 import typer
 
@@ -170,49 +170,32 @@ def write_log(text: str, stream: TextIO) -> None:
     stream.flush()
 
 
-class View(Protocol):
-    """Where a run is shown while it lasts."""
+class RunView:
+    """Shows a run on stderr while it lasts: its log, and its state in a line below, or a line at each change."""
 
-    def show_state(self, run: RunDetail) -> None:
-        """Show the current state."""
-
-    def show_log(self, text: str) -> None:
-        """Show more of the log."""
-
-
-class StateLines:
-    """Prints a line at each change of state, and the log unchanged."""
-
-    def __init__(self) -> None:
+    def __init__(self, console: "Console | None" = None, status: "Status | None" = None) -> None:
+        self._console = console
+        self._status = status
         self._last = ""
 
     def show_state(self, run: RunDetail) -> None:
-        """Print the state if it is new."""
+        """Show the current state."""
+        where = f" on {run.runner}" if run.runner and run.state is not RunState.queued else ""
+        if self._status is not None:
+            from rich.markup import escape as escape_markup
+
+            self._status.update(escape_markup(escape(status_text(run) + where)))
+            return
         now = run.state.value if run.state is RunState.running else status_text(run)
         if now != self._last and run.ended_at is None:
-            note(f"{now}{_where(run)}")
+            note(now + where)
         self._last = now
 
     def show_log(self, text: str) -> None:
-        """Print more of the log."""
-        write_log(text, sys.stderr)
-
-
-class StatusBar:
-    """Shows the log, and below it a line with the state."""
-
-    def __init__(self, console: "Console", status: "Status") -> None:
-        self._console = console
-        self._status = status
-
-    def show_state(self, run: RunDetail) -> None:
-        """Update the line."""
-        from rich.markup import escape as escape_markup
-
-        self._status.update(escape_markup(escape(f"{status_text(run)}{_where(run)}")))
-
-    def show_log(self, text: str) -> None:
-        """Print above the line."""
+        """Show more of the log."""
+        if self._console is None:
+            write_log(text, sys.stderr)
+            return
         from rich.text import Text
 
         self._console.print(Text.from_ansi(harmless(text.removesuffix("\n"))), soft_wrap=True)
@@ -235,7 +218,7 @@ def follow(client: Client, run_id: uuid.UUID) -> RunDetail:
     return run
 
 
-def _follow(client: Client, run_id: uuid.UUID, view: View) -> RunDetail:
+def _follow(client: Client, run_id: uuid.UUID, view: RunView) -> RunDetail:
     failures: list[KleinkramError] = []
 
     def show_log() -> None:
@@ -260,16 +243,12 @@ def _follow(client: Client, run_id: uuid.UUID, view: View) -> RunDetail:
 
 
 @contextlib.contextmanager
-def _viewing() -> Iterator[View]:
+def _viewing() -> Iterator[RunView]:
     if not sys.stderr.isatty():
-        yield StateLines()
+        yield RunView()
         return
     from rich.console import Console
 
     console = Console(stderr=True)
     with console.status("asking") as status:
-        yield StatusBar(console, status)
-
-
-def _where(run: RunDetail) -> str:
-    return f" on {run.runner}" if run.runner and run.state is not RunState.queued else ""
+        yield RunView(console, status)

@@ -39,14 +39,7 @@ from kleinkram.cli.options import (
 from kleinkram.cli.render import escape, moment, note, show_json, table
 from kleinkram.cli.units import count, parse_rate, size
 from kleinkram.client import Client
-from kleinkram.client.errors import (
-    ClientError,
-    InvalidInput,
-    NothingToDo,
-    ServerUnreachable,
-    TimedOut,
-    request_id_of,
-)
+from kleinkram.client.errors import ClientError, InvalidInput, NothingToDo, ServerUnreachable, TimedOut, request_id_of
 from kleinkram.client.transfer import (
     CONNECTIONS,
     FileVerdict,
@@ -161,12 +154,7 @@ def _upload(
     mission_id = target.id
     report, elapsed_s = run_transfer(
         lambda watcher: upload_files(
-            client,
-            mission_id,
-            plan,
-            connections=options.connections,
-            bytes_per_s=options.bytes_per_s,
-            watcher=watcher,
+            client, mission_id, plan, connections=options.connections, bytes_per_s=options.bytes_per_s, watcher=watcher
         )
     )
     _show_summary(report, elapsed_s)

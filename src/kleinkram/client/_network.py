@@ -24,13 +24,7 @@ from urllib3.connectionpool import HTTPConnectionPool, HTTPSConnectionPool
 # As shown to users: the kernel's timers below end 13 to 15 seconds after the last answer.
 SILENCE_S = 15
 # Linux has all but TCP_KEEPALIVE, which is what macOS calls TCP_KEEPIDLE.
-_TCP_OPTIONS = {
-    "TCP_KEEPIDLE": 5,
-    "TCP_KEEPALIVE": 5,
-    "TCP_KEEPINTVL": 3,
-    "TCP_KEEPCNT": 3,
-    "TCP_USER_TIMEOUT": 13_000,
-}
+_TCP_OPTIONS = {"TCP_KEEPIDLE": 5, "TCP_KEEPALIVE": 5, "TCP_KEEPINTVL": 3, "TCP_KEEPCNT": 3, "TCP_USER_TIMEOUT": 13_000}
 # For a peer that acknowledges and takes nothing, such as a store with a busy disk: Linux counts that as silence, too.
 _BUSY_TIMEOUT_MS = 120_000
 _LOOK_EVERY_S = 0.25

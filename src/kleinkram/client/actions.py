@@ -48,12 +48,7 @@ class Actions(NamedResource[ActionRead]):
     _noun = "action"
 
     def list(
-        self,
-        *,
-        name: str | None = None,
-        project: Ref | None = None,
-        archived: bool = False,
-        limit: int | None = None,
+        self, *, name: str | None = None, project: Ref | None = None, archived: bool = False, limit: int | None = None
     ) -> Listing[ActionRead]:
         """Yield actions by name, which may be a glob; with a project, its own and the whole lab's.
 

@@ -73,11 +73,7 @@ class Projects(NamedResource[ProjectRead]):
         return self._api.send("POST", "/projects", ProjectRead, body)
 
     def update(
-        self,
-        project_id: Ref,
-        *,
-        if_match: str | None = None,
-        **changes: str | bool | int | MetadataFields | None,
+        self, project_id: Ref, *, if_match: str | None = None, **changes: str | bool | int | MetadataFields | None
     ) -> ProjectRead:
         """Change some fields of `ProjectUpdate` and return the project; a quota of None removes it.
 

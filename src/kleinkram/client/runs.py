@@ -153,11 +153,7 @@ class Runs(ApiResource):
         return self._api.get(f"/runs/{_run_id(run_id)}", RunDetail)
 
     def wait(
-        self,
-        run_id: Ref,
-        *,
-        timeout_s: float | None = None,
-        seen: Callable[[RunDetail], None] | None = None,
+        self, run_id: Ref, *, timeout_s: float | None = None, seen: Callable[[RunDetail], None] | None = None
     ) -> RunDetail:
         """Return a run once it has ended; `seen` is called with each state. On TimedOut the run goes on."""
         began_at, pause_s = time.monotonic(), _FIRST_LOOK_S

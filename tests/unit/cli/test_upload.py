@@ -37,6 +37,6 @@ def test_ctrl_c_ends_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_one_that_fails_does_not_stop_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     begun, run = _upload(tmp_path, NotFound(noun="mission", ref="a"), monkeypatch)
-    told, code = run()
+    result, code = run()
     assert (begun, code) == (["a", "b"], ExitCode.not_found)
-    assert [item["mission"] for item in told["items"]] == ["a", "b"]
+    assert [item["mission"] for item in result["items"]] == ["a", "b"]

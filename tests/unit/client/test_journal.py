@@ -150,7 +150,7 @@ def test_a_journal_that_is_there_is_read_though_there_are_files_to_spare() -> No
     assert remembered.upload_id == upload_id
 
 
-def test_what_a_killed_process_left_to_spare_is_removed_and_its_journals_are_kept() -> None:
+def test_spare_files_of_a_killed_process_are_removed_and_its_journals_stay() -> None:
     killed = Journals()
     for journal in [reopened(killed, other(number)) for number in range(3)]:
         journal.forget()

@@ -4,14 +4,7 @@ from kleinkram.client.transfer.destination import DownloadPlan, DownloadTarget, 
 from kleinkram.client.transfer.download import download
 from kleinkram.client.transfer.local_file import FileVerdict, Verdict, verify_local, verify_remote
 from kleinkram.client.transfer.plan import LocalFile, UploadPlan, plan_upload
-from kleinkram.client.transfer.report import (
-    CONNECTIONS,
-    LinkReport,
-    Outcome,
-    TransferReport,
-    TransferResult,
-    Watcher,
-)
+from kleinkram.client.transfer.report import CONNECTIONS, LinkReport, Outcome, TransferReport, TransferResult, Watcher
 from kleinkram.client.transfer.upload import upload
 
 __all__ = [

@@ -32,15 +32,7 @@ from kleinkram.client.transfer.upload_pipeline import FileUpload, UploadPipeline
 from kleinkram.client.uploads import Uploads
 from kleinkram.contract.errors import KleinkramError, NameLeased, QuotaExceeded, UploadGone
 from kleinkram.contract.problems import from_problem
-from kleinkram.contract.uploads import (
-    MIN_PART_BYTES,
-    HashFirst,
-    Refused,
-    Send,
-    UploadDecision,
-    UploadFile,
-    UploadRead,
-)
+from kleinkram.contract.uploads import MIN_PART_BYTES, HashFirst, Refused, Send, UploadDecision, UploadFile, UploadRead
 
 _FIRST_BATCH_FILES = 16
 _BATCH_FILES = 100
