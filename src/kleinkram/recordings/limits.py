@@ -17,14 +17,13 @@ READ_AHEAD = 2 * 2**20
 """Bytes that a scan asks for at a time."""
 
 MAX_CHUNK_BYTES = 128 * 2**20
-"""Bytes of a chunk, stored or uncompressed, that are held in memory; a larger chunk is not read. MCAP and bag writers
-make chunks of about 1 MB, or of one message where that is larger."""
+"""Bytes of a chunk, stored or uncompressed; a larger one is not read. Writers make chunks of about 1 MB."""
 
 LOOK_AHEAD = 16 * 2**20
 """How far a scan searches for a record behind a chunk that claims to reach beyond the end of the file."""
 
 TAIL = 64 * 2**10
-"""Bytes read at the end of a file at once, hoping that they hold the whole summary."""
+"""Bytes read at the end of a file at once, which usually hold the whole summary."""
 
 MAX_TAKE = 8 * 2**20
 """Bytes of one record that are held in memory (index records, connection headers, the head of any other record)."""

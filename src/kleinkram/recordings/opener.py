@@ -13,7 +13,6 @@ from kleinkram.recordings.combine_summaries import combine, combine_folder
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import NotARecording, SeveralRecordings
 from kleinkram.recordings.formats.base import ChunkedMember, Member, OpenContext, RecordingFile
-from kleinkram.recordings.formats.documents import UNKNOWN
 from kleinkram.recordings.formats.registry import format_of
 from kleinkram.recordings.formats.rosbag2.database import LOG_SUFFIXES
 from kleinkram.recordings.formats.rosbag2.db3 import ROSBAG2_DB3
@@ -23,6 +22,7 @@ from kleinkram.recordings.formats.rosbag2.metadata import (
     compare_names,
     parse_rosbag2_metadata,
 )
+from kleinkram.recordings.formats.text_files import UNKNOWN
 from kleinkram.recordings.model import RecordingSummary
 from kleinkram.recordings.recording_groups import METADATA_NAME, read_folder, recording_of_metadata
 from kleinkram.recordings.sources import FileSource, Source, SourceReader
