@@ -7,8 +7,7 @@ import re
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-END_OF_TIME_NS = 2**64
-"""Behind every log time that a file can hold."""
+END_OF_TIME_NS = 2**64  # behind every log time that a file can hold
 
 
 @dataclass(frozen=True)

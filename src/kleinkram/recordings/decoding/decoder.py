@@ -131,7 +131,6 @@ def _in_order(files: dict[str, Any]) -> list[Any]:
 
 
 def _known_file(name: str) -> Any:
-    """Return the description of one of Google's own files."""
     from google.protobuf import (  # noqa: F401  # importing them makes them known to the default pool
         any_pb2,
         descriptor_pb2,

@@ -61,7 +61,6 @@ class _Scope:
     constants: dict[str, ConstantValue] = field(default_factory=dict)
 
     def declares(self, path: str) -> bool:
-        """Return whether a path names a type."""
         return path in self.typedefs or path in self.structs or path in self.enums
 
 
@@ -111,7 +110,6 @@ class _Definitions:
         return None
 
     def get(self, path: str) -> Definition:
-        """Return the definition of a struct that is there."""
         if path not in self._built:
             fields = tuple(self._unalias(text, path) for text in self._scope.structs[path])
             self._built[path] = Definition(path, fields, constants_of(self._constants.get(f"{path}_Constants", {})))
@@ -156,8 +154,6 @@ def _tokens(text: str) -> list[str]:
 
 
 class _IdlParser:
-    """Parses the tokens of one file into a scope."""
-
     def __init__(self, text: str, scope: _Scope) -> None:
         self._tokens = _tokens(text)
         self._at = 0

@@ -236,7 +236,6 @@ def _view(shape: tuple[int, ...], dtype: Any, data: Any, strides: tuple[int, ...
 
 
 def _point_type(value: object, step: int, types: dict[int, str], key: str, order: str) -> Any:
-    """Return the dtype of a point."""
     import numpy as np
 
     name = type_name(value)

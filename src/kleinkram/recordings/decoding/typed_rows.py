@@ -180,7 +180,6 @@ class _ColumnReader:
         self._order = order
 
     def array(self, node: Node, kind: Type) -> Any:
-        """Return the values of one node in all rows."""
         if isinstance(node, Number):
             return arrow_of(self._numbers(node.offset, 1, node.kind))
         if isinstance(node, Text):
@@ -246,7 +245,6 @@ class _ColumnReader:
         return pa.array([str(row.tobytes(), "utf-8", "replace") for row in cut], pa.string())
 
     def _strings(self, length: int, joined: Any) -> Any:
-        """Return consecutive texts of `length` bytes each."""
         buffers = [None, pa.py_buffer(self._offsets(length)), pa.py_buffer(joined)]
         return pa.Array.from_buffers(pa.string(), len(self._rows), buffers)
 

@@ -141,7 +141,6 @@ def parse_fields(text: str) -> list[UlogField]:
 
 
 def _size_of(formats: Mapping[str, str], type_name: str, depth: int = 0) -> int:
-    """Return the bytes of a type."""
     if type_name in _SIZES:
         return _SIZES[type_name]
     if depth == _MAX_NESTING:

@@ -264,7 +264,6 @@ def _orientation(seconds: float) -> tuple[float, float, float, float]:
 
 
 def _picture(number: int) -> bytes:
-    """Return a picture of a bright disc that moves over a gradient."""
     centre = _COLUMNS * (number + 0.5) / _PICTURES
     rows = range(_ROWS)
     return mosaic_jpeg(
