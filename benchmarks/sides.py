@@ -23,9 +23,8 @@ from benchmarks.side import Facts, main
 from kleinkram.client import connect
 from kleinkram.client.transfer import download, plan_download, plan_upload, upload
 from kleinkram.client.transfer.upload import CONNECTIONS
-from kleinkram.contract.checksums import crc64nvme
 from kleinkram.contract.files import DownloadLink, FileFilter
-from kleinkram.contract.uploads import ChecksumKind, part_size_bytes
+from kleinkram.contract.uploads import ChecksumKind, crc64nvme, part_size_bytes
 from kleinkram.recordings import CountingSource, summarise
 from kleinkram.recordings.http_source import HttpSource
 from kleinkram.recordings.limits import PARALLEL_READS

@@ -13,7 +13,7 @@ from pydantic_core import PydanticUndefined
 
 from kleinkram.cli.errors import EXIT_CODES, ExitCode
 from kleinkram.cli.main import app as cli
-from kleinkram.contract.rights import Scope
+from kleinkram.contract.access import Scope
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS, Permission, ResourceKind
 from kleinkram.server.app import ROUTERS, create_app
 from kleinkram.server.settings import Settings

@@ -21,9 +21,9 @@ from pydantic import (
 )
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
-from kleinkram.contract.emails import EmailDomain
+from kleinkram.contract.access import Right
 from kleinkram.contract.names import Name, name_key
-from kleinkram.contract.rights import Right
+from kleinkram.contract.people import EmailDomain
 
 Seconds = Annotated[float, Field(gt=0)]
 PerMinute = Annotated[int, Field(ge=0)]
@@ -111,120 +111,102 @@ class Settings(BaseSettings):
     # Errors do not contain the value: it may be a password.
     model_config = SettingsConfigDict(env_prefix="KLEINKRAM_", frozen=True, extra="ignore", hide_input_in_errors=True)
 
-    database_url: Annotated[
-        PostgresDsn,
-        Field(repr=False, description="PostgreSQL URL of the serving role, which has no rights on the schema."),
-    ]
-    migration_database_url: Annotated[
-        PostgresDsn | None,
-        Field(
-            repr=False,
-            description="PostgreSQL URL of the role that owns the schema; for `migrate`, backups and `check`.",
-        ),
-    ] = None
-    database_password: Annotated[
-        SecretStr | None, Field(description="Password for `DATABASE_URL`, if that has none.")
-    ] = None
-    migration_database_password: Annotated[
-        SecretStr | None, Field(description="Password for `MIGRATION_DATABASE_URL`, if that has none.")
-    ] = None
-    serving_role: Annotated[
-        str,
-        Field(pattern=r"^[a-z_][a-z0-9_]*$", description="The role in `DATABASE_URL`; migrations grant rights to it."),
-    ] = "kleinkram_serve"
-    database_connections: Annotated[
-        int,
-        Field(
-            ge=2,
-            le=200,
-            description="Connections in the pool of a process. An API process opens 2 more, a worker 13 more.",
-        ),
-    ] = 8
-
-    s3_internal_url: Annotated[str, Field(description="URL of the store, as this server reaches it.")]
-    s3_public_url: Annotated[
-        str | None,
-        Field(description="URL of the store, as clients reach it: part of every signature. Default: the internal URL."),
-    ] = None
-    s3_bucket: Annotated[str, Field(min_length=3, description="The bucket; it must exist.")] = "kleinkram"
-    s3_region: Annotated[str, Field(description="Region in signatures.")] = "us-east-1"
-    s3_access_key: Annotated[str, Field(description="Access key that may read, write and list the bucket.")]
-    s3_secret_key: Annotated[SecretStr, Field(description="Secret key of the access key.")]
-    s3_ca_file: Annotated[
-        Path | None, Field(description="Certificate of the store's certificate authority, if that is private.")
-    ] = None
-    s3_cors: Annotated[
-        Literal["set", "leave"],
-        Field(
-            description="`set`: the API writes the bucket's CORS rules at start, for its own pages and the viewers; "
-            "`leave`: you write them."
-        ),
-    ] = "set"
-    store_id: Annotated[
-        str,
-        Field(
-            description="Name of the bucket in the database. Do not change it after the first start, also not when the "
-            "files move to another store."
-        ),
-    ] = "main"
-
-    store_folder: Annotated[
-        Path | None,
-        Field(description="A folder on the store's disk, if it is on this machine, to report free space."),
-    ] = None
-
-    public_url: Annotated[str, Field(description="URL of this server, as clients reach it.")] = "http://127.0.0.1:8000"
-    lab_name: Annotated[str, Field(min_length=1, max_length=64, description="Name of this server on its pages.")] = (
-        "Kleinkram"
+    database_url: PostgresDsn = Field(
+        repr=False, description="PostgreSQL URL of the serving role, which has no rights on the schema."
     )
-    viewers: Annotated[
-        tuple[Viewer, ...],
-        Field(
-            description="External pages that can open a recording by its URL: a JSON list of "
-            '{"name": "Lichtblick", "url": "https://lichtblick.example/?ds=remote-file&ds.url={url}"}; `[]` for none.'
-        ),
-    ] = (Viewer(name="Foxglove", url="https://app.foxglove.dev/~/view?ds=remote-file&ds.url={url}"),)
-    owner_token_file: Annotated[
-        Path | None, Field(description="File with the local owner's token, mode 0600; written by `klein up`.")
-    ] = None
-    oidc_providers: Annotated[
-        tuple[OidcProvider, ...],
-        Field(description="OpenID Connect providers: a JSON list (see the sign-in page)."),
-    ] = ()
-    local_accounts: Annotated[bool, Field(description="Whether people can sign in with an address and a password.")] = (
-        True
+    migration_database_url: PostgresDsn | None = Field(
+        default=None,
+        repr=False,
+        description="PostgreSQL URL of the role that owns the schema; for `migrate`, backups and `check`.",
     )
-    session_idle_s: Annotated[
-        Seconds, Field(description="Seconds without use after which a browser is signed out.")
-    ] = 14 * 86_400
-    session_s: Annotated[Seconds, Field(description="Seconds after sign-in after which a browser is signed out.")] = (
-        90 * 86_400
+    database_password: SecretStr | None = Field(
+        default=None, description="Password for `DATABASE_URL`, if that has none."
     )
-    login_token_days: Annotated[
-        int, Field(ge=1, le=3650, description="Lifetime of tokens from `klein login`, in days.")
-    ] = 90
-    token_days_default: Annotated[int, Field(ge=1, le=3650, description="Default lifetime of tokens, in days.")] = 90
-    token_days_max: Annotated[
-        int,
-        Field(
-            ge=0,
-            le=3650,
-            description="Maximum lifetime of tokens, and default lifetime of runner tokens, in days; "
-            "0: any lifetime, and tokens without an end.",
-        ),
-    ] = 365
-    fresh_sign_in_s: Annotated[
-        Seconds,
-        Field(
-            description="Seconds after sign-in in which people may change passwords, second factors, sign-in methods "
-            "(admins also those of others), and create tokens with the scope admin; then they sign in again."
-        ),
-    ] = 900
-    owner_link_s: Annotated[
-        Seconds, Field(description="Lifetime of sign-in links for the owner of `klein up`, in seconds.")
-    ] = 900
-    invitation_s: Annotated[Seconds, Field(description="Lifetime of invitations, in seconds.")] = 7 * 86_400
-    reset_link_s: Annotated[Seconds, Field(description="Lifetime of password reset links, in seconds.")] = 86_400
+    migration_database_password: SecretStr | None = Field(
+        default=None, description="Password for `MIGRATION_DATABASE_URL`, if that has none."
+    )
+    serving_role: str = Field(
+        default="kleinkram_serve",
+        pattern=r"^[a-z_][a-z0-9_]*$",
+        description="The role in `DATABASE_URL`; migrations grant rights to it.",
+    )
+    database_connections: int = Field(
+        default=8,
+        ge=2,
+        le=200,
+        description="Connections in the pool of a process. An API process opens 2 more, a worker 13 more.",
+    )
+
+    s3_internal_url: str = Field(description="URL of the store, as this server reaches it.")
+    s3_public_url: str | None = Field(
+        default=None,
+        description="URL of the store, as clients reach it: part of every signature. Default: the internal URL.",
+    )
+    s3_bucket: str = Field(default="kleinkram", min_length=3, description="The bucket; it must exist.")
+    s3_region: str = Field(default="us-east-1", description="Region in signatures.")
+    s3_access_key: str = Field(description="Access key that may read, write and list the bucket.")
+    s3_secret_key: SecretStr = Field(description="Secret key of the access key.")
+    s3_ca_file: Path | None = Field(
+        default=None, description="Certificate of the store's certificate authority, if that is private."
+    )
+    s3_cors: Literal["set", "leave"] = Field(
+        default="set",
+        description="`set`: the API writes the bucket's CORS rules at start, for its own pages and the viewers; "
+        "`leave`: you write them.",
+    )
+    store_id: str = Field(
+        default="main",
+        description="Name of the bucket in the database. Do not change it after the first start, also not when the "
+        "files move to another store.",
+    )
+
+    store_folder: Path | None = Field(
+        default=None, description="A folder on the store's disk, if it is on this machine, to report free space."
+    )
+
+    public_url: str = Field(default="http://127.0.0.1:8000", description="URL of this server, as clients reach it.")
+    lab_name: str = Field(
+        default="Kleinkram", min_length=1, max_length=64, description="Name of this server on its pages."
+    )
+    viewers: tuple[Viewer, ...] = Field(
+        default=(Viewer(name="Foxglove", url="https://app.foxglove.dev/~/view?ds=remote-file&ds.url={url}"),),
+        description="External pages that can open a recording by its URL: a JSON list of "
+        '{"name": "Lichtblick", "url": "https://lichtblick.example/?ds=remote-file&ds.url={url}"}; `[]` for none.',
+    )
+    owner_token_file: Path | None = Field(
+        default=None, description="File with the local owner's token, mode 0600; written by `klein up`."
+    )
+    oidc_providers: tuple[OidcProvider, ...] = Field(
+        default=(), description="OpenID Connect providers: a JSON list (see the sign-in page)."
+    )
+    local_accounts: bool = Field(default=True, description="Whether people can sign in with an address and a password.")
+    session_idle_s: Seconds = Field(
+        default=14 * 86_400, description="Seconds without use after which a browser is signed out."
+    )
+    session_s: Seconds = Field(
+        default=90 * 86_400, description="Seconds after sign-in after which a browser is signed out."
+    )
+    login_token_days: int = Field(
+        default=90, ge=1, le=3650, description="Lifetime of tokens from `klein login`, in days."
+    )
+    token_days_default: int = Field(default=90, ge=1, le=3650, description="Default lifetime of tokens, in days.")
+    token_days_max: int = Field(
+        default=365,
+        ge=0,
+        le=3650,
+        description="Maximum lifetime of tokens, and default lifetime of runner tokens, in days; "
+        "0: any lifetime, and tokens without an end.",
+    )
+    fresh_sign_in_s: Seconds = Field(
+        default=900,
+        description="Seconds after sign-in in which people may change passwords, second factors, sign-in methods "
+        "(admins also those of others), and create tokens with the scope admin; then they sign in again.",
+    )
+    owner_link_s: Seconds = Field(
+        default=900, description="Lifetime of sign-in links for the owner of `klein up`, in seconds."
+    )
+    invitation_s: Seconds = Field(default=7 * 86_400, description="Lifetime of invitations, in seconds.")
+    reset_link_s: Seconds = Field(default=86_400, description="Lifetime of password reset links, in seconds.")
 
     trusted_proxies: Annotated[
         tuple[Network, ...],
@@ -241,101 +223,86 @@ class Settings(BaseSettings):
             "Default: this machine."
         ),
     ] = (ipaddress.IPv4Network("127.0.0.0/8"), ipaddress.IPv6Network("::1/128"))
-    metrics_port: Annotated[
-        int | None,
-        Field(
-            ge=0,
-            le=65535,
-            description="Port for Prometheus metrics, a different one for each process; `--metrics-port` overrides it. "
-            "Default: no metrics.",
-        ),
-    ] = None
-    metrics_address: Annotated[
-        str,
-        Field(description="Address for metrics. They have no access control: use a private network."),
-    ] = "127.0.0.1"
-    log_format: Annotated[Literal["json", "text"], Field(description="Format of log lines.")] = "json"
-
-    affiliations: Annotated[
-        tuple[Affiliation, ...],
-        Field(
-            description="Groups of people with a verified address in exactly these domains: a JSON list of "
-            '{"name": "Lab", "domains": ["lab.example"], "default_right": "READ"}; the right is for new projects.'
-        ),
-    ] = ()
-    creators: Annotated[
-        Creators,
-        Field(
-            description="Who may create projects and groups: `affiliated` people (everybody if there are no "
-            "affiliations), `everybody` or `admins`."
-        ),
-    ] = "affiliated"
-
-    body_limit_bytes: Annotated[int, Field(ge=65_536, description="Maximum size of a request body.")] = 4 * 1024 * 1024
-    connections_per_address: Annotated[
-        int,
-        Field(
-            ge=16,
-            description="Maximum connections of an address to one API process; trusted proxies have no limit.",
-        ),
-    ] = 512
-    sign_ins_per_minute: Annotated[
-        PerMinute,
-        Field(
-            description="Sign-in attempts per address; an account's are delayed above three times as many; 0: no limit."
-        ),
-    ] = 10
-    searches_per_minute: Annotated[
-        PerMinute,
-        Field(description="Searches and statistics per token, session or link; 0: no limit."),
-    ] = 300
-    downloads_per_minute: Annotated[
-        PerMinute, Field(description="Download requests (of up to 500 files) per token, session or link; 0: no limit.")
-    ] = 600
-    uploads_per_minute: Annotated[
-        PerMinute, Field(description="Upload requests per token, session or link; 0: no limit.")
-    ] = 600
-    verifications_per_minute: Annotated[
-        PerMinute, Field(description="Verification requests for files per token, session or link; 0: no limit.")
-    ] = 600
-    exports_per_minute: Annotated[
-        PerMinute, Field(description="Exports of the audit log per token, session or link; 0: no limit.")
-    ] = 6
-    upload_lease_s: Annotated[
-        Seconds, Field(description="Seconds for which an upload reserves its name after the last part was signed.")
-    ] = 60
-    upload_expires_s: Annotated[Seconds, Field(description="Seconds after which an unfinished upload expires.")] = (
-        7 * 86_400
+    metrics_port: int | None = Field(
+        default=None,
+        ge=0,
+        le=65535,
+        description="Port for Prometheus metrics, a different one for each process; `--metrics-port` overrides it. "
+        "Default: no metrics.",
     )
-    part_url_s: Annotated[Seconds, Field(description="Lifetime of upload URLs of parts, in seconds.")] = 900
-    download_url_s: Annotated[Seconds, Field(description="Lifetime of download URLs, in seconds.")] = 900
-    share_days_max: Annotated[int, Field(ge=1, le=3650, description="Maximum lifetime of share links, in days.")] = 90
-    trash_days: Annotated[int, Field(ge=0, description="Days for which deleted objects can be restored.")] = 30
-    sweep_grace_s: Annotated[
-        float,
-        Field(ge=0, description="Seconds between marking an unreferenced blob for deletion and deleting its object."),
-    ] = 3600
-    verify_bytes_per_s: Annotated[
-        int,
-        Field(
-            ge=1_048_576,
-            description="Rate at which one worker process reads blobs to verify them, in bytes per second.",
-        ),
-    ] = 100_000_000
-    reverify_days: Annotated[
-        int, Field(ge=0, description="Days after which a verified blob is verified again; 0: never.")
-    ] = 90
-    scrub_hours: Annotated[
-        float,
-        Field(
-            ge=0,
-            description="Hours between scrubs, which compare the store's list with the database; 0: only on request.",
-        ),
-    ] = 24
-    summary_memory_bytes: Annotated[
-        int, Field(ge=128 * 1024**2, description="Address space of the child process that reads recordings.")
-    ] = 1024**3
-    summary_timeout_s: Annotated[Seconds, Field(description="Maximum seconds for the summary of one recording.")] = 300
+    metrics_address: str = Field(
+        default="127.0.0.1", description="Address for metrics. They have no access control: use a private network."
+    )
+    log_format: Literal["json", "text"] = Field(default="json", description="Format of log lines.")
+
+    affiliations: tuple[Affiliation, ...] = Field(
+        default=(),
+        description="Groups of people with a verified address in exactly these domains: a JSON list of "
+        '{"name": "Lab", "domains": ["lab.example"], "default_right": "READ"}; the right is for new projects.',
+    )
+    creators: Creators = Field(
+        default="affiliated",
+        description="Who may create projects and groups: `affiliated` people (everybody if there are no "
+        "affiliations), `everybody` or `admins`.",
+    )
+
+    body_limit_bytes: int = Field(default=4 * 1024 * 1024, ge=65_536, description="Maximum size of a request body.")
+    connections_per_address: int = Field(
+        default=512,
+        ge=16,
+        description="Maximum connections of an address to one API process; trusted proxies have no limit.",
+    )
+    sign_ins_per_minute: PerMinute = Field(
+        default=10,
+        description="Sign-in attempts per address; an account's are delayed above three times as many; 0: no limit.",
+    )
+    searches_per_minute: PerMinute = Field(
+        default=300, description="Searches and statistics per token, session or link; 0: no limit."
+    )
+    downloads_per_minute: PerMinute = Field(
+        default=600, description="Download requests (of up to 500 files) per token, session or link; 0: no limit."
+    )
+    uploads_per_minute: PerMinute = Field(
+        default=600, description="Upload requests per token, session or link; 0: no limit."
+    )
+    verifications_per_minute: PerMinute = Field(
+        default=600, description="Verification requests for files per token, session or link; 0: no limit."
+    )
+    exports_per_minute: PerMinute = Field(
+        default=6, description="Exports of the audit log per token, session or link; 0: no limit."
+    )
+    upload_lease_s: Seconds = Field(
+        default=60, description="Seconds for which an upload reserves its name after the last part was signed."
+    )
+    upload_expires_s: Seconds = Field(
+        default=7 * 86_400, description="Seconds after which an unfinished upload expires."
+    )
+    part_url_s: Seconds = Field(default=900, description="Lifetime of upload URLs of parts, in seconds.")
+    download_url_s: Seconds = Field(default=900, description="Lifetime of download URLs, in seconds.")
+    share_days_max: int = Field(default=90, ge=1, le=3650, description="Maximum lifetime of share links, in days.")
+    trash_days: int = Field(default=30, ge=0, description="Days for which deleted objects can be restored.")
+    sweep_grace_s: float = Field(
+        default=3600,
+        ge=0,
+        description="Seconds between marking an unreferenced blob for deletion and deleting its object.",
+    )
+    verify_bytes_per_s: int = Field(
+        default=100_000_000,
+        ge=1_048_576,
+        description="Rate at which one worker process reads blobs to verify them, in bytes per second.",
+    )
+    reverify_days: int = Field(
+        default=90, ge=0, description="Days after which a verified blob is verified again; 0: never."
+    )
+    scrub_hours: float = Field(
+        default=24,
+        ge=0,
+        description="Hours between scrubs, which compare the store's list with the database; 0: only on request.",
+    )
+    summary_memory_bytes: int = Field(
+        default=1024**3, ge=128 * 1024**2, description="Address space of the child process that reads recordings."
+    )
+    summary_timeout_s: Seconds = Field(default=300, description="Maximum seconds for the summary of one recording.")
 
     @model_validator(mode="before")
     @classmethod
