@@ -7,7 +7,7 @@ from sqlalchemy import Select, exists, func, select, text
 from kleinkram.contract.runs import RunState
 from kleinkram.server.runners.eligibility import Needs
 from kleinkram.server.tables import blob, file, mission, project, run, upload
-from kleinkram.server.tables.upload import UNDER_WAY
+from kleinkram.server.tables.blobs import UNDER_WAY
 
 _SUM = func.coalesce(func.sum(blob.c.size_bytes), 0).label("size_bytes")
 QUEUE = text(

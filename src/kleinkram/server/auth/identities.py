@@ -25,7 +25,7 @@ from kleinkram.server.auth.sessions import renew_session
 from kleinkram.server.db import Connection
 from kleinkram.server.settings import OidcProvider, OpenTo
 from kleinkram.server.tables import identity, one_time_code, person, person_email
-from kleinkram.server.tables.signing_in import CodePurpose
+from kleinkram.server.tables.sign_in import CodePurpose
 
 # The maximum age of a password entry at a provider that was asked for reauthentication.
 _MAX_AUTH_AGE_S = 900

@@ -10,7 +10,7 @@ from sqlalchemy import ARRAY, ColumnElement, Select, Text, exists, func, literal
 from kleinkram.contract.files import BlobState, ContentState
 from kleinkram.server.db import among
 from kleinkram.server.tables import blob, file, log_chunk, run, run_artifact, run_input, upload
-from kleinkram.server.tables.run import ACTIVE
+from kleinkram.server.tables.runs import ACTIVE
 
 SMALL_BYTES = 100_000
 """Up to this size, a blob is read whole, once, for its summary and its verification."""

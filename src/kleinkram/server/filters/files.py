@@ -16,6 +16,7 @@ from sqlalchemy import (
     Text,
     and_,
     any_,
+    bindparam,
     cast,
     exists,
     func,
@@ -74,7 +75,7 @@ def file_conditions(actor: Actor, matching: FileFilter, plan: SearchPlan = NO_PL
         InvalidQuery: a `where` cannot be used.
     """
     if plan.matched is not None:
-        return [file.c.id == any_(literal(plan.matched.file_ids, Written("UUID")))]
+        return [file.c.id == any_(bindparam("matched_file_ids", type_=Written("UUID")))]
     words = words_of(matching.text)
     conditions = _field_conditions(actor, matching) + plan_conditions(plan)
     conditions += [file_contains(actor, plan, word) for word in words]

@@ -12,7 +12,7 @@ from kleinkram.server.missions.amounts import file_amounts
 from kleinkram.server.runners.eligibility import Needs
 from kleinkram.server.runs.queries import visible_runs
 from kleinkram.server.tables import action_version, blob, file, mission, project, run, scrub, upload
-from kleinkram.server.tables.upload import UNDER_WAY
+from kleinkram.server.tables.blobs import UNDER_WAY
 from kleinkram.server.uploads.queries import own_uploads
 
 # As the index of what ails says it.

@@ -32,7 +32,7 @@ from kleinkram.server.filters.missions import filter_projects
 from kleinkram.server.missions.amounts import duration, file_amounts
 from kleinkram.server.paging import Order
 from kleinkram.server.tables import mission, person, project, upload
-from kleinkram.server.tables.upload import UNDER_WAY
+from kleinkram.server.tables.blobs import UNDER_WAY
 
 
 def _amounts(*numbers: ColumnElement[Any]) -> Select[Any]:

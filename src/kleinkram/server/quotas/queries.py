@@ -9,7 +9,7 @@ from kleinkram.contract.rights import Scope
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_projects
 from kleinkram.server.tables import blob, file, mission, project, upload
-from kleinkram.server.tables.upload import UNDER_WAY
+from kleinkram.server.tables.blobs import UNDER_WAY
 
 # The first half of the keys of the locks below.
 _ROOM = 0x6B6C5155

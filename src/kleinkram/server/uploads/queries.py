@@ -14,8 +14,8 @@ from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.visible import visible_files, visible_missions
 from kleinkram.server.db import Connection, among
 from kleinkram.server.tables import blob, file, mission, run, upload
-from kleinkram.server.tables.run import HELD
-from kleinkram.server.tables.upload import UNDER_WAY
+from kleinkram.server.tables.blobs import UNDER_WAY
+from kleinkram.server.tables.runs import HELD
 
 
 class FileContent(NamedTuple):
