@@ -306,8 +306,8 @@ class Settings(BaseSettings):
     download_url_s: Annotated[Seconds, Field(description="How long the address of a file to fetch is good for.")] = 900
     share_days_max: Annotated[int, Field(ge=1, le=3650, description="How long a link may be good at most.")] = 90
     trash_days: Annotated[int, Field(ge=0, description="How long deleted things can be had back.")] = 30
-    sweep_grace_s: Annotated[
-        float, Field(ge=0, description="Between dooming an unreferenced blob and deleting its object.")
+    garbage_grace_s: Annotated[
+        float, Field(ge=0, description="Between marking an unreferenced blob and deleting its object.")
     ] = 3600
     verify_bytes_per_s: Annotated[
         int, Field(ge=1_048_576, description="How fast one worker process reads new blobs to verify them.")

@@ -51,13 +51,13 @@ def queued_runs() -> Select[Any]:
 
 def blobs_by_state() -> Select[Any]:
     """Return number and bytes of blobs by state."""
-    stmt = select(blob.c.state, func.count().label("number"), _SUM).where(blob.c.doomed_at.is_(None))
+    stmt = select(blob.c.state, func.count().label("number"), _SUM).where(blob.c.marked_for_deletion_at.is_(None))
     return stmt.group_by(blob.c.state).order_by(blob.c.state)
 
 
-def doomed_blobs() -> Select[Any]:
+def blobs_marked_for_deletion() -> Select[Any]:
     """Return number and bytes of blobs that nothing refers to: they go with the next sweeps."""
-    return select(func.count().label("number"), _SUM).where(blob.c.doomed_at.is_not(None))
+    return select(func.count().label("number"), _SUM).where(blob.c.marked_for_deletion_at.is_not(None))
 
 
 def trashed_blobs() -> Select[Any]:
@@ -70,7 +70,7 @@ def trashed_blobs() -> Select[Any]:
         project.c.id == mission.c.project_id,
         project.c.deleted_at.is_(None),
     )
-    stmt = select(func.count().label("number"), _SUM).where(blob.c.doomed_at.is_(None))
+    stmt = select(func.count().label("number"), _SUM).where(blob.c.marked_for_deletion_at.is_(None))
     return stmt.where(of_blob, ~live)
 
 

@@ -52,7 +52,7 @@ async def get_storage(db: Connection, settings: Settings) -> AdminStorage:
         blobs=[_amount(row.state, row) for row in rows],
         trash=await _sum(db, "trash", queries.trashed_blobs()),
         uploads=await _sum(db, "under_way", queries.open_uploads()),
-        doomed=await _sum(db, "doomed", queries.doomed_blobs()),
+        marked_for_deletion=await _sum(db, "marked_for_deletion", queries.blobs_marked_for_deletion()),
     )
 
 

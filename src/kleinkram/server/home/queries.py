@@ -150,12 +150,12 @@ def storage_by_project(actor: Actor, *, limit: int) -> Select[Any]:
 
 def used_bytes() -> Select[Any]:
     """Return how many bytes the store keeps, each once."""
-    return select(func.coalesce(func.sum(blob.c.size_bytes), 0)).where(blob.c.doomed_at.is_(None))
+    return select(func.coalesce(func.sum(blob.c.size_bytes), 0)).where(blob.c.marked_for_deletion_at.is_(None))
 
 
 def overdue_verifications() -> Select[Any]:
     """Return how many files' bytes should have been verified by now."""
-    late = (blob.c.state == BlobState.stored.value, blob.c.doomed_at.is_(None))
+    late = (blob.c.state == BlobState.stored.value, blob.c.marked_for_deletion_at.is_(None))
     return select(func.count()).select_from(blob).where(*late, blob.c.created_at < func.now() - _VERIFICATION_DUE_AFTER)
 
 

@@ -50,7 +50,7 @@ blob = Table(
     Column("uploaded_by_id", Uuid, ForeignKey("person.id"), nullable=False),
     created_at_column(),
     # Set when nothing refers to it any more: from then on it can no longer be linked, and its object goes next.
-    Column("doomed_at", DateTime(timezone=True)),
+    Column("marked_for_deletion_at", DateTime(timezone=True)),
     Column("content", Text, nullable=False, server_default=ContentState.pending.value),
     Column("content_reason", Text),
     Column("format", Text),
@@ -74,12 +74,18 @@ blob = Table(
     CheckConstraint("state <> 'verified' OR (md5 IS NOT NULL AND verified_at IS NOT NULL)", name="verified"),
     CheckConstraint("start_ns <= end_ns", name="span"),
     # Finding a twin: by size before the hash is known, by hash after.
-    Index("ix_blob_size_sha256", "size_bytes", "sha256", postgresql_where=text("doomed_at IS NULL")),
-    Index("ix_blob_unverified", "created_at", postgresql_where=text("state = 'stored' AND doomed_at IS NULL")),
+    Index("ix_blob_size_sha256", "size_bytes", "sha256", postgresql_where=text("marked_for_deletion_at IS NULL")),
+    Index(
+        "ix_blob_unverified", "created_at", postgresql_where=text("state = 'stored' AND marked_for_deletion_at IS NULL")
+    ),
     # As a store lists them.
     Index("ix_blob_key", "store_id", "key", postgresql_ops={"key": "text_pattern_ops"}),
     # Finds the blobs that were verified longest ago.
-    Index("ix_blob_verified_at", "verified_at", postgresql_where=text("state = 'verified' AND doomed_at IS NULL")),
+    Index(
+        "ix_blob_verified_at",
+        "verified_at",
+        postgresql_where=text("state = 'verified' AND marked_for_deletion_at IS NULL"),
+    ),
     # What home lists of all files that somebody sees.
     Index(
         "ix_blob_ailing",
@@ -88,7 +94,11 @@ blob = Table(
     ),
     # How long the longest lasts bounds where one begins that was under way at some time.
     Index("ix_blob_duration", text("(end_ns::numeric - start_ns::numeric)")),
-    Index("ix_blob_doomed", "doomed_at", postgresql_where=text("doomed_at IS NOT NULL")),
+    Index(
+        "ix_blob_marked_for_deletion",
+        "marked_for_deletion_at",
+        postgresql_where=text("marked_for_deletion_at IS NOT NULL"),
+    ),
 )
 
 topic = Table(

@@ -73,7 +73,7 @@ async def _drop(db: Connection, table: Table, rows: Sequence[Row[Any]], *still: 
     gone = set((await db.execute(statement)).scalars())
     noun = table.name
     events = [
-        Event(f"{noun}.sweep", noun, row.id, row.name, row.project_id, mission_id=row.mission_id)
+        Event(f"{noun}.purge", noun, row.id, row.name, row.project_id, mission_id=row.mission_id)
         for row in rows
         if row.id in gone
     ]

@@ -94,7 +94,7 @@ def to_trash(row: Row[Any], *, kept: datetime.timedelta) -> TrashRead:
         file_count=row.file_count,
         deleted_at=row.deleted_at,
         deleted_by=PersonRef(id=row.deleted_by_id, name=row.deleted_by_name),
-        swept_after=row.deleted_at + kept,
+        purged_after=row.deleted_at + kept,
     )
 
 

@@ -204,7 +204,7 @@ def _is_trusted(actor: Actor) -> ColumnElement[bool]:
     # A hash that somebody else merely claims must not give access to their bytes, nor put ours under their name.
     verified = blob.c.state == BlobState.verified.value
     own = (blob.c.state == BlobState.stored.value) & (blob.c.uploaded_by_id == actor.person_id)
-    return blob.c.doomed_at.is_(None) & (verified | own)
+    return blob.c.marked_for_deletion_at.is_(None) & (verified | own)
 
 
 def _is_read(actor: Actor) -> ColumnElement[bool]:
