@@ -1,5 +1,6 @@
 """What filters of missions and projects mean in SQL: conditions on selects that began with `visible_*`."""
 
+from dataclasses import replace
 from typing import TypeVar
 
 from sqlalchemy import ColumnElement, Select, and_, bindparam, func, or_, select, true, union_all
@@ -87,8 +88,12 @@ def filter_missions_by_files(
 def _has_matching_file(actor: Actor, matching: FileFilter, plan: SearchPlan) -> ColumnElement[bool]:
     # The mission around it is visible, so that only its files are checked.
     inside = select(true()).select_from(file).outerjoin(blob, blob.c.id == file.c.blob_id)
-    live = (file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None), shown_files(actor))
-    return row_exists(filter_files_in_order(actor, inside.where(*live), matching, plan).correlate(mission, project))
+    inside = inside.where(file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None), shown_files(actor))
+    if plan.has_time is False:
+        # Not as the index of times has it: PostgreSQL would read it for each mission (10 ms instead of 0.1 ms).
+        inside, plan = inside.where(file.c.start_ns.is_(None)), replace(plan, has_time=None)
+    matched = filter_files_in_order(actor, inside, matching, plan, of_one_mission=True)
+    return row_exists(matched.correlate(mission, project))
 
 
 def _conditions(actor: Actor, matching: MissionFilter, plan: SearchPlan) -> Conditions:

@@ -24,7 +24,8 @@ _ESCAPED_IN_JSON = re.compile(r'["\\\x00-\x1f\x7f]')
 class SearchWord:
     """A word of a filter, with the projects, topics and message types whose names contain it.
 
-    A list is None where it is unknown or too long. Words with a `number` are bound by name, others by value.
+    A list is None where it is unknown or too long. `is_in_sample` tells of a sample of paths. Words with a `number` are
+    bound by name, others by value.
     """
 
     text: str
@@ -32,6 +33,7 @@ class SearchWord:
     project_ids: Sequence[uuid.UUID] | None = None
     topics: Sequence[str] | None = None
     message_types: Sequence[str] | None = None
+    is_in_sample: bool = False
 
     @property
     def pattern(self) -> str | BindParameter[str]:
@@ -93,12 +95,14 @@ class SearchPlan:
         is_common: so many files match that a list is read in its order until the page is full.
         matched: the files themselves, once they are known.
         mission_ids: all missions that the actor sees, where these are at most some dozens.
+        finds_nothing: a word occurs nowhere.
         has_time: only files with a recording time are to be found, or only those without.
     """
 
     words: Mapping[str, SearchWord] = field(default_factory=dict)
     leading_word: str | None = None
     is_common: bool = False
+    finds_nothing: bool = False
     matched: MatchedFiles | None = None
     has_time: bool | None = None
     mission_ids: Sequence[uuid.UUID] | None = None

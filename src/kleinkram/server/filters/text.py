@@ -5,7 +5,7 @@ for a search, and then compared by value.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -56,6 +56,8 @@ NO_TIME = -(2**63)
 MAX_WORDS = 20
 # So many projects, topics and types that contain a word are listed by value.
 _MAX_NAMES = 500
+# A word that is in one of so many paths is not looked for elsewhere, to see whether it occurs at all.
+_SAMPLED_PATHS = 300
 # Message types that are searched for a word; those after them in order are found by `type:` alone.
 _MAX_MESSAGE_TYPES = 5_000
 # A word without three letters or digits in a row has no trigram to be looked up by.
@@ -88,9 +90,7 @@ def file_contains(
     `in_mission` holds what was evaluated once for all files of the mission.
     """
     word = plan.word(text)
-    # Most files have no label: to see that is quicker than to join none.
-    has_label = and_(func.cardinality(file.c.labels) > 0, contains(func.joined(file.c.labels), word))
-    in_file = [path_condition(key_contains(file.c.path_key, word)), has_label]
+    in_file = _path_or_label_contains(word)
     mission_conditions = _mission_conditions(actor, word) if in_mission is None else [in_mission.contains]
     in_topics = _topic_conditions(word, topic)
     if text == plan.leading_word:
@@ -178,18 +178,24 @@ async def look_up_words(db: Connection, words: Sequence[str]) -> dict[str, Searc
         return {}
     values = {name: value for word in unique for name, value in word.values().items()}
     row = (await db.execute(_names_of_words(len(unique), _MAX_NAMES + 1), values)).one()
-    lists = [None if len(names) > _MAX_NAMES else names for names in row]
-    return {word.text: SearchWord(word.text, at, *lists[3 * at : 3 * at + 3]) for at, word in enumerate(unique)}
+    matches = {}
+    for at, word in enumerate(unique):
+        *lists, is_in_sample = row[4 * at : 4 * at + 4]
+        known = [None if len(names) > _MAX_NAMES else names for names in lists]
+        matches[word.text] = SearchWord(word.text, at, *known, is_in_sample=is_in_sample)
+    return matches
 
 
 @cache
 def _names_of_words(count: int, limit: int) -> Select[tuple[Sequence[Any], ...]]:
-    columns = []
+    columns: list[ColumnElement[Any]] = []
     for word in (SearchWord("", number) for number in range(count)):
         projects = select(project.c.id).where(key_contains(project.c.name_key, word))
         topics = select(topic_name.c.name).where(contains(topic_name.c.name, word))
         types = select(_MESSAGE_TYPES.c.message_type).where(contains(_MESSAGE_TYPES.c.message_type, word))
         columns += [func.array(names.limit(limit).scalar_subquery()) for names in (projects, topics, types)]
+        paths = select(file.c.path_key).order_by(file.c.id).limit(_SAMPLED_PATHS).subquery()
+        columns.append(select(true()).where(key_contains(paths.c.path_key, word)).exists())
     return select(*columns)
 
 
@@ -203,6 +209,39 @@ def _look_up(
     found += [by_mission.where(or_(*in_mission))] if in_mission else []
     found += [by_topic.where(each) for each in in_topics]
     return union_all(*(each.where(*of_all).correlate(None) for each in found))
+
+
+async def occur_somewhere(db: Connection, words: Iterable[SearchWord]) -> bool:
+    """Return False if one of the words occurs in no file or mission, whoever asks. It says nothing of rights.
+
+    Only words are looked for that are in no name of a project, topic or type, in none of some sampled paths, and that
+    the indexes can look up.
+    """
+    rare = [
+        word.text
+        for word in words
+        if not (word.is_in_sample or word.is_escaped_in_json or word.project_ids or word.topics or word.message_types)
+        and None not in (word.project_ids, word.topics, word.message_types)
+        and has_index(word.text)
+    ]
+    if not rare:
+        return True
+    values = {name: value for at, text in enumerate(rare) for name, value in SearchWord(text, at).values().items()}
+    return all((await db.execute(_occurrences(len(rare)), values)).one())
+
+
+@cache
+def _occurrences(count: int) -> Select[tuple[bool, ...]]:
+    columns = []
+    for number in range(count):
+        word = SearchWord("", number, project_ids=[])
+        # Planned as if all rows were read, but read lazily: with a limit of its own, PostgreSQL would rather read the
+        # table until a row matches, and read all of it where none does.
+        files = select(file.c.id).where(or_(*_path_or_label_contains(word))).cte(f"files_{number}")
+        missions = select(mission.c.id).where(or_(*_whole_mission_conditions(word))).cte(f"missions_{number}")
+        ids = (select(rows.prefix_with("MATERIALIZED").c.id) for rows in (files, missions))
+        columns.append(or_(*(one.limit(1).scalar_subquery().is_not(None) for one in ids)))
+    return select(*columns)
 
 
 def contains(column: ColumnElement[str], word: SearchWord) -> ColumnElement[bool]:
@@ -222,10 +261,20 @@ def _mission_conditions(actor: Actor, word: SearchWord) -> Conditions:
         in_project: Conditions = [mission.c.project_id == any_(func.array(named.scalar_subquery()))]
     else:
         in_project = [among_given(mission.c.project_id, word.name_of("project_ids"))] if word.project_ids else []
-    in_name = key_contains(mission.c.name_key, word)
     if not sees_whole_missions(actor):
-        return [in_name, *in_project]
-    return [in_name, contains(mission.c.notes, word), _metadata_contains(word), *in_project]
+        return [key_contains(mission.c.name_key, word), *in_project]
+    return [*_whole_mission_conditions(word), *in_project]
+
+
+def _whole_mission_conditions(word: SearchWord) -> Conditions:
+    in_name = key_contains(mission.c.name_key, word)
+    return [in_name, contains(mission.c.notes, word), _metadata_contains(word)]
+
+
+def _path_or_label_contains(word: SearchWord) -> Conditions:
+    # Most files have no label: to see that is quicker than to join none.
+    has_label = and_(func.cardinality(file.c.labels) > 0, contains(func.joined(file.c.labels), word))
+    return [path_condition(key_contains(file.c.path_key, word)), has_label]
 
 
 def _metadata_contains(word: SearchWord) -> ColumnElement[bool]:

@@ -37,6 +37,8 @@ async def get_facets(db: Connection, actor: Actor, *, query: str) -> FacetsRead:
     matching = parse(query)
     filters = variants(actor, matching)
     plan, sample = await plan_search(db, actor, *filters)
+    if plan.finds_nothing:
+        return _to_facets(actor, matching, [], file_count=0, is_whole=True)
     common = tuple(sample.is_common(number) for number in range(len(filters)))
     for most, milliseconds in _ATTEMPTS:
         stmt, values = prepare(facet_rows, actor, matching, plan=plan, most=most, common=common)

@@ -18,7 +18,7 @@ from kleinkram.server.files.queries import file_order, matching_files
 from kleinkram.server.filters.files import file_conditions
 from kleinkram.server.filters.plan import ID_COUNT, MatchedFiles, SearchPlan, rounded
 from kleinkram.server.filters.prepared import prepare
-from kleinkram.server.filters.text import file_contains, has_index, look_up_words, words_of
+from kleinkram.server.filters.text import file_contains, has_index, look_up_words, occur_somewhere, words_of
 from kleinkram.server.missions.service import find_visible_mission_ids
 from kleinkram.server.paging import in_order
 from kleinkram.server.tables import file
@@ -78,12 +78,17 @@ async def plan_search(
         InvalidQuery: a `where` cannot be used, or there are too many words.
     """
     words = [*dict.fromkeys(words_of(filters[0].text))]
+    plan = SearchPlan(await look_up_words(db, words))
+    no_sample = Sample([0] * len(filters), 0, 0, "{}", COMMON)
+    sampled = prepare(_sampled, actor, *filters, plan=plan)
+    if not await occur_somewhere(db, plan.words.values()):
+        return replace(plan, finds_nothing=True), no_sample
     visible_ids = await find_visible_mission_ids(db, actor)
     if visible_ids is not None:
-        return SearchPlan(mission_ids=visible_ids), Sample([0] * len(filters), 0, 0, "{}", COMMON)
-    plan = SearchPlan(await look_up_words(db, words))
-    await db.execute(_AVOID_HASH_JOINS)
-    row = (await db.execute(*prepare(_sampled, actor, *filters, plan=plan))).one()
+        return replace(plan, mission_ids=visible_ids), no_sample
+    if not actor.is_admin:
+        await db.execute(_AVOID_HASH_JOINS)
+    row = (await db.execute(*sampled)).one()
     hits = row[: len(filters)]
     # The hits of a single word are at least those of the filter.
     word_hits = dict(zip(words, row[len(filters) :] if len(words) > 1 else hits, strict=False))
@@ -102,7 +107,8 @@ async def plan_search(
             sample = replace(sample, common=SAMPLED_FILES + 1)
     if sample.is_common():
         return replace(plan, is_common=True), sample
-    await db.execute(_ALLOW_HASH_JOINS)
+    if not actor.is_admin:
+        await db.execute(_ALLOW_HASH_JOINS)
     return replace(plan, leading_word=rarest), sample
 
 

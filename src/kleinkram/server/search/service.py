@@ -43,7 +43,9 @@ async def search(db: Connection, actor: Actor, *, text: str, sort: FileSort, lim
     """
     matching = parse(text)
     plan, sample = await plan_search(db, actor, matching, sort=sort)
-    if plan.is_common:
+    if plan.finds_nothing:
+        found = _Found(Page(items=[], total=0), Page(items=[], total=0), Page(items=[], total=0))
+    elif plan.is_common:
         found = await _search_common(db, actor, matching, sort, limit, plan, sample)
     else:
         found = await _search_rare(db, actor, matching, sort, limit, plan)
