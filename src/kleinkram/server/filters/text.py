@@ -180,9 +180,9 @@ async def look_up_words(db: Connection, words: Sequence[str]) -> dict[str, Searc
     row = (await db.execute(_names_of_words(len(unique), _MAX_NAMES + 1), values)).one()
     matches = {}
     for at, word in enumerate(unique):
-        *lists, is_in_sample = row[4 * at : 4 * at + 4]
-        known = [None if len(names) > _MAX_NAMES else names for names in lists]
-        matches[word.text] = SearchWord(word.text, at, *known, is_in_sample=is_in_sample)
+        *names, is_in_sample = row[4 * at : 4 * at + 4]
+        projects, topics, types = (None if len(listed) > _MAX_NAMES else listed for listed in names)
+        matches[word.text] = SearchWord(word.text, at, projects, topics, types, is_in_sample)
     return matches
 
 
