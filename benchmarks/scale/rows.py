@@ -1,4 +1,4 @@
-"""The rows about size, put together: `python -m benchmarks scale`, both sizes or one of KLEINKRAM_BENCH_SCALE=1,10."""
+"""All rows about size: `python -m benchmarks scale`, both sizes or one of KLEINKRAM_BENCH_SCALE=1,10."""
 
 import json
 import os
@@ -56,7 +56,7 @@ def scale_rows(
 
 
 def load_rows(size: int, url: str, owner_token: str, environment: Mapping[str, str]) -> Iterator[Row]:
-    """Measure the filled instance while many ask, write and delete, which leaves much behind."""
+    """Measure the filled instance while many clients read, write and delete."""
     label = size_label(size)
     yield _crowd_row(label, _crowd([url], owner_token))
     yield _two_row(label, environment, owner_token)
@@ -64,7 +64,7 @@ def load_rows(size: int, url: str, owner_token: str, environment: Mapping[str, s
 
 
 def size_label(size: int) -> str:
-    """Return how a row says which size it is of."""
+    """Return the suffix that names the size of a row."""
     return f"{200_000 * size:_} files".replace("_", " ")
 
 
@@ -73,7 +73,7 @@ def _filled_row(label: str, seconds: float) -> Row:
 
 
 def _crowd(urls: list[str], token: str, *, clients: int = _CLIENTS, seconds: float = _SECONDS) -> dict[str, float]:
-    """Run a crowd at each address, the clients shared between them; returns what they got, added up."""
+    """Run a crowd at each address, sharing the clients; returns the totals."""
     project_id = str(seeded("project1"))
     share = [str(clients // len(urls)), str(seconds), project_id]
     commands = [[sys.executable, "-m", "benchmarks.scale.crowd", url, token, *share] for url in urls]
@@ -143,7 +143,7 @@ def _wait_for(ready: Callable[[], bool]) -> None:
 
 
 def _sweep_row(label: str, url: str, token: str, environment: Mapping[str, str]) -> Row:
-    """Delete a mission of very many files, and sweep them, while one client goes on asking."""
+    """Delete a mission of very many files and collect the garbage while one client sends requests."""
     times: list[float] = []
     with psycopg.connect(environment["KLEINKRAM_DATABASE_URL"], autocommit=True) as database:
         owner = database.execute("SELECT person_id FROM token WHERE name = 'local owner'").fetchone()

@@ -96,7 +96,7 @@ def _tell_the_story(cluster: Cluster, robot: Terminal) -> None:
 
 
 def _ports_that_open(cluster: Cluster, machine: OtherMachine) -> set[int]:
-    """Of all ports that any part listens on, those that let the other machine in."""
+    """Return the ports of all parts that the other machine can reach."""
     connections = [
         it for pid in marked_processes(cluster.data_dir) for it in psutil.Process(pid).net_connections("tcp")
     ]

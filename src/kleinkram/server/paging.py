@@ -9,15 +9,18 @@ import uuid
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
+from pydantic import BaseModel, ConfigDict
 from sqlalchemy import ColumnElement, Row, Select, bindparam, func, select, tuple_
 from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.exc import DataError, DBAPIError, ProgrammingError, StatementError
 
+from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.contract.errors import InvalidCursor
 from kleinkram.server.db import Connection
 
+T = TypeVar("T")
 _TYPES: dict[str, Callable[[str], Any]] = {
     "s": str,
     "i": int,
@@ -51,6 +54,26 @@ class PageRequest:
 
     limit: int
     cursor: str | None = None
+    count: bool = False
+
+
+class PageQuery(BaseModel):
+    """Query parameters of a list."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    limit: PageSize = 100
+    cursor: Cursor | None = None
+
+    @property
+    def page(self) -> PageRequest:
+        """The requested page."""
+        return PageRequest(self.limit, self.cursor, getattr(self, "count", False))
+
+
+class CountedPageQuery(PageQuery):
+    """Query parameters of a list whose total can be requested."""
+
     count: bool = False
 
 
@@ -100,8 +123,7 @@ class Listing:
 async def fetch_page(db: Connection, statement: Select[Any], order: Order, request: PageRequest) -> Rows:
     """Run a select for one page.
 
-    Raises:
-        InvalidCursor: the cursor is not one of this list in this order.
+    Raises InvalidCursor.
     """
     return await fetch_listing(db, Listing(statement, order), request)
 
@@ -123,14 +145,18 @@ async def fetch_listing(
     return Rows(items, _encode(items[-1], listing.order) if len(rows) > request.limit else None, total)
 
 
+async def read_page(
+    db: Connection, statement: Select[Any], order: Order, request: PageRequest, read: Callable[[Row[Any]], T]
+) -> Page[T]:
+    """Run a select for one page and return what `read` makes of its rows. Raises InvalidCursor."""
+    rows = await fetch_page(db, statement, order, request)
+    return Page(items=[read(row) for row in rows.items], next=rows.next, total=rows.total)
+
+
 async def execute_after(
     db: Connection, statement: Select[Any], after: Sequence[Any] | None, values: Mapping[str, object] | None = None
 ) -> Sequence[Row[Any]]:
-    """Run a select that begins after the values of a cursor, `after_0` and so on.
-
-    Raises:
-        InvalidCursor: the cursor is well-formed, but its values are none that the list's columns can have.
-    """
+    """Run a select that begins after the values of a cursor, `after_0` and so on. Raises InvalidCursor."""
     try:
         return (await db.execute(statement, {**(values or {}), **_named(after or [])})).all()
     except (StatementError, UnicodeEncodeError) as error:
@@ -142,8 +168,7 @@ async def execute_after(
 def values_after(request: PageRequest, order: Order) -> list[Any] | None:
     """Return the values of the order's columns after which a page begins; None for the first page.
 
-    Raises:
-        InvalidCursor: the cursor is not one of a list in this order.
+    Raises InvalidCursor.
     """
     if not request.cursor:
         return None

@@ -6,7 +6,7 @@ A route without a row here does not start. `scopes` names those of which a token
 import enum
 from dataclasses import dataclass
 
-from kleinkram.contract.rights import Right, Scope
+from kleinkram.contract.access import Right, Scope
 
 
 class ResourceKind(str, enum.Enum):

@@ -8,6 +8,7 @@ from typing import Any
 
 from sqlalchemy import Row, func
 
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import FileUnavailable, NotFound
 from kleinkram.contract.files import (
     BlobState,
@@ -22,8 +23,7 @@ from kleinkram.contract.files import (
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import MissionFilter
 from kleinkram.contract.names import name_key
-from kleinkram.contract.paging import Page
-from kleinkram.contract.trash import Deleted
+from kleinkram.contract.projects import Deleted
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.service import Event, record, record_all
@@ -35,12 +35,12 @@ from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.files.topics import TOPIC_ORDER, to_topics
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
 from kleinkram.server.filters.prepared import prepare
-from kleinkram.server.http.etags import require_match
+from kleinkram.server.http.headers import require_match
 from kleinkram.server.missions import service as missions
 from kleinkram.server.paging import PageRequest, Rows, execute_after, fetch_listing, fetch_page, values_after
-from kleinkram.server.quotas.service import Amount, project_of, require_room
+from kleinkram.server.quotas import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
-from kleinkram.server.shares.service import note_downloads
+from kleinkram.server.shares.service import count_downloads
 
 _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
 _BY_PATH = {FileSort.path, FileSort.path_desc}
@@ -226,7 +226,7 @@ async def link_files(
             if row.state in _UNREADABLE:
                 raise FileUnavailable(path=row.path, state=row.state)
         await record_all(db, actor, [_event(_FETCHED[purpose], row) for row in rows])
-        await note_downloads(db, actor, files=len(rows), size_bytes=sum(row.size_bytes for row in rows))
+        await count_downloads(db, actor, files=len(rows), size_bytes=sum(row.size_bytes for row in rows))
     return [_link(context, row) for row in rows]
 
 

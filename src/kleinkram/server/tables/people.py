@@ -22,7 +22,7 @@ from sqlalchemy import (
     text,
 )
 
-from kleinkram.contract.rights import GroupKind, Right, Scope, TokenKind
+from kleinkram.contract.access import GroupKind, Right, Scope, TokenKind
 from kleinkram.server.tables.base import created_at_column, id_column, metadata, one_of, sorted_text
 
 person = Table(
