@@ -19,7 +19,7 @@ export const texts = {
     free: (free: string) => `${free} free`,
     unknown: "The store does not report its free space.",
     holds: (size: string) => `${size} stored.`,
-    kept: "Stored data",
+    storedData: "Stored data",
     columns: { what: "Kind", count: "Count", size: "Size" },
     blobs: (state: string) => `Files: ${states[state]?.toLowerCase() ?? state}`,
     trash: "Only in the trash",
