@@ -4,12 +4,12 @@ import datetime
 import hashlib
 import uuid
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.actions import ActionDefinition, ActionRead, ActionVersionRead, Network
 from kleinkram.contract.files import BlobState, ContentState, DownloadLink, FileRead
 from kleinkram.contract.missions import MissionRead, MissionRef
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
-from kleinkram.contract.rights import Right
 from kleinkram.contract.runs import ActionRef, Cause, RunDetail, RunState
 
 NOW = datetime.datetime(2026, 5, 1, tzinfo=datetime.timezone.utc)

@@ -19,9 +19,9 @@ from kleinkram.client.errors import ServerUnreachable
 from kleinkram.client.transfer import download, plan_download, plan_upload, upload
 from kleinkram.client.transfer.download import fetch
 from kleinkram.client.transfer.report import Watcher
-from kleinkram.contract.events import Change
+from kleinkram.contract.access import Scope, TokenKind
+from kleinkram.contract.audit import Change
 from kleinkram.contract.files import DownloadLink, FileFilter
-from kleinkram.contract.rights import Scope, TokenKind
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
@@ -99,7 +99,7 @@ def test_a_download_waits_for_a_server_that_does_not_answer_for_a_while(behind: 
     assert (came.outcome.value, came.local.read_bytes()) == ("downloaded", b"notes")
 
 
-def test_who_follows_events_hears_of_all(behind: Behind) -> None:
+def test_a_followed_event_stream_is_complete(behind: Behind) -> None:
     heard: list[str] = []
     made: list[str] = []
 
@@ -126,7 +126,7 @@ def test_who_follows_events_hears_of_all(behind: Behind) -> None:
     assert set(heard) >= set(made)
 
 
-def test_who_follows_a_log_reads_all_of_it(behind: Behind) -> None:
+def test_a_followed_log_is_complete(behind: Behind) -> None:
     api = behind.api
     admin = people.person(api, admin=True)
     runner = Played(api.as_(people.token(api, admin, [Scope.run], kind=TokenKind.runner).secret))

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from io import BytesIO
 
-from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
-from kleinkram.recordings.formats.rosbag1.writer import BagCompression, BagWriter
+from kleinkram.recordings.sample.writers import BagCompression, BagWriter, Compression, McapWriter
 from tests.recording_files.memory_source import MemorySource
 
 T0 = 1_700_000_000_000_000_000

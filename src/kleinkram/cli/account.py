@@ -26,13 +26,12 @@ from kleinkram.cli.render import details, line, moment, note, plain, show_json, 
 from kleinkram.cli.units import count, expiry, size
 from kleinkram.client.errors import InvalidInput
 from kleinkram.client.tokens import Reach, RunnerLimits
+from kleinkram.contract.access import Scope, TokenKind
 from kleinkram.contract.accounts import IdentityRead
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.names import is_id
-from kleinkram.contract.rights import Scope, TokenKind
-from kleinkram.contract.shares import ShareRead
-from kleinkram.contract.tokens import TokenRead
+from kleinkram.contract.tokens import ShareRead, TokenRead
 
 app = Noun("Show your own account and how you sign in.")
 

@@ -20,7 +20,7 @@ from kleinkram.contract.admin import ScrubState
 from kleinkram.contract.audit import AuditFilter, AuditRead
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.names import is_id
-from kleinkram.contract.trash import TrashNoun, TrashRead
+from kleinkram.contract.projects import TrashNoun, TrashRead
 
 _DAMAGED = {BlobState.lost.value, BlobState.corrupt.value}
 _AUDIT_ROWS = 100
@@ -38,7 +38,7 @@ def storage(as_json: AsJson = False) -> None:
         return
     store = status.store
     details([("kept", size(store.used_bytes)), ("free", size(store.free_bytes)), ("disk", size(store.disk_bytes))])
-    amounts = [*status.blobs, status.trash, status.uploads, status.doomed]
+    amounts = [*status.blobs, status.trash, status.uploads, status.marked_for_deletion]
     table(["state", "count", "size"], [(row.state, row.count, size(row.size_bytes)) for row in amounts])
     if status.is_low:
         note("The store is nearly full: uploads will soon be refused.")
@@ -206,7 +206,7 @@ def list_trash(noun: NounOption = None, as_json: AsJson = False) -> None:
 
 def _trash_cells(row: TrashRead) -> tuple[object, ...]:
     content = (row.file_count, size(row.size_bytes))
-    deleted = (row.deleted_at, row.deleted_by.name, row.swept_after)
+    deleted = (row.deleted_at, row.deleted_by.name, row.purged_after)
     return row.noun.value, row.name, row.place, *content, *deleted, row.id
 
 

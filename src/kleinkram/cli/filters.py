@@ -15,7 +15,7 @@ from kleinkram.contract.files import FileFilter, FileRead
 from kleinkram.contract.missions import MissionFilter, MissionRead
 from kleinkram.contract.names import is_id, name_key
 from kleinkram.contract.query import render, whole
-from kleinkram.contract.searching import FileQuery
+from kleinkram.contract.search import FileQuery
 
 WhereOption = Annotated[
     Many, option("--where -w", "FIELD=VALUE", "Select by metadata: robot=anymal, temperature>20; repeatable.")

@@ -26,11 +26,9 @@ from kleinkram.cli.units import parse_time
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
 from kleinkram.client.people import Place, find_grant
+from kleinkram.contract.access import AccessRead, GrantRead, GroupRead, Right
 from kleinkram.contract.accounts import OneTimeLink
-from kleinkram.contract.grants import AccessRead, GrantRead
-from kleinkram.contract.groups import GroupRead
 from kleinkram.contract.people import PersonRead
-from kleinkram.contract.rights import Right
 
 person_app = Noun("Manage people. You see those who share a group or a project with you; admins see all.")
 PersonArgument = Annotated[str, argument("PERSON", "Name, id, or an address that you may see.")]

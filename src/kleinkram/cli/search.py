@@ -27,9 +27,9 @@ from kleinkram.cli.run_view import action_name, mission_name, status_text
 from kleinkram.cli.units import size
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.files import FileSort
+from kleinkram.contract.overviews import StatsRow
 from kleinkram.contract.query import render
 from kleinkram.contract.runs import LineageFile, LineageRead
-from kleinkram.contract.stats import StatsRow
 
 _GROUPS = frozenset(("project", "mission", "topic", "type", "month", "format"))
 _NS_PER_HOUR = 3600 * 1_000_000_000

@@ -58,7 +58,7 @@ from kleinkram.client.transfer.plan import is_excluded, mission_folders
 from kleinkram.contract.errors import KleinkramError, NotFound
 from kleinkram.contract.missions import MissionRead
 from kleinkram.contract.names import is_id
-from kleinkram.contract.shares import is_link
+from kleinkram.contract.tokens import is_link
 
 if TYPE_CHECKING:
     from rich.progress import TaskID

@@ -26,8 +26,7 @@ from kleinkram.client._network import WatchedPools
 from kleinkram.client.config import TOKEN_VARIABLE, Endpoint
 from kleinkram.client.errors import AnswerNotUnderstood, ServerUnreachable, StoreUnreachable, remember_request
 from kleinkram.contract.errors import KleinkramError, NotAuthenticated
-from kleinkram.contract.problems import ProblemDocument, from_problem
-from kleinkram.contract.wording import first_problem
+from kleinkram.contract.problems import ProblemDocument, first_problem, from_problem
 
 T = TypeVar("T", bound=BaseModel)
 _log = logging.getLogger("kleinkram.http")

@@ -27,7 +27,7 @@ from kleinkram.contract.actions import (
     VersionCreate,
 )
 from kleinkram.contract.errors import NotFound
-from kleinkram.contract.wording import first_problem
+from kleinkram.contract.problems import first_problem
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -10,9 +10,9 @@ from kleinkram.client._nouns import Listing, NamedResource, Ref, checked, count,
 from kleinkram.client.missions import Missions
 from kleinkram.client.search import Condition, FileFields, as_filter
 from kleinkram.contract.files import DownloadLinks, DownloadRequest, FileRead, FileSort, FileUpdate, TopicRead
+from kleinkram.contract.projects import Deleted
 from kleinkram.contract.runs import LineageRead
-from kleinkram.contract.searching import MAX_LABELLED, FileLabelled, FilesLabelled, LabelChange, TopicFound
-from kleinkram.contract.trash import Deleted
+from kleinkram.contract.search import MAX_LABELLED, FileLabelled, FilesLabelled, LabelChange, TopicFound
 
 
 class Files(NamedResource[FileRead]):

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from kleinkram.client._http import query_of
 from kleinkram.client._nouns import ApiResource, HasId, Listing, Ref, checked, known_id, pages, resolve_one
 from kleinkram.client.missions import Missions, Projects
-from kleinkram.contract.rights import Scope, TokenKind
-from kleinkram.contract.shares import ShareCreate, SharedRead, ShareMade, ShareRead
-from kleinkram.contract.tokens import TokenCreate, TokenMade, TokenRead
+from kleinkram.contract.access import Scope, TokenKind
+from kleinkram.contract.tokens import ShareCreate, SharedRead, ShareMade, ShareRead, TokenCreate, TokenMade, TokenRead
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,9 @@ from collections.abc import Iterable, Sequence
 
 from kleinkram.recordings.model import MessageDensity
 
-MAX_BINS = 256
-"""Bins of one topic: between half as many and as many are in use, where messages lie far enough apart."""
-
-MANY_TOPICS = 4096
-"""In a file with more topics,"""
-
+MAX_BINS = 256  # bins of one topic: between half as many and as many are in use, where messages lie far enough apart
+MANY_TOPICS = 4096  # topics of a file, above which each has fewer bins
 BINS_OF_MANY_TOPICS = 64
-"""there are so many bins of each."""
 
 _HEAD = struct.Struct("<BBQ")
 _CODES = "BHIQ"
@@ -78,10 +73,7 @@ def add_up(densities: Iterable[MessageDensity], *, most: int = MAX_BINS) -> Mess
 
 
 def on_axis(density: MessageDensity, *, start_ns: int, bin_ns: int, bins: int) -> list[int]:
-    """Return the counts in the given bins, without what is outside of them.
-
-    `bin_ns` is a power of two, not smaller than that of the density, and `start_ns` a multiple of it.
-    """
+    """Return the counts in bins of `bin_ns`, a power of two not below the density's; `start_ns`: a multiple of it."""
     bits = bin_ns.bit_length() - 1
     begin, end = density.start_ns >> bits, _last_ns(density) >> bits
     counts = [0] * (end - begin + 1)

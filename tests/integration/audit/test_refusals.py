@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.errors import Forbidden
-from kleinkram.contract.rights import Right
 from kleinkram.server.audit import refusals
 from kleinkram.server.audit.refusals import Refusals
+from kleinkram.server.auth.bootstrap import ensure_owner
 from kleinkram.server.context import AppContext
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
-from kleinkram.server.people.local_owner import ensure_owner
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
@@ -38,7 +38,7 @@ def test_a_failed_sign_in_is_noted_without_its_token(start_api: StartApi, sent: 
     assert sent.split()[1] not in str(event)
 
 
-def test_a_denial_is_noted_with_who_was_denied_though_nothing_else_is_kept(start_api: StartApi) -> None:
+def test_a_denial_is_recorded_although_the_transaction_is_rolled_back(start_api: StartApi) -> None:
     api = start_api()
 
     async def forbidden(db: Transaction, actor: CurrentActor) -> None:

@@ -58,7 +58,7 @@ def test_back_up_under_load_and_restore(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    api = start_api(trash_days=0, sweep_grace_s=0)
+    api = start_api(trash_days=0, garbage_grace_s=0)
     mission = api.mission(api.project()["id"])["id"]
     for number in range(3):
         upload(api, mission, f"large {number}", random.Random(number).randbytes(8_000_000))
@@ -139,7 +139,7 @@ def at_work(api: Api, mission: str, file_ids: list[str]) -> Iterator[dict[str, i
 def _stated(blobs: list[str]) -> dict[str, str]:
     """What blobs that were not about to go are said to hold, by key."""
     every = [json.loads(each) for each in blobs]
-    return {each["key"]: each["sha256"].removeprefix("\\x") for each in every if each["doomed_at"] is None}
+    return {each["key"]: each["sha256"].removeprefix("\\x") for each in every if each["marked_for_deletion_at"] is None}
 
 
 @pytest.mark.timeout(300)

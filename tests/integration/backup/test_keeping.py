@@ -107,7 +107,7 @@ def test_what_is_sealed_tells_nothing_and_comes_back(lived_in: Api, sites: Sites
 
 @pytest.mark.slow
 def test_old_backups_go_with_what_only_they_held(start_api: StartApi, tmp_path: Path) -> None:
-    api = start_api(trash_days=0, sweep_grace_s=0)
+    api = start_api(trash_days=0, garbage_grace_s=0)
     mission = api.mission(api.project()["id"])["id"]
     kept = upload(api, mission, "kept", b"kept")
     gone = upload(api, mission, "gone", b"gone")
@@ -195,7 +195,7 @@ def test_who_was_taken_for_gone_says_and_removes_nothing_more(
 
 
 def test_nothing_is_swept_while_a_backup_copies(start_api: StartApi) -> None:
-    api = start_api(trash_days=0, sweep_grace_s=0)
+    api = start_api(trash_days=0, garbage_grace_s=0)
     mission = api.mission(api.project()["id"])["id"]
     file = upload(api, mission, "file", b"bytes")
     before = contents(settings_of(api))

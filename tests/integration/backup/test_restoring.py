@@ -44,7 +44,7 @@ def test_every_row_and_every_byte_come_back(lived_in: Api, sites: Sites, tmp_pat
         assert contents(target) == contents(source)
         assert len(contents(target)) == 7  # of files 4, of a run's artifact and log, of one that is held a piece of log
         with psycopg.connect(plain_dsn(target.database_url)) as database:
-            states = "SELECT DISTINCT state FROM blob WHERE doomed_at IS NULL"
+            states = "SELECT DISTINCT state FROM blob WHERE marked_for_deletion_at IS NULL"
             assert database.execute(states).fetchall() == [("stored",)]  # to be verified at the new store
             # Who was sending begins anew, and finds the name free.
             assert database.execute("SELECT DISTINCT state FROM upload WHERE path = 'half.bin'").fetchall() == [

@@ -13,8 +13,8 @@ from kleinkram.cli.main import app
 from kleinkram.cli.run import parameter_values, split_version
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.actions import ActionDefinition, Parameter, ParameterType
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import NotFound
-from kleinkram.contract.paging import Page
 from kleinkram.contract.problems import to_problem
 from kleinkram.contract.runs import LogChunkRead, RunCreated, RunRead, RunRefused, RunsCreated, RunState
 from tests.api_objects import action_read, mission_read, run_detail
@@ -67,7 +67,7 @@ def test_a_version_of_a_published_action_is_named_with_it() -> None:
     assert script.requests[3].body["version"] == 3
 
 
-def test_many_missions_need_a_confirmation() -> None:
+def test_launching_on_many_missions_needs_confirmation() -> None:
     several = [MISSION, mission_read("dusk")]
     with scripted(page(*several), page(action_read("look"))) as script:
         ran = klein(script, "action", "run", "look", "--query", "alps")
@@ -76,11 +76,11 @@ def test_many_missions_need_a_confirmation() -> None:
     assert "Run look on 2 missions: alps/day, alps/dusk?" in ran.stderr
     with scripted(page(*several), page(action_read("look")), RunsCreated(items=[])) as script:
         klein(script, "action", "run", "look", "--query", "alps", "--yes", "--force")
-    assert script.requests[2].body["mission_ids"] == [str(mission.id) for mission in several]
+    assert script.requests[2].body["mission_ids"] == [str(each.id) for each in several]
     assert script.requests[2].body["force"] is True
 
 
-def test_invalid_arguments_are_refused_before_anything_is_launched(tmp_path: Path) -> None:
+def test_invalid_arguments_are_reported_before_any_launch(tmp_path: Path) -> None:
     for arguments, why in (
         (["look"], "say which missions"),
         (["look", "-m", "day", "--query", "alps"], "say which missions"),
@@ -98,9 +98,9 @@ def test_parameters_are_read_as_their_types() -> None:
     deep = Parameter(name="deep", type=ParameterType.boolean, default=False)
     definition = ActionDefinition(name="look", script="", parameters=[rate, deep])
     assert parameter_values(definition, ["rate=2.5", "deep=true"]) == {"rate": 2.5, "deep": True}
-    for assignments, why in (("rate=-1", "at least 0"), ("rate", "NAME=VALUE"), ("deep=maybe", "true or false")):
+    for said, why in (("rate=-1", "at least 0"), ("rate", "NAME=VALUE"), ("deep=maybe", "true or false")):
         with pytest.raises(InvalidInput, match=why):
-            parameter_values(definition, [assignments])
+            parameter_values(definition, [said])
 
 
 def test_a_version_stands_behind_the_last_at() -> None:

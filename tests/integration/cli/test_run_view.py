@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 
 from kleinkram.cli.main import app
 from kleinkram.cli.run_view import status_text
-from kleinkram.contract.paging import Page
+from kleinkram.contract.base import Page
 from kleinkram.contract.reports import Progress, Severity
 from kleinkram.contract.runs import EndReason, LineageFile, LineageRead, LineageRun, RunRead, RunState
 from tests.api_objects import action_read, file_read, run_detail
@@ -21,7 +21,7 @@ def shown(script: Scripted, *arguments: object) -> str:
 
 
 @pytest.mark.parametrize(
-    ("state", "more", "text"),
+    ("state", "more", "said"),
     [
         (RunState.queued, {"waits_for": "No runner is there."}, "queued: No runner is there."),
         (RunState.running, {"progress": Progress(fraction=0.5, message="half")}, "running 50% half"),
@@ -33,11 +33,11 @@ def shown(script: Scripted, *arguments: object) -> str:
         (RunState.done, {"reuses_id": uuid.uuid4()}, "done: reused"),
     ],
 )
-def test_the_state_of_a_run_is_one_short_text(state: RunState, more: dict[str, object], text: str) -> None:
-    assert status_text(run_detail(state, **more)) == text
+def test_the_state_of_a_run_is_described_briefly(state: RunState, more: dict[str, object], said: str) -> None:
+    assert status_text(run_detail(state, **more)) == said
 
 
-def test_all_of_a_run_is_shown_and_names_are_escaped() -> None:
+def test_all_fields_of_a_run_are_shown_and_names_are_escaped() -> None:
     run = run_detail(
         RunState.failed,
         reason=EndReason.time,
@@ -47,7 +47,7 @@ def test_all_of_a_run_is_shown_and_names_are_escaped() -> None:
         finding_counts={Severity.warning: 2},
     )
     with scripted(run) as script:
-        text = shown(script, "run", "info", run.id)
+        said = shown(script, "run", "info", run.id)
     for part in (
         "failed: time",
         "It took longer than 60 s.",
@@ -55,8 +55,8 @@ def test_all_of_a_run_is_shown_and_names_are_escaped() -> None:
         "proposed sensors: imu",
         "alps/day",
     ):
-        assert part in text
-    assert "\x1b" not in text
+        assert part in said
+    assert "\x1b" not in said
 
 
 def test_lineage_reads_both_ways() -> None:
@@ -71,21 +71,21 @@ def test_lineage_reads_both_ways() -> None:
     own = LineageFile(id=file.id, path=file.path, sha256=sha256)
     whole = LineageRead(file=own, made_by=made_by, read_by=[read_by], truncated=True)
     with scripted(Page(items=[file], next=None), whole) as script:
-        text = shown(script, "lineage", "derived/slam.bag")
-    assert str(maker.id) in text
-    assert "drive.bag (not there any more, or not yours to see)" in text
-    assert "plot.svg" in text
-    assert "More runs read it" in text
+        said = shown(script, "lineage", "derived/slam.bag")
+    assert str(maker.id) in said
+    assert "drive.bag (not there any more, or not yours to see)" in said
+    assert "plot.svg" in said
+    assert "More runs read it" in said
 
     uploaded = LineageRead(file=own, made_by=None, read_by=[], truncated=False)
     with scripted(Page(items=[file], next=None), uploaded) as script:
         assert "Uploaded: no run made it." in shown(script, "lineage", "derived/slam.bag")
 
 
-def test_an_action_is_shown_with_its_parameters() -> None:
+def test_an_action_shows_its_parameters() -> None:
     action = action_read("look", project="alps")
     with scripted(Page(items=[action], next=None)) as script:
-        text = shown(script, "action", "info", "look")
-    assert "look@1" in text
-    assert "a script" in text
-    assert "all files" in text
+        said = shown(script, "action", "info", "look")
+    assert "look@1" in said
+    assert "a script" in said
+    assert "all files" in said

@@ -54,7 +54,7 @@ def clock() -> Clock:
     return Clock()
 
 
-def test_a_fast_link_is_used_in_full_after_some_parts(clock: Clock) -> None:
+def test_a_fast_link_is_fully_used_after_several_parts(clock: Clock) -> None:
     window = Window(_CONNECTIONS, clock=clock)
     assert window.limit_bytes == PART
     for _ in range(_CONNECTIONS):
@@ -115,7 +115,7 @@ def test_large_parts_of_a_very_large_file_are_judged_by_their_rate(clock: Clock)
     assert window.limit_bytes > 100 * PART
 
 
-def test_what_broke_off_goes_on_before_others_begin() -> None:
+def test_interrupted_parts_are_sent_before_new_ones() -> None:
     lane = Lane(Stop(), Window(_CONNECTIONS))
     order: list[str] = []
     is_waiting = threading.Event()
@@ -149,31 +149,31 @@ def test_a_part_with_trouble_of_its_own_lets_others_go_first() -> None:
 
 
 def _watch(clock: Clock) -> tuple[LinkMonitor, list[str]]:
-    messages: list[str] = []
-    return LinkMonitor(messages.append, clock=clock), messages
+    said: list[str] = []
+    return LinkMonitor(said.append, clock=clock), said
 
 
 def _backoff() -> Backoff:
     return Backoff(10.0, lambda _: None)
 
 
-def test_silence_is_reported_once_for_all_connections(clock: Clock) -> None:
-    watch, messages = _watch(clock)
+def test_a_silent_network_is_reported_once_for_all_connections(clock: Clock) -> None:
+    watch, said = _watch(clock)
     for _ in range(4):
         watch.lost("http://store:9000/b/k?signature=x", _backoff(), TimeoutError(), "it took too long")
-    assert messages == ["no answer for 15 s from store:9000, reconnecting"]
+    assert said == ["no answer for 15 s from store:9000, reconnecting"]
     clock.now += 20
     watch.arrived()
-    assert messages[1:] == ["connected again after 35 s"]
+    assert said[1:] == ["connected again after 35 s"]
     assert watch.report() == LinkReport(connections_lost=4, longest_outage_s=35.0)
 
 
-def test_another_address_is_reported_and_reconnected_from_at_once(clock: Clock) -> None:
-    watch, messages = _watch(clock)
+def test_a_changed_address_is_reported_and_reconnected_from_at_once(clock: Clock) -> None:
+    watch, said = _watch(clock)
     watch.moved("10.0.0.7")
     assert watch.has_moved()
     watch.lost("http://store", _backoff(), ConnectionResetError(), "reset", resent_bytes=1_500_000)
-    assert messages == ["this machine no longer has the address 10.0.0.7 (another network?), reconnecting"]
+    assert said == ["this machine no longer has the address 10.0.0.7 (another network?), reconnecting"]
     clock.now += 2
     assert not watch.has_moved()
     advice = watch.report().advice()
@@ -183,10 +183,10 @@ def test_another_address_is_reported_and_reconnected_from_at_once(clock: Clock) 
 
 
 def test_a_connection_that_is_replaced_at_once_is_not_worth_a_word_while_it_lasts(clock: Clock) -> None:
-    watch, messages = _watch(clock)
+    watch, said = _watch(clock)
     watch.lost("http://store", _backoff(), ConnectionResetError(), "reset")
     watch.arrived()
-    assert messages == []
+    assert said == []
 
 
 def test_a_good_link_needs_no_advice() -> None:
@@ -223,9 +223,9 @@ def _unconnected(cause: OSError) -> BaseException:
 
 
 def test_a_store_that_refuses_connections_is_not_silent(clock: Clock) -> None:
-    watch, messages = _watch(clock)
+    watch, said = _watch(clock)
     watch.lost("http://store:9000/b/k", _backoff(), _refused(), "Connection refused")
-    assert messages == []
+    assert said == []
     clock.now += 20
     watch.arrived()
     assert watch.report().longest_outage_s == 20
@@ -239,17 +239,15 @@ def test_a_store_that_refuses_connections_is_not_silent(clock: Clock) -> None:
         socket.gaierror(socket.EAI_AGAIN, "Temporary failure in name resolution"),
     ],
 )
-def test_a_machine_without_a_network_is_reported(clock: Clock, cause: OSError, monkeypatch: pytest.MonkeyPatch) -> None:
-    watch, messages = _watch(clock)
+def test_a_missing_network_is_reported(clock: Clock, cause: OSError, monkeypatch: pytest.MonkeyPatch) -> None:
+    watch, said = _watch(clock)
     backoff = _backoff()
     error = _unconnected(cause)
     watch.lost("http://store:9000/b/k", backoff, error, str(cause.strerror))
-    assert messages == [], "this may pass in a moment"
+    assert said == [], "this may pass in a moment"
     monkeypatch.setattr(backoff, "lasting_s", lambda: 6.0)
     watch.lost("http://store:9000/b/k", backoff, error, str(cause.strerror))
-    assert messages == [
-        f"this machine cannot reach store:9000 ({cause.strerror}): it may have no network; trying again"
-    ]
+    assert said == [f"this machine cannot reach store:9000 ({cause.strerror}): it may have no network; trying again"]
 
 
 def test_an_error_that_wraps_silence_is_silence() -> None:
@@ -329,8 +327,8 @@ def listening() -> Iterator[Callable[[], str]]:
         return f"http://127.0.0.1:{sockets[-1].getsockname()[1]}/bucket"
 
     yield listen
-    for connection in sockets:
-        connection.close()
+    for each in sockets:
+        each.close()
 
 
 def test_the_diagnosis_names_what_does_not_answer(listening: Callable[[], str]) -> None:
@@ -348,11 +346,11 @@ def test_a_transfer_that_ends_before_its_first_byte_says_what_does_not_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server = f"http://127.0.0.1:{choose_port()}"
-    messages: list[str] = []
+    said: list[str] = []
 
     class Heard(Watcher):
         def notify(self, text: str) -> None:
-            messages.append(text)
+            said.append(text)
 
     def links(_: object) -> Sequence[DownloadLink]:
         raise ServerUnreachable(url=server, reason="Connection refused")
@@ -360,4 +358,4 @@ def test_a_transfer_that_ends_before_its_first_byte_says_what_does_not_answer(
     monkeypatch.setattr(sys.modules["kleinkram.client.transfer.download"], "PATIENCE_S", 0.0)
     with pytest.raises(ServerUnreachable):
         fetch(links, server, plan_download([file_read("a")], tmp_path), watcher=Heard())
-    assert "cannot be reached: Connection refused" in messages[-1]
+    assert "cannot be reached: Connection refused" in said[-1]

@@ -15,8 +15,8 @@ from kleinkram.client import Client, Endpoint, EndpointSource
 from kleinkram.client.errors import InvalidInput, TimedOut, VerifyFailed
 from kleinkram.client.transfer import Outcome
 from kleinkram.contract.actions import ActionDefinition, ActionRead
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import AmbiguousName, NotFound
-from kleinkram.contract.paging import Page
 from kleinkram.contract.runs import (
     MAX_LAUNCHED,
     ArtifactRead,

@@ -48,7 +48,7 @@ def _fresh(api: Api) -> Api:
         ("GET", "/audit/export?until=2000-01-01", None, "exports"),
     ],
 )
-def test_what_is_expensive_is_limited(strict: Api, method: str, path: str, body: object, what: str) -> None:
+def test_expensive_requests_are_limited(strict: Api, method: str, path: str, body: object, what: str) -> None:
     api = _fresh(strict)
     for _ in range(3):
         assert api.call(method, path, body).status in {200, 404}
@@ -59,7 +59,7 @@ def test_what_is_expensive_is_limited(strict: Api, method: str, path: str, body:
     assert f"at most 3 {what} in 60 s" in problem["detail"]
 
 
-def test_what_is_cheap_is_not_limited_and_others_go_on(strict: Api) -> None:
+def test_cheap_requests_and_other_clients_are_not_limited(strict: Api) -> None:
     api = _fresh(strict)
     for _ in range(3):
         api.get("/stats").ok()
@@ -109,7 +109,7 @@ def test_those_who_ask_at_once_are_all_counted(strict: Api) -> None:
     assert sorted(statuses) == [200] * 3 + [429] * 13
 
 
-def test_what_is_kept_says_nothing_of_who_asked(strict: Api) -> None:
+def test_stored_rate_counts_do_not_identify_the_client(strict: Api) -> None:
     async def count(context: AppContext) -> None:
         await enforce_limits(
             context.database, Count("sign-ins", "anna@lab.example", 5), Count("sign-ins", "10.0.0.1", 5)
@@ -145,8 +145,8 @@ def test_a_window_ends_and_is_forgotten(start_api: StartApi, monkeypatch: pytest
 
     api.get("/stats").ok()
     on_site(api, forget)
-    kept = api.sql("SELECT count(*) FROM rate_count WHERE key = 'searches:x'")
-    assert kept in ([(1,)], [(2,)])  # one more where a minute began meanwhile
+    counts = api.sql("SELECT count(*) FROM rate_count WHERE key = 'searches:x'")
+    assert counts in ([(1,)], [(2,)])  # one more where a minute began meanwhile
 
 
 def _limited(strict: Api) -> tuple[ClientApi, DownloadRequest]:

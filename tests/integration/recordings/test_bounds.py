@@ -8,8 +8,7 @@ from io import BytesIO
 import pytest
 
 from kleinkram.recordings import Content, CountingSource, summarise
-from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
-from kleinkram.recordings.formats.rosbag1.writer import BagCompression, BagWriter
+from kleinkram.recordings.sample.writers import BagCompression, BagWriter, Compression, McapWriter
 from tests.recording_files.memory_source import MemorySource, SparseFile
 from tests.recording_files.synthetic import MESSAGES_PER_CHUNK, SyntheticMcap
 

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from kleinkram.recordings import Content, RecordingSummary
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
-from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
-from kleinkram.recordings.formats.rosbag1.writer import BagCompression, BagWriter
+from kleinkram.recordings.sample.writers import BagCompression, BagWriter, Compression, McapWriter
 from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.memory_source import MemorySource

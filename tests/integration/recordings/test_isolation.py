@@ -32,7 +32,7 @@ from kleinkram.recordings import (
     timed_out,
 )
 from kleinkram.recordings.sample import generate_mcap
-from kleinkram.recordings.sources import file_reader
+from kleinkram.recordings.sources import FileReader
 from kleinkram.recordings.summary import scan
 from tests.unit.recordings.test_hostile import chunk, mcap_of
 
@@ -47,7 +47,7 @@ def test_same_summary_as_in_this_process(tmp_path: Path) -> None:
 
 def test_same_scan_as_in_this_process(tmp_path: Path) -> None:
     truth = generate_mcap(tmp_path / "drive.mcap", duration_s=1)
-    with file_reader(truth.path) as reader:
+    with FileReader(truth.path) as reader:
         assert summarise_isolated(FileRequest(str(truth.path)), depth=Depth.scan) == scan(reader)
 
 
@@ -62,7 +62,7 @@ def test_bytes_that_follow_the_request(tmp_path: Path) -> None:
     done = subprocess.run(CHILD_COMMAND, input=lines, env=CHILD_ENVIRONMENT, capture_output=True, check=True)
     first, second = (read_answer(line, b"", 0) for line in done.stdout.splitlines())
     assert first.content is Content.opaque
-    with file_reader(truth.path) as reader:
+    with FileReader(truth.path) as reader:
         assert second == scan(reader)
 
 

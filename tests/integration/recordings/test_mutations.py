@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kleinkram.recordings import Content, summarise
-from kleinkram.recordings.formats.mcap.writer import Compression
+from kleinkram.recordings.sample.writers import Compression
 from tests.recording_files.memory_source import MemorySource
 from tests.unit.recordings.test_hostile import small_bag, small_mcap
 

@@ -144,7 +144,7 @@ def test_same_seed_same_bytes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("size_bytes", [2_000_000, 60_000_000])
-def test_size_is_about_as_asked(tmp_path: Path, size_bytes: int) -> None:
+def test_size_is_about_the_requested_one(tmp_path: Path, size_bytes: int) -> None:
     truth = generate_bag(tmp_path / "sized.bag", size_bytes=size_bytes)
     assert truth.size_bytes == truth.path.stat().st_size
     assert truth.size_bytes == pytest.approx(size_bytes, rel=0.15)

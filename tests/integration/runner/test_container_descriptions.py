@@ -45,7 +45,7 @@ def test_a_container_gets_no_more_than_its_job_needs(tmp_path: Path, network: Ne
     assert "docker.sock" not in json.dumps(host)
 
 
-def test_what_the_kernel_counts_is_no_more_than_the_runner_has_itself(tmp_path: Path) -> None:
+def test_measured_usage_does_not_exceed_that_of_the_runner(tmp_path: Path) -> None:
     limits = host_of(job_of(tmp_path, disk_bytes=10**9))["Ulimits"]
     assert isinstance(limits, list)
     hard = {entry["Name"]: entry["Hard"] for entry in limits}
@@ -69,7 +69,7 @@ def test_what_the_kernel_counts_is_no_more_than_the_runner_has_itself(tmp_path: 
         ("", None),
     ],
 )
-def test_what_first_processes_say_of_a_command_that_is_not_there(output: str, error: str | None) -> None:
+def test_a_missing_command_is_reported_for_every_init_process(output: str, error: str | None) -> None:
     result = execution_error(output, ["/usr/bin/odd", "-v"], 127)
     assert result is None if error is None else str(result).startswith(error)
 

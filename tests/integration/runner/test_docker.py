@@ -162,7 +162,7 @@ def test_processes_are_counted(bench: Bench) -> None:
 
 
 @BOTH
-def test_what_is_written_beside_is_not(bench: Bench) -> None:
+def test_files_written_outside_the_output_folder_are_not_collected(bench: Bench) -> None:
     job, _ = bench.run(
         "import os\n"
         "os.symlink('/etc/shadow', '/out/link')\n"

@@ -77,6 +77,6 @@ def test_a_run_is_removed_though_its_container_stays(
     assert "kleinkram-a-run was not removed: device or resource busy" in caplog.text
 
 
-def test_what_an_earlier_start_left_is_not_taken_for_the_run(executor: DockerExecutor, tmp_path: Path) -> None:
+def test_the_container_of_an_earlier_start_is_not_taken_for_the_run(executor: DockerExecutor, tmp_path: Path) -> None:
     with pytest.raises(CannotStart, match="does not remove the container of an earlier start"):
         executor.submit(a_run(tmp_path))

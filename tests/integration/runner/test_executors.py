@@ -290,7 +290,7 @@ def test_no_line_is_lost(bench: Bench) -> None:
 
 
 @pytest.mark.slow
-def test_what_a_run_leaves_running_ends_with_it(isolated: Bench) -> None:
+def test_background_processes_of_a_run_end_with_it(isolated: Bench) -> None:
     job, ending = isolated.run(
         "import os, time\n"
         "if os.fork() == 0:\n    os.setsid()\n    time.sleep(1)\n    open('/out/late', 'w').write('x')\n"

@@ -83,7 +83,7 @@ def test_a_runner_that_is_killed_finds_its_run_again(server: FakeServer, runners
 
 
 @pytest.mark.parametrize(("refusals", "reason"), [(2, EndReason.done), (1000, EndReason.results_not_stored)])
-def test_what_is_not_taken_is_sent_again(
+def test_rejected_reports_are_sent_again(
     server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch, refusals: int, reason: EndReason
 ) -> None:
     """Its folder goes when it is over: a run is not given up for one upload that was."""

@@ -35,7 +35,7 @@ def test_a_damaged_input_is_downloaded_once_more_and_never_used(server: FakeServ
 
 
 @pytest.mark.slow
-def test_what_came_is_fetched_anew_once_it_was_changed(server: FakeServer, runners: Runners) -> None:
+def test_changed_inputs_are_downloaded_again(server: FakeServer, runners: Runners) -> None:
     runners.start()
     ended(server.launch(READ, {"drive.bag": b"bytes of a drive"}))
     (stored,) = runners.folder.glob("cache/*.file")

@@ -36,7 +36,7 @@ _GATE = 7
 @pytest.fixture(name="api", scope="module")
 def _api(start_api: StartApi) -> Api:
     """An API of its own, whose sweep lets go at once."""
-    return start_api(trash_days=0, sweep_grace_s=0)
+    return start_api(trash_days=0, garbage_grace_s=0)
 
 
 class _Twin:
@@ -76,13 +76,13 @@ def _see_that_all_have_bytes(api: Api, mission_id: str, bodies: dict[str, bytes]
     """Once more after the sweep: these files, and no row of any other refers to what is gone or goes."""
     there = _sweep(api)
     assert {row[0] for row in api.sql(_USED)} <= there
-    assert api.sql(f"{_USED} WHERE b.doomed_at IS NOT NULL") == []
+    assert api.sql(f"{_USED} WHERE b.marked_for_deletion_at IS NOT NULL") == []
     files = {file["path"]: file["id"] for file in api.all("/files", {"mission_id": mission_id})}
     links = api.post("/files/download", {"file_ids": [files[path] for path in bodies]}).ok()["items"]
     assert [fetch(link["url"]) for link in links] == [(200, body) for body in bodies.values()]
 
 
-def test_what_is_being_linked_is_not_swept(api: Api, mission_id: str, other: _Twin) -> None:
+def test_a_blob_being_linked_is_not_collected(api: Api, mission_id: str, other: _Twin) -> None:
     twin = _Twin(api)
     with racing(api, _HOLD_NAME, mission_id, other.file["id"]) as send_one:
         linked = send_one(begin, api, mission_id, {"run.bin": twin.body})
@@ -92,7 +92,7 @@ def test_what_is_being_linked_is_not_swept(api: Api, mission_id: str, other: _Tw
     _see_that_all_have_bytes(api, mission_id, {"run.bin": twin.body})
 
 
-def test_what_was_linked_while_the_sweep_looked_is_not_swept(
+def test_a_blob_linked_during_garbage_collection_is_not_collected(
     api: Api, mission_id: str, other: _Twin, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     twin = _Twin(api)
@@ -121,7 +121,7 @@ def test_what_was_linked_while_the_sweep_looked_is_not_swept(
 
 
 @pytest.mark.parametrize("is_gone", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_who_would_link_what_the_sweep_took_is_told_to_send_it(
+def test_linking_a_collected_blob_requires_an_upload(
     api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch, is_gone: bool
 ) -> None:
     # Blobs are locked by their ids: at the first, which is held, it is known already that the second is there.

@@ -30,12 +30,12 @@ def test_one_way_at_a_time() -> None:
     assert isinstance(klein("login", LAB, "--device", "--token").exception, InvalidInput)
 
 
-def test_which_server_must_be_known() -> None:
+def test_a_server_must_be_selected() -> None:
     assert isinstance(klein("login").exception, NotConfigured)
 
 
 @pytest.mark.parametrize("url", ["lab", f"{LAB}/s#klein_link_x", "https://ada:secret@lab.example"])
-def test_what_is_no_server_is_refused(url: str) -> None:
+def test_an_address_without_server_is_refused(url: str) -> None:
     assert isinstance(klein("login", url).exception, InvalidInput)
 
 
@@ -51,10 +51,10 @@ def test_a_name_that_another_server_has_is_refused_before_anybody_signs_in() -> 
 
 
 @pytest.mark.parametrize(
-    ("url", "is_warned"), [("http://10.0.0.3:8000", True), ("http://127.0.0.1:8000", False), (LAB, False)]
+    ("url", "is_said"), [("http://10.0.0.3:8000", True), ("http://127.0.0.1:8000", False), (LAB, False)]
 )
-def test_plain_http_is_warned_about(url: str, is_warned: bool) -> None:
-    assert ("not encrypted" in klein("login", url).output) == is_warned
+def test_an_unencrypted_connection_is_reported(url: str, is_said: bool) -> None:
+    assert ("not encrypted" in klein("login", url).output) == is_said
 
 
 def test_the_list_says_who_one_is_and_until_when() -> None:
@@ -71,8 +71,8 @@ def test_the_list_says_who_one_is_and_until_when() -> None:
     assert rows["new"].split()[1:] == ["https://new", "Ben", "2100-01-01T00:00:00Z"]
     assert rows["robot"].endswith("no end")
     assert rows["added"].split()[1:] == ["https://added", "-", "-"]
-    rows_by_name = {row["name"]: row for row in json.loads(klein("endpoint", "list", "--json").output)["items"]}
-    assert {name: row["expired"] for name, row in rows_by_name.items()} == {
+    told = {row["name"]: row for row in json.loads(klein("endpoint", "list", "--json").output)["items"]}
+    assert {name: row["expired"] for name, row in told.items()} == {
         "old": True,
         "new": False,
         "robot": False,
@@ -81,13 +81,13 @@ def test_the_list_says_who_one_is_and_until_when() -> None:
 
 
 @pytest.mark.parametrize("arguments", [(), ("some-id", "--all"), ("no-id",)])
-def test_signing_a_browser_out_needs_one_id_or_all(arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_session_to_sign_out_is_named_once(arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("KLEINKRAM_URL", LAB)
     monkeypatch.setenv("KLEINKRAM_TOKEN", "t")
     assert isinstance(klein("session", "revoke", *arguments).exception, InvalidInput)
 
 
-def test_signing_out_needs_a_saved_server() -> None:
+def test_logging_out_needs_a_server() -> None:
     assert isinstance(klein("logout", "lab", "--all").exception, InvalidInput)
     assert isinstance(klein("logout").exception, NotConfigured)
     assert klein("logout", "--all").exit_code == 0

@@ -47,8 +47,8 @@ def test_the_order_of_places(local: Path, monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setenv("KLEINKRAM_URL", "http://env:1")
     monkeypatch.setenv("KLEINKRAM_TOKEN", "env-token")
     assert (find_endpoint().source, find_endpoint().token) == (EndpointSource.environment, "env-token")
-    endpoint = find_endpoint("http://arg:1", "arg-token")
-    assert (endpoint.source, endpoint.token) == (EndpointSource.argument, "arg-token")
+    given = find_endpoint("http://arg:1", "arg-token")
+    assert (given.source, given.token) == (EndpointSource.argument, "arg-token")
 
 
 def test_a_token_is_only_used_for_the_server_it_is_for(local: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -62,15 +62,15 @@ def test_a_token_is_only_used_for_the_server_it_is_for(local: Path, monkeypatch:
 
 
 def test_the_address_of_a_link_is_a_server_and_a_secret(monkeypatch: pytest.MonkeyPatch) -> None:
-    endpoint = find_endpoint("https://lab/s#klein_link_x")
-    assert (endpoint.url, endpoint.token) == ("https://lab", "klein_link_x")
-    assert "klein_link_x" not in repr(endpoint)
+    given = find_endpoint("https://lab/s#klein_link_x")
+    assert (given.url, given.token) == ("https://lab", "klein_link_x")
+    assert "klein_link_x" not in repr(given)
     monkeypatch.setenv("KLEINKRAM_URL", "https://lab/below/s#klein_link_y")
     monkeypatch.setenv("KLEINKRAM_TOKEN", "of-another-server")
     assert (find_endpoint().url, find_endpoint().token) == ("https://lab/below", "klein_link_y")
 
 
-def test_without_a_token_a_warning_names_what_is_public(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_missing_token_is_reported_with_instructions(caplog: pytest.LogCaptureFixture) -> None:
     connect("https://elsewhere").close()
     assert "https://elsewhere" in caplog.text
     assert "only what is public" in caplog.text
@@ -98,6 +98,6 @@ def test_a_broken_instance_is_named(local: Path) -> None:
         *("https://ada:secret@lab", "https://lab/s#klein_link_x", "https://lab?token=x"),
     ],
 )
-def test_what_is_no_url_is_refused(url: str) -> None:
+def test_invalid_urls_are_refused(url: str) -> None:
     with pytest.raises(InvalidInput):
         normal_url(url)

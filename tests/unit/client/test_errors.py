@@ -18,9 +18,9 @@ CLASSES = [cls for cls in vars(errors).values() if isinstance(cls, type) and iss
 
 @pytest.mark.parametrize("cls", [cls for cls in CLASSES if cls is not ClientError])
 def test_a_sentence_names_all_it_knows(cls: type[ClientError]) -> None:
-    values = {field.name: 7.5 if field.name == "seconds" else f"<{field.name}>" for field in fields(cls)}
-    sentence = str(cls(**values))
-    assert all(str(value) in sentence for value in values.values())
+    given = {field.name: 7.5 if field.name == "seconds" else f"<{field.name}>" for field in fields(cls)}
+    sentence = str(cls(**given))
+    assert all(str(value) in sentence for value in given.values())
     assert sentence.endswith((".", "?"))
     assert "{" not in sentence
 
@@ -39,7 +39,7 @@ def test_a_wrong_name_is_refused_before_it_is_sent() -> None:
         checked(ProjectCreate, "The project", name="a\nb")
 
 
-def test_a_filter_sends_only_set_fields() -> None:
+def test_a_filter_contains_only_the_passed_arguments() -> None:
     query = query_of(FileFilter(topic=["/a", "/b"], state=[BlobState.lost]), limit=5, cursor=None, count=True)
     assert query == [("topic", "/a"), ("topic", "/b"), ("state", "lost"), ("limit", "5"), ("count", "true")]
 
@@ -69,5 +69,5 @@ def test_reasons_are_short_and_contain_no_address() -> None:
         (503, "SlowDown", StoreAnswer.try_again),
     ],
 )
-def test_what_a_store_means(status: int, code: str, answer: StoreAnswer) -> None:
+def test_errors_of_the_store_are_classified(status: int, code: str, answer: StoreAnswer) -> None:
     assert meaning(status, code) is answer

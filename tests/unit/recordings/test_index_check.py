@@ -11,7 +11,7 @@ import pytest
 from kleinkram.recordings import FileSource, Recording, RecordingSummary, summarise
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
-from kleinkram.recordings.sources import file_reader
+from kleinkram.recordings.sources import FileReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.agreement import ParallelSource, accounts_of, disagreements
 from tests.recording_files.builders import T0, bag_of, mcap_of
@@ -121,7 +121,7 @@ def written(name: str, folder: Path) -> Path:
 
 
 def by_scan(path: Path) -> RecordingSummary:
-    with file_reader(path) as reader:
+    with FileReader(path) as reader:
         return scan(reader)
 
 

@@ -11,9 +11,9 @@ import pytest
 from kleinkram.recordings import Problem, combine, summarise
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
-from kleinkram.recordings.formats.mcap.writer import McapWriter
 from kleinkram.recordings.formats.rosbag1 import records as bag_records
 from kleinkram.recordings.model import span_text
+from kleinkram.recordings.sample.writers import McapWriter
 from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.memory_source import MemorySource
@@ -91,7 +91,7 @@ def test_a_clock_that_was_set_back(stamps: list[int], named: str) -> None:
     assert [problem.code for problem in both.problems] == ["clock-jump"]
 
 
-def test_what_is_written_late_is_no_jump() -> None:
+def test_late_writes_are_no_clock_jump() -> None:
     late = [stamp for start in range(0, 100, 9) for stamp in (*range(start + 1, start + 9), start)]
     assert summarise(stamped(late)).problems == ()
 

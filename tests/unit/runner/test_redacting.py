@@ -40,6 +40,6 @@ def test_a_line_is_waited_for() -> None:
     assert redactor.cut(b"a line\nhalf", 100) == 7
 
 
-def test_what_is_no_secret_stays() -> None:
+def test_other_text_is_not_redacted() -> None:
     data = b"klein_run_short klein_project X-Amz-Date=2026 \xff\xfe\n" + bytes(range(256))
     assert Redactor([TOKEN]).redact(data) == data

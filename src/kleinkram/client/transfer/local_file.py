@@ -14,11 +14,10 @@ from typing import NamedTuple, Protocol
 from kleinkram.client.errors import FileChanged, FileUnreadable, TimedOut
 from kleinkram.client.files import Files
 from kleinkram.client.transfer.plan import FileIdentity, LocalFile, UploadPlan, identity_of
-from kleinkram.contract.checksums import crc64nvme
 from kleinkram.contract.files import BlobState, FileFilter, FileRead
 from kleinkram.contract.names import name_key
 from kleinkram.contract.runs import ArtifactRead
-from kleinkram.contract.uploads import ChecksumKind
+from kleinkram.contract.uploads import ChecksumKind, crc64nvme
 
 SLICE_BYTES = 1024 * 1024
 _POLL_S = 0.5

@@ -1,14 +1,12 @@
 """Generates one Python function per type, which is what makes decoding fast.
 
 The generated function reads runs of numbers with one `struct` call each, computes alignment in advance wherever the
-position is known, and inlines nested types. A schema is untrusted text, and this is `exec`: so nothing of a
-schema enters the code except the names of fields, each of which `schema.identifier` has held to letters, digits and
-underscores with a letter in front, never a word of Python, and only ever behind a dot (`v3.frame_id = ...`). Classes,
-formats and dtypes enter as objects in the function's namespace, under names made here (`c0`, `u1`); lengths enter as
-integers. Builtins are out of reach. The size of the code is bounded by `MAX_FIELDS`.
+position is known, and inlines nested types. A schema is untrusted text, and this is `exec`: nothing of it enters the
+code except field names, which `types.identifier` restricts to letters, digits and underscores with a letter in front,
+never a keyword, and only behind a dot (`v3.frame_id = ...`). Classes, formats and dtypes enter as objects under names
+made here (`c0`, `u1`), lengths as integers. Builtins are out of reach; `MAX_FIELDS` bounds the size of the code.
 
-The generated function checks every length against the bytes that are there before it allocates anything, and counts
-objects against `MAX_OBJECTS`.
+It checks every length against the bytes that are there before it allocates, and counts objects against `MAX_OBJECTS`.
 """
 
 from __future__ import annotations
@@ -17,8 +15,7 @@ import struct
 from collections.abc import Callable
 from typing import Any, NoReturn
 
-from kleinkram.recordings.decoding.errors import DecodeError
-from kleinkram.recordings.decoding.types import MAX_OBJECTS, PRIMITIVES, Array, Primitive, Struct, Type
+from kleinkram.recordings.decoding.types import MAX_OBJECTS, PRIMITIVES, Array, DecodeError, Primitive, Struct, Type
 from kleinkram.recordings.decoding.values import Value, value_class
 from kleinkram.recordings.decoding.wire import (
     NumberReader,
@@ -51,9 +48,7 @@ def generate(root: Struct, wire: Wire) -> Decode:
     writer = _CodeWriter(wire, reads)
     writer.namespace.update(
         errors=(struct.error, ValueError, IndexError, OverflowError, TypeError),
-        fail=_fail_for(root.name),
-        short=_short_for(root.name),
-        left_over=_left_over_for(root.name),
+        **_failures(root.name),
         read_wide=read_wide,
         numbers=reads.numbers,
         flags=reads.flags,
@@ -73,29 +68,22 @@ def generate(root: Struct, wire: Wire) -> Decode:
     return decode
 
 
-def _fail_for(name: str) -> Callable[[bytes, int, Exception | None], NoReturn]:
+def _failures(name: str) -> dict[str, Callable[..., NoReturn]]:
+    """Return the functions that raise what is wrong with a message of a type."""
+
     def fail(data: bytes, offset: int, error: Exception | None) -> NoReturn:
-        raise DecodeError(
-            name, f"the {len(data)} bytes end too early or are not such a message", offset=offset
-        ) from error
+        message = f"the {len(data)} bytes end too early or are not such a message"
+        raise DecodeError(name, message, offset=offset) from error
 
-    return fail
-
-
-def _short_for(name: str) -> Callable[[int, int, int], NoReturn]:
     def short(claimed: int, size: int, offset: int) -> NoReturn:
         message = f"{claimed} elements or bytes are claimed; the message has {size} bytes"
         raise DecodeError(name, message, offset=offset)
 
-    return short
-
-
-def _left_over_for(name: str) -> Callable[[int, int], NoReturn]:
     def left_over(size: int, offset: int) -> NoReturn:
         message = f"{size - offset} of its {size} bytes are left over: the definition does not match the message"
         raise DecodeError(name, message, offset=offset)
 
-    return left_over
+    return {"fail": fail, "short": short, "left_over": left_over}
 
 
 class _CodeWriter:
@@ -235,9 +223,6 @@ class _CodeWriter:
         else:
             self._settle(1)
             count = str(kind.length)
-        self._elements(kind, count, target)
-
-    def _elements(self, kind: Array, count: str, target: str) -> None:
         least, objects = least_size(kind.element, self._wire), 1 + object_count(kind.element)
         self.line(f"left -= {count} * {objects}")
         self.line(f"if left < 0 or {count} * {least} > size - o: short({count}, size, o)")

@@ -12,19 +12,18 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from typing import Any, ClassVar
 
-from kleinkram.recordings.decoding.errors import DecodeError
-from kleinkram.recordings.decoding.types import ConstantValue, Struct
+from kleinkram.recordings.decoding.types import ConstantValue, DecodeError, Struct
 
 NS = 1_000_000_000
+# Seconds and nanoseconds of ROS 2, ROS 1, protobuf, and Foxglove's JSON.
+_STAMPS = (("sec", "nanosec"), ("secs", "nsecs"), ("seconds", "nanos"), ("sec", "nsec"))
 Constants = tuple[tuple[str, ConstantValue], ...]
 
 
 class Value:
     """A decoded message or a part of one: its fields are attributes, its constants are attributes of its class.
 
-    Attributes:
-        _type: the type's name as the schema has it, such as "sensor_msgs/msg/Imu".
-        _fields: the names of the fields, in the schema's order.
+    `_type`: the type's name as the schema has it; `_fields`: the names of the fields, in the schema's order.
     """
 
     __slots__ = ()
@@ -127,26 +126,9 @@ def stamp_ns(value: object) -> int | None:
     Raises:
         DecodeError: the stamp is not a time.
     """
-    return _time(_stamp(value))
-
-
-def part(value: object, name: str) -> Any:
-    """Return a field of a decoded message of any encoding, or None."""
-    return value.get(name) if isinstance(value, Mapping) else getattr(value, name, None)
-
-
-def _stamp(value: object) -> object:
-    header = part(value, "header")
-    for place in (header, value):
-        for name in ("stamp", "timestamp"):
-            stamp = part(place, name)
-            if stamp is not None and not callable(stamp):
-                return stamp
-    return value
-
-
-def _time(stamp: object) -> int | None:
-    for seconds, nanoseconds in (("sec", "nanosec"), ("secs", "nsecs"), ("seconds", "nanos"), ("sec", "nsec")):
+    stamps = (part(place, name) for place in (part(value, "header"), value) for name in ("stamp", "timestamp"))
+    stamp = next((stamp for stamp in stamps if stamp is not None and not callable(stamp)), value)
+    for seconds, nanoseconds in _STAMPS:
         whole, rest = part(stamp, seconds), part(stamp, nanoseconds)
         if whole is None or rest is None:
             continue
@@ -157,17 +139,18 @@ def _time(stamp: object) -> int | None:
     return None
 
 
+def part(value: object, name: str) -> Any:
+    """Return a field of a decoded message of any encoding, or None."""
+    return value.get(name) if isinstance(value, Mapping) else getattr(value, name, None)
+
+
 def type_name(value: Any) -> str:
     """Return the name of a decoded message's type, for errors."""
     return str(getattr(value, "_type", "") or getattr(getattr(value, "DESCRIPTOR", None), "full_name", ""))
 
 
 def payload(value: object) -> Any:
-    """Return the field `data` as a buffer with a length in bytes; JSON carries it in base64.
-
-    Raises:
-        DecodeError: it is neither bytes nor base64.
-    """
+    """Return the field `data` as a buffer with a length in bytes; JSON carries it in base64."""
     data = part(value, "data")
     if isinstance(data, str):
         try:
@@ -181,11 +164,7 @@ def payload(value: object) -> Any:
 
 
 def whole_number(value: object, name: str) -> int:
-    """Return a field that is a size.
-
-    Raises:
-        DecodeError: it is missing, not an integer, or negative.
-    """
+    """Return a field that is a size; anything but a non-negative integer is a `DecodeError`."""
     number = part(value, name)
     if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < 2**32:
         raise DecodeError(type_name(value), f"its {name} is {str(number)[:40]}, which is not a size")

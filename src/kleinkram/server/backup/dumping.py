@@ -34,7 +34,8 @@ GROUP BY c.relname ORDER BY c.relname
 # Blobs that are on their way out are left: their objects may be gone already. Of pieces of logs no hash is known.
 _WANTED = """
 COPY (
-  SELECT key, size_bytes, encode(sha256, 'hex') AS hash FROM blob WHERE doomed_at IS NULL AND store_id = {store}
+  SELECT key, size_bytes, encode(sha256, 'hex') AS hash FROM blob
+    WHERE marked_for_deletion_at IS NULL AND store_id = {store}
   UNION ALL
   SELECT key, size_bytes, NULL FROM log_chunk WHERE kept_at IS NOT NULL AND store_id = {store}
   ORDER BY hash, key
@@ -42,7 +43,8 @@ COPY (
 """
 _WANTED_BEFORE_RUNS = """
 COPY (
-  SELECT key, size_bytes, encode(sha256, 'hex') AS hash FROM blob WHERE doomed_at IS NULL AND store_id = {store}
+  SELECT key, size_bytes, encode(sha256, 'hex') AS hash FROM blob
+    WHERE marked_for_deletion_at IS NULL AND store_id = {store}
   ORDER BY hash, key
 ) TO STDOUT
 """
@@ -102,7 +104,7 @@ async def facts(connection: Reading, store_id: str) -> Facts:
     await connection.execute(sql.SQL("LOCK TABLE {} IN ACCESS SHARE MODE").format(listing))
     revision = await _one(connection, "SELECT version_num FROM alembic_version")
     elsewhere = await _one(
-        connection, "SELECT count(*)::text FROM blob WHERE doomed_at IS NULL AND store_id <> %s", store_id
+        connection, "SELECT count(*)::text FROM blob WHERE marked_for_deletion_at IS NULL AND store_id <> %s", store_id
     )
     return Facts(await _one(connection, "SHOW server_version"), revision, tables, int(elsewhere))
 

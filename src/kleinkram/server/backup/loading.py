@@ -163,7 +163,7 @@ def _mend(database: Database, target: Target, snapshot: Snapshot, missing: Itera
     database.execute("UPDATE run SET lease_ends_at = now() WHERE lease_ends_at > now()")
     database.execute(
         "UPDATE blob SET state = 'stored', state_reason = NULL, damaged_at = NULL"
-        " WHERE state <> 'stored' AND store_id = %s AND doomed_at IS NULL",
+        " WHERE state <> 'stored' AND store_id = %s AND marked_for_deletion_at IS NULL",
         (to,),
     )
     with database.cursor() as cursor:

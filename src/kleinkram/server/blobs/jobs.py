@@ -33,12 +33,11 @@ from kleinkram.server.blobs.summaries import record_read_failure, record_summari
 from kleinkram.server.blobs.verification import ObjectChecksums, Unreadable, read_through
 from kleinkram.server.context import AppContext
 from kleinkram.server.http.rate_limit import delete_expired_counts
+from kleinkram.server.jobs.attempts import ATTEMPTS, PATIENTLY, app_context, courtesy_of, given
 from kleinkram.server.jobs.courtesy import SUMMARY_PATIENCE_S, VERIFY_PATIENCE_S
-from kleinkram.server.jobs.job_context import ATTEMPTS, PATIENTLY, app_context, courtesy_of, given
-from kleinkram.server.jobs.queue import Job, Urgency, hasten, queue
-from kleinkram.server.jobs.retention import forget_ended
+from kleinkram.server.jobs.queue import Job, Urgency, forget_ended, hasten, queue
 from kleinkram.server.recordings.service import regroup_forgotten
-from kleinkram.server.trash.emptying import empty_trash
+from kleinkram.server.trash.service import empty_trash
 
 _log = logging.getLogger("kleinkram.blobs")
 # A recording without an index must be read whole: at once up to this size, else when the verification reads it.
@@ -271,8 +270,8 @@ async def _record_damage(context: AppContext, blob_id: uuid.UUID, state: BlobSta
 
 
 @queue.periodic(cron="*/10 * * * *")
-@queue.task(name=Job.sweep.value, pass_context=True, queueing_lock="sweep", lock="sweep")
-async def sweep(job_context: JobContext, timestamp: int = 0) -> None:
+@queue.task(name=Job.collect_garbage.value, pass_context=True, queueing_lock="collect_garbage", lock="collect_garbage")
+async def run_garbage_collection(job_context: JobContext, timestamp: int = 0) -> None:
     """Run one round of maintenance and garbage collection."""
     await collect_garbage(app_context(job_context))
 
@@ -298,7 +297,7 @@ async def collect_garbage(context: AppContext) -> None:
         if await garbage_collection.is_deletion_paused(db):
             return
         objects = await garbage_collection.objects_to_delete(
-            db, store_id=store_id, grace_s=settings.sweep_grace_s, limit=_GC_BATCH
+            db, store_id=store_id, grace_s=settings.garbage_grace_s, limit=_GC_BATCH
         )
     for row in objects:
         await context.storage.delete(row.key)

@@ -7,9 +7,9 @@ from typing import Any
 
 from sqlalchemy import Row, delete, func, or_, select, update
 
+from kleinkram.contract.access import Right
+from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.errors import Forbidden
-from kleinkram.contract.events import ChangeKind
-from kleinkram.contract.rights import Right
 from kleinkram.contract.runners import LEASE_S
 from kleinkram.contract.runs import EndReason, RunRead, RunState
 from kleinkram.contract.uploads import UploadState
@@ -20,8 +20,8 @@ from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection
 from kleinkram.server.runs import service
 from kleinkram.server.tables import mission, project, run, run_artifact, runner, token, upload
-from kleinkram.server.tables.run import HELD
-from kleinkram.server.tables.upload import UNDER_WAY
+from kleinkram.server.tables.blobs import UNDER_WAY
+from kleinkram.server.tables.runs import HELD
 
 # How often a run is queued again after its runner was lost.
 MOST_LOST = 2

@@ -38,7 +38,7 @@ from sqlalchemy import (
 from sqlalchemy.dialects.postgresql import JSONB
 
 from kleinkram.contract.files import FileFilter
-from kleinkram.contract.query.keys import META
+from kleinkram.contract.query import META
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions, visible_files
 from kleinkram.server.db import among
@@ -68,7 +68,7 @@ def variants(actor: Actor, matching: FileFilter) -> list[FileFilter]:
 
 
 def facet_rows(
-    actor: Actor, matching: FileFilter, plan: SearchPlan, *, most: int, common: Sequence[bool]
+    actor: Actor, matching: FileFilter, *, plan: SearchPlan, most: int, common: Sequence[bool]
 ) -> CompoundSelect[Any]:
     """Return rows of `facet`, `value`, `kind`, `file_count`, `value_count` for every facet of a filter.
 

@@ -5,12 +5,12 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict
 
+from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.contract.files import FileSort, TopicRead
 from kleinkram.contract.names import Term
-from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.overviews import StatsRead
 from kleinkram.contract.query import whole
-from kleinkram.contract.searching import FacetsRead, FileQuery, QueryText, SearchRead
-from kleinkram.contract.stats import StatsRead
+from kleinkram.contract.search import FacetsRead, FileQuery, QueryText, SearchRead
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
 from kleinkram.server.paging import PageRequest
 from kleinkram.server.search import facets, service
@@ -51,7 +51,7 @@ async def search(asked: Annotated[SearchQuery, Query()], db: Transaction, actor:
 @router.get("/search/facets", operation_id="get_facets")
 async def get_facets(db: Transaction, actor: CurrentActor, query: Annotated[QueryText, Query()] = "") -> FacetsRead:
     """Return how the files that a query finds divide, and the text of the query with each value chosen."""
-    return await facets.get_facets(db, actor, text=query)
+    return await facets.get_facets(db, actor, query=query)
 
 
 @router.get("/topics", operation_id="list_topics")

@@ -25,7 +25,8 @@ from kleinkram.recordings.decoding import (
     to_plain,
     typed_rows,
 )
-from kleinkram.recordings.sample import definitions
+from kleinkram.recordings.sample.messages import ros2_definition
+from tests.conftest import MakeCase
 
 TEXT = """\
 Header header
@@ -140,7 +141,7 @@ def imu(number: int, frame: str = "imu") -> bytes:
     return LITTLE + Cdr().put("i", number).put("I", 5).text(frame).put("d", *range(number, number + 37)).body
 
 
-IMU = decoder(definitions.ros2_definition("sensor_msgs/Imu"), "sensor_msgs/msg/Imu")
+IMU = decoder(ros2_definition("sensor_msgs/Imu"), "sensor_msgs/msg/Imu")
 
 
 def test_imu_table() -> None:
@@ -303,3 +304,7 @@ def test_a_bag_without_definitions_says_that_they_are_missing(make_case: Callabl
         assert reasons.pop("/e") is None
         assert all(reason and "definition is missing" in reason for reason in reasons.values())
         assert recording.to_arrow("/n")["data"].to_pylist() == [b"\x07\0\0\0"]
+
+
+def test_repeated_fields_of_protobuf_become_lists(make_case: MakeCase) -> None:
+    assert "'list', 'subs': 'list', 'names': 'list'" in (make_case("19A") / "printed.txt").read_text()

@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from kleinkram.recordings import Recording, TooDisordered
-from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
-from kleinkram.recordings.formats.rosbag2.writer import Db3Writer
+from kleinkram.recordings.sample.writers import Compression, Db3Writer, McapWriter
 from tests.recording_files.builders import T0, Stamped, Watched, bag_of, mcap_of
 from tests.recording_files.memory_source import MemorySource
 

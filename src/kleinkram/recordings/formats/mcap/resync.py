@@ -13,13 +13,11 @@ from typing import NamedTuple
 from kleinkram.recordings.compression import Buffer
 from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.formats.chunked import LOOK, search_width
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import FOOTER_BYTES, MAGIC, RECORD_HEAD, Opcode
 from kleinkram.recordings.limits import MAX_NAME
 from kleinkram.recordings.streams import LookaheadStream
-
-LOOK = 64 * 2**10
-"""Bytes from the start of a record within which its fixed fields and names are."""
 
 CHUNK_FIXED = struct.Struct("<QQQII")
 _U16 = struct.Struct("<H")
@@ -30,9 +28,7 @@ _LONGEST_COMPRESSION = 64
 _FIRST_PRIVATE = 0x80
 _FOLLOWERS, _FOLLOWERS_OF_STRANGER = 1, 4
 _ONE_BIT_AWAY = (Opcode.HEADER, Opcode.CHANNEL, Opcode.METADATA_INDEX)
-_COMPRESSIONS = (b"", b"zstd", b"lz4")
-_CANDIDATE = re.compile(rb"[\x01-\x0f](?=.{5}\0{3})", re.DOTALL)
-"""An opcode, and the length of a record below 1 TB."""
+_CANDIDATE = re.compile(rb"[\x01-\x0f](?=.{5}\0{3})", re.DOTALL)  # an opcode, and the length of a record below 1 TB
 _CHUNK = re.compile(rb"\x06(?=.{5}\0{3})", re.DOTALL)
 
 
@@ -71,18 +67,14 @@ def fault(data: Buffer, at: int, left: int) -> str | None:
     is_known = opcode in _OPCODES
     if opcode == 0 or (not is_known and not _is_unknown_kind(data, at, length, left)):
         return no_record(data[at : at + RECORD_HEAD.size])
-    if not is_known or opcode == Opcode.MESSAGE:
-        return None
-    if is_unfinished_chunk(data, at):
+    if not is_known or opcode == Opcode.MESSAGE or is_unfinished_chunk(data, at):
         return None
     needed = _body_length(opcode, data, at + RECORD_HEAD.size, length)
     # Later versions may add fields to a record, but not to a chunk, which ends in length-prefixed data.
     if needed is None or needed > length or (opcode == Opcode.CHUNK and needed != length):
         return "a record whose lengths contradict each other"
-    if (
-        needed < length
-        and record_end(data, at + RECORD_HEAD.size + needed, left - RECORD_HEAD.size - needed) is not None
-    ):
+    needed_bytes = RECORD_HEAD.size + needed
+    if needed < length and record_end(data, at + needed_bytes, left - needed_bytes) is not None:
         return "a record whose length includes the next record"
     return None
 
@@ -107,8 +99,8 @@ def is_unfinished_chunk(data: Buffer, at: int) -> bool:
 def is_disguised(data: Buffer, at: int, left: int, *, behind_chunk: bool) -> bool:
     """Return whether a message record has the lengths of a record whose opcode differs by one bit.
 
-    `left`: bytes from `at` to the end of the file. `behind_chunk`: or behind damage, where message indexes
-    may are; a message elsewhere may look like one by chance.
+    `left`: bytes from `at` to the end of the file. `behind_chunk`: or behind damage, where message indexes may be; a
+    message elsewhere may look like one by chance.
     """
     if left < RECORD_HEAD.size:
         return False
@@ -143,10 +135,10 @@ def _is_unknown_kind(data: Buffer, at: int, length: int, left: int) -> bool:
 
 
 def find_record(data: Buffer, start: int, end: int, left: int, channels: Container[int]) -> int | None:
-    """Return the first place in [start, end) where a record begins.
+    """Return the first place in [start, end) where a record begins; `left`: bytes from `start` to the end of the file.
 
-    `left`: bytes from `start` to the end of the file. The lengths in a record vouch for it. Those of a message are too
-    few: another record must follow, and several if it is of none of the `channels`.
+    The lengths in a record verify it. Those of a message are too few: another record must follow, and several if it is
+    of none of the `channels`.
     """
     for match in _CANDIDATE.finditer(data, start, end):
         at = match.start()
@@ -157,7 +149,10 @@ def find_record(data: Buffer, start: int, end: int, left: int, channels: Contain
             return at
         (channel_id,) = _U16.unpack_from(data, at + RECORD_HEAD.size)
         needed = _FOLLOWERS if channel_id in channels else _FOLLOWERS_OF_STRANGER
-        if _is_followed(data, after, left - (after - start), needed):
+        for _ in range(needed):
+            if after is not None and left - (after - start) > 0:
+                after = record_end(data, after, left - (after - start))
+        if after is not None:
             return at
     return None
 
@@ -166,18 +161,6 @@ def holds_chunk(data: Buffer, start: int, end: int, left: int) -> bool:
     """Return whether a chunk begins in [start, end); `left`: bytes from `start` to the end of the file."""
     places = (match.start() for match in _CHUNK.finditer(data, start, end))
     return any(record_end(data, at, left - (at - start)) is not None for at in places)
-
-
-def _is_followed(data: Buffer, at: int, left: int, records_needed: int) -> bool:
-    """Return whether this many records follow, or fewer up to the end of the file."""
-    for _ in range(records_needed):
-        if left == 0:
-            return True
-        after = record_end(data, at, left)
-        if after is None:
-            return False
-        at, left = after, left - (after - at)
-    return True
 
 
 class _LengthPrefixed(NamedTuple):
@@ -231,9 +214,7 @@ def _body_length(opcode: int, data: Buffer, body: int, length: int) -> int | Non
     return at - body
 
 
-_SEARCH_BYTES = 4 * 2**20
-_END = rb"\x02\x14\0{7}.{20}" + re.escape(MAGIC)
-"""A footer, and the magic behind it."""
+_END = rb"\x02\x14\0{7}.{20}" + re.escape(MAGIC)  # A footer, and the magic behind it
 _MARK = re.compile(_END + b"|" + re.escape(MAGIC), re.DOTALL)
 
 
@@ -241,7 +222,7 @@ def pass_damage(stream: LookaheadStream, channels: Container[int], losses: Damag
     """Skip at least one byte, up to the next record of this file."""
     start = 0 if stream.window[stream.at] == Opcode.HEADER and stream.position != len(MAGIC) else 1
     while stream.left:
-        width = _bring(stream)
+        width = search_width(stream)
         at, end = stream.at, stream.at + width
         record_at = find_record(stream.window, at + start, end, stream.left - start, channels)
         inner = find_inner(stream.window, at, end if record_at is None else record_at, stream.left)
@@ -258,25 +239,13 @@ def pass_damage(stream: LookaheadStream, channels: Container[int], losses: Damag
 
 
 def find_inner(data: Buffer, start: int, end: int, left: int) -> int | None:
-    """Return the first place in [start, end) where another MCAP begins; `left`: bytes from `start` to the end of the
-    file, which ends with its own magic.
-    """
+    """Return the first place in [start, end) where another MCAP begins; `left`: bytes from `start` to the end."""
     for match in _MARK.finditer(data, start, min(len(data), end + FOOTER_BYTES)):
         if match.start() >= end:
             return None
-        if _opens(match) and match.end() - start < left:
+        if match[0] == MAGIC and match.end() - start < left:
             return match.start()
     return None
-
-
-def _bring(stream: LookaheadStream) -> int:
-    """Fill the window; return in how many of its bytes a whole record or magic may begin."""
-    at_hand = stream.ahead(_SEARCH_BYTES)
-    return at_hand if at_hand == stream.left else at_hand - LOOK
-
-
-def _opens(match: re.Match[bytes]) -> bool:
-    return match.end() - match.start() == len(MAGIC)
 
 
 def _pass_inner(stream: LookaheadStream, losses: DamageReport) -> None:
@@ -286,11 +255,11 @@ def _pass_inner(stream: LookaheadStream, losses: DamageReport) -> None:
     depth = 1
     stream.advance(1)
     while stream.left and depth:
-        width = _bring(stream)
+        width = search_width(stream)
         end = min(len(stream.window), stream.at + width + FOOTER_BYTES)
         match = _MARK.search(stream.window, stream.at, end)
         if match is None or match.start() >= stream.at + width:
             stream.advance(width)
             continue
-        depth += 1 if _opens(match) else -1
+        depth += 1 if match[0] == MAGIC else -1
         stream.advance(match.end() - stream.at)
