@@ -9,7 +9,7 @@ APP := src/kleinkram/server/web/built/index.html
 APP_SOURCES := $(shell find web \( -name node_modules -o -name dist \) -prune -o -type f ! -name '*.test.ts' -print)
 export KLEINKRAM_RECORDINGS ?= $(abspath ../shared/recordings)
 
-.PHONY: setup demo story test test-all soak check bench pictures dev requirements generated clean
+.PHONY: setup demo story test-unit test test-all soak check bench pictures dev requirements generated clean
 
 setup: $(STAMP) $(APP)
 
@@ -42,11 +42,15 @@ story: setup
 
 # A test that hangs where nothing can interrupt it ends its process, and says where it hung.
 test: setup
-	@$(BIN)/python -m pytest -m "not slow and not soak" -q -n 3 --dist loadfile --timeout=240 -o faulthandler_timeout=300
+	@$(BIN)/python -m pytest -m "not slow and not soak" -q -n 4 --dist loadfile --no-loadscope-reorder --timeout=240 -o faulthandler_timeout=300
+
+# No process, no socket, no file over 1 MB: tests/unit/conftest.py fails a test that needs one.
+test-unit: setup
+	@$(BIN)/python -m pytest tests/unit -m "not slow and not soak" -q -n 2 --dist worksteal --timeout=60
 
 test-all: setup
 	@$(BIN)/python -m tests.requirements
-	@$(BIN)/python -m pytest -m "slow and not soak" -q -n 3 --dist loadfile --timeout=300 -o faulthandler_timeout=1000
+	@$(BIN)/python -m pytest -m "slow and not soak" -q -n 4 --dist loadfile --no-loadscope-reorder --timeout=300 -o faulthandler_timeout=1000
 
 soak: setup
 	@$(BIN)/python -m tests.requirements

@@ -17,7 +17,7 @@ _VECTORS = {"orientation": "xyzw", "angular_velocity": "xyz", "linear_accelerati
 
 def arrow_ours(path: str, topic: str) -> Facts:
     """From the file, every checksum checked."""
-    from kleinkram.recordings.reading import Recording
+    from kleinkram.recordings import Recording
 
     started = time.perf_counter()
     with Recording.open(path) as recording:
@@ -27,8 +27,8 @@ def arrow_ours(path: str, topic: str) -> Facts:
 
 def arrow_at_hand(path: str, topic: str) -> Facts:
     """From messages that are in memory already."""
+    from kleinkram.recordings import Recording
     from kleinkram.recordings.decoding import decoder_for, to_arrow
-    from kleinkram.recordings.reading import Recording
 
     with Recording.open(path) as recording:
         schema = recording.topic(topic).schema

@@ -4,8 +4,8 @@ import statistics
 from pathlib import Path
 
 from benchmarks.measure import Run, take_turns
-from kleinkram.recordings.mcap.writer import McapWriter
-from kleinkram.recordings.reading import Recording
+from kleinkram.recordings import Recording
+from kleinkram.recordings.formats.mcap.writer import McapWriter
 
 _SIDES = "benchmarks.arrow_sides"
 _OTHERS = {"arrow_small_mcap": "small-mcap with mcap-ros2-support-fast", "arrow_mcap": "mcap with mcap-ros2-support"}

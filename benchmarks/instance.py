@@ -24,11 +24,11 @@ GB = 1_000_000_000
 def variables() -> dict[str, str]:
     """Return the environment of everything that runs here."""
     homes = {name: str(STAGE / name.lower()) for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_DATA_HOME")}
-    # Proving goes at full speed between two runs, rather than slowly beside them;
+    # Verifying goes at full speed between two runs, rather than slowly beside them;
     # and nobody is asked to wait for having asked too often.
     limits = ("SIGN_INS", "SEARCHES")
     unbounded = {f"KLEINKRAM_{what}_PER_MINUTE": "0" for what in limits}
-    at_once = {"KLEINKRAM_PROVING_BYTES_PER_S": "2000000000"}
+    at_once = {"KLEINKRAM_VERIFY_BYTES_PER_S": "2000000000"}
     return {**os.environ, **homes, **at_once, **unbounded, "KLEINKRAM_DATA_DIR": str(DATA)}
 
 

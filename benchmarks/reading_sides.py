@@ -9,8 +9,8 @@ from pathlib import Path
 from small_mcap import read_message
 
 from benchmarks.side import Facts, main
+from kleinkram.recordings import Recording
 from kleinkram.recordings.http_source import HttpSource
-from kleinkram.recordings.reading import Recording
 
 
 def raw_ours(path: str) -> Facts:

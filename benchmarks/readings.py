@@ -4,7 +4,7 @@ from pathlib import Path
 
 from benchmarks.index_bytes import needed_bytes
 from benchmarks.measure import Run, pair, run_side
-from kleinkram.recordings.reading import Recording
+from kleinkram.recordings import Recording
 
 _MB = 10**6
 _MOST_MB = 200

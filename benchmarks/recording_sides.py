@@ -11,8 +11,8 @@ from rosbags.typesys import Stores, get_typestore
 from small_mcap import read_message_decoded
 
 from benchmarks.side import Facts, main
+from kleinkram.recordings import Recording
 from kleinkram.recordings.decoding import Value
-from kleinkram.recordings.reading import Recording
 
 
 def decode_ours(path: str) -> Facts:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from benchmarks.side import Facts, main
 from kleinkram.recordings import CountingSource, summarise
-from kleinkram.recordings.forward import from_file
+from kleinkram.recordings.sources import file_reader
 from kleinkram.recordings.summary import scan
 
 _CHUNK_BYTES = 4 * 2**20
@@ -15,7 +15,7 @@ _CHUNK_BYTES = 4 * 2**20
 def scan_ours(path: str) -> Facts:
     """Read everything, check everything."""
     started = time.perf_counter()
-    with from_file(path) as forward:
+    with file_reader(path) as forward:
         summary = scan(forward)
     return {"seconds": time.perf_counter() - started, "messages": summary.message_count or 0}
 

@@ -18,19 +18,19 @@ from typing import TypeVar
 from urllib.parse import urlsplit
 
 import urllib3
-from awscrt.checksums import crc64nvme
 
 from benchmarks.side import Facts, main
 from kleinkram.client import connect
 from kleinkram.client.transfer import download, plan_download, plan_upload, upload
 from kleinkram.client.transfer.upload import CONNECTIONS
+from kleinkram.contract.checksums import crc64nvme
 from kleinkram.contract.files import DownloadLink, FileFilter
 from kleinkram.contract.uploads import ChecksumKind, part_size_bytes
 from kleinkram.recordings import CountingSource, summarise
 from kleinkram.recordings.http_source import HttpSource
 from kleinkram.recordings.limits import PARALLEL_READS
+from kleinkram.server.s3.storage import PartTarget, SignedRequest, Storage, open_storage
 from kleinkram.server.settings import Settings
-from kleinkram.server.storage import PartTarget, Signed, Storage, open_storage
 
 T = TypeVar("T")
 _READ_BYTES = 8 * 1024 * 1024
@@ -39,7 +39,7 @@ _LINKS = 500
 
 
 def upload_ours(project: str, mission: str, *paths: str) -> Facts:
-    """Upload through the SDK, hashed and proven by the store."""
+    """Upload through the SDK, hashed and verified by the store."""
     with connect() as client:
         mission_id = client.missions.get(mission, project=project).id
         started = time.perf_counter()
@@ -58,7 +58,7 @@ def _refuse_failure(failed: Iterable[object]) -> None:
 class _RawPart:
     path: Path
     offset: int
-    signed: Signed
+    signed: SignedRequest
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ async def _prepare(storage: Storage, files: list[tuple[Path, int]]) -> list[_Raw
 async def _prepare_one(storage: Storage, path: Path, size_bytes: int) -> _RawFile:
     key = f"raw/{uuid.uuid4()}"
     part_bytes = part_size_bytes(size_bytes)
-    multipart_id = await storage.begin_multipart(key) if size_bytes > part_bytes else None
+    multipart_id = await storage.create_multipart(key) if size_bytes > part_bytes else None
     parts, whole = [], 0
     with path.open("rb") as stream:
         for number, offset in enumerate(range(0, size_bytes, part_bytes), start=1):
@@ -117,7 +117,7 @@ async def _join(storage: Storage, files: list[_RawFile]) -> None:
 
 async def _with_storage(work: Callable[[Storage], Awaitable[T]]) -> T:
     async with open_storage(Settings()) as storage:
-        return await work(storage.proving_by(ChecksumKind.crc64nvme))
+        return await work(storage.with_checksum(ChecksumKind.crc64nvme))
 
 
 def download_ours(mission: str, destination: str) -> Facts:

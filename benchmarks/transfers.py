@@ -49,7 +49,7 @@ def upload_row(environment: dict[str, str]) -> dict[str, object]:
 
     pairing = pair(ours, raw)
     cpu, peak = pairing.median(lambda run: run.cpu_s), pairing.median(lambda run: run.peak_mb)
-    return ratio_row("1 GB up, hashed and proven by the store", pairing, 0.9) | {
+    return ratio_row("1 GB up, hashed and verified by the store", pairing, 0.9) | {
         "client_cpu_s_per_gb": cpu,
         "client_peak_mb": peak,
         "also": f"client {cpu:.2f} CPU s/GB (bar 1.6), {peak:.0f} MB (bar 200)",

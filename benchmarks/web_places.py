@@ -18,10 +18,10 @@ _START_NS = 1_700_000_000_000_000_000
 _APART_NS, _LONG_NS = 60_000_000_000, 59_000_000_000
 _MESSAGES = 2_950
 _BLOBS = """
-INSERT INTO blob (id, key, size_bytes, sha256, md5, state, proven_at, uploaded_by_id, content, format, depth, start_ns,
-    end_ns, message_count, summarised_at)
+INSERT INTO blob (id, key, size_bytes, sha256, md5, state, verified_at, uploaded_by_id, content, format, depth,
+   start_ns,    end_ns, message_count, summarised_at)
   SELECT md5(%(name)s || n)::uuid, %(name)s || n, 1000000 + n, sha256((%(name)s || n)::bytea),
-    decode(md5(%(name)s || n), 'hex'), 'proven', now(), %(owner)s, CASE WHEN is_read THEN 'indexed' ELSE 'opaque' END,
+    decode(md5(%(name)s || n), 'hex'), 'verified', now(), %(owner)s, CASE WHEN is_read THEN 'indexed' ELSE 'opaque' END,
     CASE WHEN is_read THEN 'mcap' END, CASE WHEN is_read THEN 'summary' END,
     CASE WHEN is_read THEN %(start_ns)s + n * %(apart_ns)s END,
     CASE WHEN is_read THEN %(start_ns)s + n * %(apart_ns)s + %(long_ns)s END, 1000, now()

@@ -14,7 +14,7 @@ from pydantic_core import PydanticUndefined
 from kleinkram.cli.errors import EXIT_CODES, ExitCode
 from kleinkram.cli.main import app as cli
 from kleinkram.contract.rights import Scope
-from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS, Need, On
+from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS, Permission, ResourceKind
 from kleinkram.server.app import ROUTERS, create_app
 from kleinkram.server.settings import Settings
 
@@ -96,23 +96,25 @@ def operations_reference() -> str:
     return "\n".join(lines) + "\n"
 
 
-def _right(need: Need) -> str:
-    if need.on is On.server:
+def _right(need: Permission) -> str:
+    if need.on is ResourceKind.server:
         return "of an admin"
     if need.right is None:
         return "—"
-    return f"{need.right.value} on {'whatever is shown' if need.on is On.anything else f'the {need.on.value}'}"
+    return (
+        f"{need.right.value} on {'whatever is shown' if need.on is ResourceKind.anything else f'the {need.on.value}'}"
+    )
 
 
-def _scopes(need: Need) -> str:
+def _scopes(need: Permission) -> str:
     if need.browsers:
         return "none: a browser that is signed in"
     scopes = "any" if len(need.scopes) == len(Scope) else " or ".join(sorted(scope.value for scope in need.scopes))
     return f"{scopes}, without limits" if need.boundless else scopes
 
 
-def _others(need: Need) -> str:
-    guests = "whoever comes" if need.on is On.nothing else "guests, of what is public or shared with them"
+def _others(need: Permission) -> str:
+    guests = "whoever comes" if need.on is ResourceKind.nothing else "guests, of what is public or shared with them"
     return ", ".join([guests] * need.guests + ["runners"] * need.runners)
 
 

@@ -4,7 +4,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from kleinkram.recordings.reading import Recording
+from kleinkram.recordings import Recording
 from kleinkram.recordings.sample import generate_mcap
 
 _WIDTH, _HEIGHT, _MARGIN = 720, 260, 46

@@ -37,6 +37,8 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Long rounds have no timeout: a history that is cut off in the middle looks like a flaky test."""
+    # Workers take files in this order; the long ones come first, so that no worker has one left at the end.
+    items.sort(key=lambda item: not item.path.is_relative_to(Path(__file__).parent / "system"))
     for item in items:
         if item.get_closest_marker("soak") and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(0))

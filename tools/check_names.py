@@ -57,7 +57,7 @@ BANNED = frozenset(
 VAGUE = frozenset({"each", "found", "ground", "stuff", "these", "thing", "things", "those", "wanted", "whom"})
 """Names that say nothing about the value."""
 
-ALLOWED_MODULES = frozenset({"decoding", "signing", "testing"})
+ALLOWED_MODULES = frozenset({"decoding", "recording", "signing", "testing"})
 """Modules ending in `-ing` whose names are nouns of the field."""
 
 _PARTS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+")

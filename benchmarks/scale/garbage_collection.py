@@ -8,11 +8,11 @@ import os
 
 from sqlalchemy import func, select
 
-from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
+from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings
-from kleinkram.server.storage import open_storage
 from kleinkram.server.tables import mission
 
 # As the worker: whatever people wait for goes first.
@@ -35,7 +35,7 @@ async def main() -> int:
             async with database.begin() as db:
                 if (await db.execute(due)).first() is None:
                     break
-            await sweep_once(AppContext(database, storage, settings))
+            await collect_garbage(AppContext(database, storage, settings))
             rounds += 1
     await database.close()
     return rounds

@@ -30,9 +30,9 @@ WITH made AS (
   INSERT INTO mission (id, project_id, name, name_key, metadata, created_by_id)
     VALUES (md5('swept')::uuid, md5('project1')::uuid, 'swept', 'swept', '{}', %(owner)s) RETURNING id
 ), bytes AS (
-  INSERT INTO blob (id, store_id, key, size_bytes, sha256, md5, state, proven_at, uploaded_by_id, content)
+  INSERT INTO blob (id, store_id, key, size_bytes, sha256, md5, state, verified_at, uploaded_by_id, content)
     SELECT md5('swept' || n)::uuid, 'scale', 'swept' || n, 1000, sha256(('swept' || n)::bytea),
-      decode(md5('swept' || n), 'hex'), 'proven', now(), %(owner)s, 'opaque'
+      decode(md5('swept' || n), 'hex'), 'verified', now(), %(owner)s, 'opaque'
     FROM generate_series(1, %(files)s::int) n RETURNING id, key
 )
 INSERT INTO file (id, mission_id, blob_id, path, path_key, origin, uploaded_by_id)

@@ -85,12 +85,12 @@ INSERT INTO recording (id, mission_id, name, kind, message_count, start_ns, end_
   FROM ({_FILE}) files WHERE is_recording AND i %% 2 = 0
 """
 _BLOBS = f"""
-INSERT INTO blob (id, store_id, key, size_bytes, sha256, md5, state, state_reason, proven_at, uploaded_by_id, created_at, content,
+INSERT INTO blob (id, store_id, key, size_bytes, sha256, md5, state, state_reason, verified_at, uploaded_by_id, created_at, content,
     content_reason, format, depth, message_count, start_ns, end_ns, summarised_at)
   SELECT blob_id, 'scale', blob_id || '/' || robot || '/' || i, CASE WHEN is_recording THEN 200000000 + abs(hashtext('s' || m || '-' || i)) %% 1000000000
       ELSE 500 + abs(hashtext('s' || m || '-' || i)) %% 100000 END,
     sha256((m || '-' || i)::bytea), decode(md5(m || '-' || i), 'hex'),
-    CASE luck WHEN 1 THEN CASE WHEN m %% 10 = 0 THEN 'corrupt' ELSE 'proven' END ELSE 'proven' END,
+    CASE luck WHEN 1 THEN CASE WHEN m %% 10 = 0 THEN 'corrupt' ELSE 'verified' END ELSE 'verified' END,
     NULL, to_timestamp(start_ns / 1e9) + interval '2 days', %(owner)s, to_timestamp(start_ns / 1e9) + interval '1 day',
     CASE WHEN NOT is_recording THEN 'opaque' WHEN luck < 10 THEN 'broken' WHEN luck < 13 THEN 'recovered' ELSE 'indexed' END,
     CASE WHEN is_recording AND luck < 10 THEN 'the chunk at 1048576 ends in its middle' END,

@@ -1,4 +1,4 @@
-"""Kleinkram keeps every recording a robotics lab makes: organised, proven intact, findable down to the topic."""
+"""Kleinkram keeps every recording a robotics lab makes: organised, verified, findable down to the topic."""
 
 from typing import TYPE_CHECKING
 

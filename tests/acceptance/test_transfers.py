@@ -119,7 +119,7 @@ def test_what_is_there_already_is_not_sent(terminal: Terminal, project: str, tmp
     (again,) = terminal.run(*upload).json()["items"]
     assert (again["outcome"], again["moved_bytes"], again["file_id"]) == ("present", 0, first["file_id"])
 
-    terminal.run("verify", "--remote", first["file_id"])  # proven now, so that others may link to it
+    terminal.run("verify", "--remote", first["file_id"])  # verified now, so that others may link to it
     (linked,) = terminal.run("upload", "-p", project, "-m", "other", "--create", file, "--json").json()["items"]
     assert (linked["outcome"], linked["moved_bytes"]) == ("linked", 0)
 

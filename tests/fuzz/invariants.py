@@ -7,11 +7,20 @@ from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 
-from kleinkram.recordings import Content, FileSource, RecordingSummary, from_dict, summarise, to_dict
+from kleinkram.recordings import (
+    Content,
+    FileSource,
+    NotARecording,
+    Recording,
+    RecordingSummary,
+    TooDisordered,
+    from_dict,
+    summarise,
+    to_dict,
+)
 from kleinkram.recordings.decoding import image, points
 from kleinkram.recordings.decoding.errors import DecodeError
-from kleinkram.recordings.forward import from_file
-from kleinkram.recordings.reading import NotARecording, Recording, TooDisordered
+from kleinkram.recordings.sources import file_reader
 from kleinkram.recordings.summary import scan
 from tests.fuzz.seeds import Seed
 
@@ -33,7 +42,7 @@ def check(file: Seed, folder: Path) -> None:
     try:
         with FileSource(path) as source:
             _check_summary(summarise(source), len(file.data))
-        with from_file(path) as forward:
+        with file_reader(path) as forward:
             _check_summary(scan(forward), len(file.data))
         _check_messages(path)
     finally:

@@ -16,7 +16,9 @@ from tests.services import RunningPostgres, RunningStore
 
 StartApi = Callable[..., Api]
 Starting = Callable[[], AbstractContextManager[StartApi]]
-_LIMITS = [f"{what}_per_minute" for what in ("sign_ins", "searches", "downloads", "uploads", "proofs", "exports")]
+_LIMITS = [
+    f"{what}_per_minute" for what in ("sign_ins", "searches", "downloads", "uploads", "verifications", "exports")
+]
 
 
 @pytest.fixture(scope="session")
@@ -108,6 +110,6 @@ def sample(api: Api) -> Sample:
 
 @pytest.fixture(scope="session")
 def corpus(starting: Starting, recordings_dir: Path) -> Iterator[Corpus]:
-    """The real recordings in a mission of an API of their own, summarised, proven and grouped."""
+    """The real recordings in a mission of an API of their own, summarised, verified and grouped."""
     with starting() as start:
         yield upload_corpus(start(), recordings_dir)

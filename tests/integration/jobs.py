@@ -9,7 +9,7 @@ from procrastinate import JobContext, PsycopgConnector
 from procrastinate.worker import Worker
 
 from kleinkram.server import worker
-from kleinkram.server.blobs.reading import Readers
+from kleinkram.server.blobs.reader_processes import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
 from kleinkram.server.jobs.courtesy import Courtesy
@@ -17,8 +17,8 @@ from kleinkram.server.jobs.failing import keep_why
 from kleinkram.server.jobs.queue import queue
 from kleinkram.server.recordings.rests import Rests
 from kleinkram.server.recordings.understanding import Understanding
+from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings, plain_dsn
-from kleinkram.server.storage import open_storage
 from tests.integration.api_server import Api
 
 T = TypeVar("T")
@@ -60,7 +60,7 @@ async def drain(context: AppContext, courtesy: Courtesy, rests: Rests | None = N
 
     connector = PsycopgConnector(conninfo=plain_dsn(context.settings.database_url), min_size=1, max_size=4)
     with queue.replace_connector(connector) as app:
-        async with app.open_async(), Readers() as readers:
+        async with app.open_async(), ReaderProcesses() as readers:
             await app.run_worker_async(
                 wait=False,
                 concurrency=4,
@@ -89,7 +89,7 @@ def on_site(api: Api, work: Callable[[AppContext], Awaitable[T]], *, store: str 
         try:
             async with open_storage(settings) as storage:
                 return await work(
-                    AppContext(database, storage.with_abilities(api.app.state.storage.abilities), settings)
+                    AppContext(database, storage.with_capabilities(api.app.state.storage.capabilities), settings)
                 )
         finally:
             await database.close()

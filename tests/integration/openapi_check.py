@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
-from kleinkram.contract.errors import ERRORS, ProblemDocument
+from kleinkram.contract.errors import ERRORS
+from kleinkram.contract.problems import ProblemDocument
 from kleinkram.server.app import create_app
 from kleinkram.server.settings import Settings
 

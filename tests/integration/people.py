@@ -161,7 +161,8 @@ def session(api: Api, who: Person, *, expires_s: float = 3600) -> str:
     """Put a browser's session; returns what its cookie carries."""
     secret = secrets.token_hex(32)
     api.sql(
-        f"INSERT INTO session (id, person_id, secret_sha256, way, expires_at) VALUES (%s, %s, %s, 'password', {_SOON})",
+        "INSERT INTO session (id, person_id, secret_sha256, method, expires_at)"
+        f" VALUES (%s, %s, %s, 'password', {_SOON})",
         *(str(uuid.uuid4()), who.id, hashlib.sha256(secret.encode()).digest(), expires_s),
     )
     return secret

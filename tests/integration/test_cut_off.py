@@ -18,7 +18,7 @@ from kleinkram.client import Client, connect
 from kleinkram.client.errors import ServerUnreachable
 from kleinkram.client.transfer import download, plan_download, plan_upload, upload
 from kleinkram.client.transfer.download import fetch
-from kleinkram.client.transfer.progress import Unwatched
+from kleinkram.client.transfer.report import SilentObserver
 from kleinkram.contract.events import Change
 from kleinkram.contract.files import DownloadLink, FileFilter
 from kleinkram.contract.rights import Scope, TokenKind
@@ -46,7 +46,7 @@ class Behind:
     to_store: Cutter
 
 
-class Shown(Unwatched):
+class Shown(SilentObserver):
     """What a progress bar is told."""
 
     def __init__(self) -> None:

@@ -22,7 +22,7 @@ def test_the_next_of_many_jobs_is_found_without_looking_at_all_for_each(start_ap
         assert api.sql(_NEXT) == [(None,)]
     api.sql(
         "INSERT INTO procrastinate_jobs (queue_name, task_name, status, args)"
-        " SELECT 'long', 'prove_blob', 'todo', jsonb_build_object('ref', n) FROM generate_series(1, %s) n",
+        " SELECT 'long', 'verify_blob', 'todo', jsonb_build_object('ref', n) FROM generate_series(1, %s) n",
         _WAITING,
     )
     api.sql(_READ)

@@ -17,10 +17,10 @@ import pytest
 from pydantic import SecretStr
 
 from kleinkram.contract.errors import StoreUnavailable
-from kleinkram.server.s3 import Question, S3Error, open_s3
+from kleinkram.server.s3.client import S3Error, S3Request, open_s3
+from kleinkram.server.s3.signing import Presigner
+from kleinkram.server.s3.storage import Storage, open_storage
 from kleinkram.server.settings import Settings
-from kleinkram.server.signing import Presigner
-from kleinkram.server.storage import Storage, open_storage
 from tests.certificate import make_certificate
 from tests.http_server import Server
 from tests.integration.api_server import Api
@@ -77,10 +77,10 @@ def _store(
             thread.join()
 
 
-def _ask(settings: Settings, question: Question) -> str:
+def _ask(settings: Settings, question: S3Request) -> str:
     async def run() -> str:
         async with open_s3(settings, Presigner(settings, settings.s3_internal_url)) as s3:
-            return (await s3.ask(question)).text("UploadId")
+            return (await s3.request(question)).text("UploadId")
 
     return asyncio.run(run())
 
@@ -93,7 +93,7 @@ def test_what_passes_by_itself_is_tried_again() -> None:
         settings,
         seen,
     ):
-        assert _ask(settings, Question("POST", "a b", {"uploads": ""})) == "7"
+        assert _ask(settings, S3Request("POST", "a b", {"uploads": ""})) == "7"
     assert seen == ["POST /kleinkram/a%20b"] * 3
 
 
@@ -105,7 +105,7 @@ def test_persistent_errors_are_raised_after_three_attempts() -> None:
         ),
         pytest.raises(S3Error, match="SlowDown: less"),
     ):
-        _ask(settings, Question("PUT", "a", body=b"bytes"))
+        _ask(settings, S3Request("PUT", "a", body=b"bytes"))
     assert len(seen) == 3
 
 
@@ -114,7 +114,7 @@ def test_a_refusal_is_not_tried_again() -> None:
         _store([ScriptedReply(403, b"<html>a proxy's page"), _DONE]) as (settings, seen),
         pytest.raises(S3Error, match="403"),
     ):
-        _ask(settings, Question("GET", "a"))
+        _ask(settings, S3Request("GET", "a"))
     assert len(seen) == 1
 
 
@@ -125,7 +125,7 @@ def test_an_error_after_status_200_is_an_error(before: bytes) -> None:
         _store([ScriptedReply(200, late)]) as (settings, _),
         pytest.raises(S3Error, match="InternalError: late"),
     ):
-        _ask(settings, Question("POST", "a", {"uploadId": "7"}))
+        _ask(settings, S3Request("POST", "a", {"uploadId": "7"}))
 
 
 @pytest.mark.parametrize("body", [b"", b"<html><title>404</title></html>"])
@@ -133,7 +133,7 @@ def test_a_404_that_is_no_stores_word_does_not_mean_gone(body: bytes) -> None:
     async def run(settings: Settings) -> None:
         async with open_storage(settings) as storage:
             with pytest.raises(StoreUnavailable):
-                await storage.held_parts("a", "7")
+                await storage.list_parts("a", "7")
             with pytest.raises(StoreUnavailable):
                 _ = [piece async for piece in storage.read("a")]
 
@@ -154,11 +154,11 @@ def test_an_object_that_ends_early_is_no_object() -> None:
 
 
 _Question = Callable[[Storage], Awaitable[object]]
-_LISTS: list[_Question] = [lambda store: store.held_parts("a", "7"), lambda store: store.sizes("a/")]
+_LISTS: list[_Question] = [lambda store: store.list_parts("a", "7"), lambda store: store.sizes("a/")]
 _REQUESTS: list[_Question] = [
     *_LISTS,
-    lambda store: store.begin_multipart("a"),
-    lambda store: store.open_multiparts("a"),
+    lambda store: store.create_multipart("a"),
+    lambda store: store.list_multiparts("a"),
     lambda store: store.complete_multipart("a", "7", count=1, crc64nvme=bytes(8)),
 ]
 
@@ -175,22 +175,22 @@ def _unavailable(settings: Settings, question: _Question) -> str:
 
 @pytest.mark.parametrize("question", _REQUESTS)
 @pytest.mark.parametrize("body", [b"", b"<html>sign in<br>", b"<html xmlns='http://www.w3.org/1999/xhtml'/>"])
-def test_a_page_that_is_no_stores_word_is_neither_a_list_nor_a_success(question: _Question, body: bytes) -> None:
+def test_a_proxys_page_is_neither_a_listing_nor_a_success(question: _Question, body: bytes) -> None:
     with _store([ScriptedReply(200, body)]) as (settings, _):
-        assert "NoStoresAnswer" in _unavailable(settings, question)
+        assert "NotAStore" in _unavailable(settings, question)
 
 
 def test_a_multipart_upload_without_an_id_is_none() -> None:
     with _store([ScriptedReply(200, b"<R/>")]) as (settings, _):
-        assert "no id" in _unavailable(settings, lambda store: store.begin_multipart("a"))
+        assert "no id" in _unavailable(settings, lambda store: store.create_multipart("a"))
 
 
 @pytest.mark.parametrize("question", _LISTS)
 @pytest.mark.parametrize("next_page", [b"", b"<%b>5</%b>"])
-def test_a_list_that_does_not_go_on_is_not_read_for_ever(question: _Question, next_page: bytes) -> None:
+def test_a_listing_without_a_next_page_ends(question: _Question, next_page: bytes) -> None:
     named = b"".join(next_page.replace(b"%b", name) for name in (b"NextPartNumberMarker", b"NextContinuationToken"))
     with _store([ScriptedReply(200, b"<R><IsTruncated>true</IsTruncated>" + named + b"</R>")]) as (settings, _):
-        assert "goes on" in _unavailable(settings, question)
+        assert "where it continues" in _unavailable(settings, question)
 
 
 def test_a_stores_name_in_capitals_is_signed_as_it_is_sent(api: Api) -> None:
@@ -211,7 +211,7 @@ def test_a_certificate_that_nobody_vouches_for_is_refused(tmp_path: Path) -> Non
         assert "KLEINKRAM_S3_CA_FILE" in _unavailable(settings, lambda store: store.check())
         assert seen == []
         settings = settings.model_copy(update={"s3_ca_file": certificate[0]})
-        assert _ask(settings, Question("POST", "a", {"uploads": ""})) == "7"
+        assert _ask(settings, S3Request("POST", "a", {"uploads": ""})) == "7"
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.client.tokens import Reach
 from kleinkram.contract.errors import KleinkramError, MetadataInvalid, NotFound
 from kleinkram.contract.rights import Right, TokenKind
-from kleinkram.recordings.reading import Recording
+from kleinkram.recordings import Recording
 from kleinkram.recordings.sample import Faults, SampleFormat, generate_mission
 from tests.integration.api_server import Api
 from tests.integration.jobs import run_jobs

@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 
 from kleinkram.client.errors import FileChanged, FileUnreadable
-from kleinkram.client.transfer import _connections
-from kleinkram.client.transfer._source import SLICE_BYTES, Source
-from kleinkram.client.transfer._store import Answer, PutAnswer, StoreDoor
+from kleinkram.client.transfer import store
+from kleinkram.client.transfer.local_file import SLICE_BYTES, OpenFile
 from kleinkram.client.transfer.plan import LocalFile, identity_of
+from kleinkram.client.transfer.store import PutResult, StoreAnswer, StoreClient
 from tests.certificate import make_certificate
 
 Pause = Callable[[], None]
@@ -48,10 +48,10 @@ class Taker:
 
 
 @pytest.fixture
-def source(tmp_path: Path) -> Iterator[Source]:
+def source(tmp_path: Path) -> Iterator[OpenFile]:
     path = tmp_path / "a.bin"
     path.write_bytes(os.urandom(_SLICES * SLICE_BYTES + 5))
-    source = Source(LocalFile(path, "a.bin", identity_of(path.stat())))
+    source = OpenFile(LocalFile(path, "a.bin", identity_of(path.stat())))
     yield source
     source.close()
 
@@ -95,9 +95,9 @@ class Scripted:
                 return
 
 
-def put_each(*answers: bytes) -> tuple[list[PutAnswer], Scripted]:
+def put_each(*answers: bytes) -> tuple[list[PutResult], Scripted]:
     """PUT four bytes for each answer, one after the other by one door."""
-    store, door = Scripted(*answers), StoreDoor(1)
+    store, door = Scripted(*answers), StoreClient(1)
     try:
         return [door.put(store.url, {"X-Checksum": "1"}, 4, [b"abcd"]) for _ in answers], store
     finally:
@@ -109,8 +109,8 @@ def wait_for(event: threading.Event, seconds: float) -> None:
     event.wait(seconds)
 
 
-def put(source: Source, pause: Pause = lambda: None) -> tuple[PutAnswer, bytes]:
-    taker, door = Taker(pause), StoreDoor(1)
+def put(source: OpenFile, pause: Pause = lambda: None) -> tuple[PutResult, bytes]:
+    taker, door = Taker(pause), StoreClient(1)
     try:
         length = _SLICES * SLICE_BYTES
         answer = door.put(taker.url, {}, length, source.stretches(5, length))
@@ -120,13 +120,13 @@ def put(source: Source, pause: Pause = lambda: None) -> tuple[PutAnswer, bytes]:
         taker.listener.close()
 
 
-def test_the_kernel_sends_the_bytes(source: Source) -> None:
+def test_the_kernel_sends_the_bytes(source: OpenFile) -> None:
     answer, body = put(source)
-    assert answer == PutAnswer(Answer.taken, etag="e")
+    assert answer == PutResult(StoreAnswer.taken, etag="e")
     assert body == source.file.source.read_bytes()[5:]
 
 
-def test_where_the_kernel_cannot_the_bytes_are_read(source: Source, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_the_kernel_cannot_the_bytes_are_read(source: OpenFile, monkeypatch: pytest.MonkeyPatch) -> None:
     def cannot(*_: object) -> int:
         raise OSError(errno.EINVAL, "not this file system")
 
@@ -134,29 +134,29 @@ def test_where_the_kernel_cannot_the_bytes_are_read(source: Source, monkeypatch:
     assert put(source)[1] == source.file.source.read_bytes()[5:]
 
 
-def test_a_slow_store_has_more_time_than_connecting_has(source: Source, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slow_store_has_more_time_than_connecting_has(source: OpenFile, monkeypatch: pytest.MonkeyPatch) -> None:
     waited = threading.Event()  # never set: waiting for it is the store's slowness
-    monkeypatch.setattr(_connections, "CONNECT_TIMEOUT_S", 0.05)
+    monkeypatch.setattr(store, "CONNECT_TIMEOUT_S", 0.05)
     answer, body = put(source, pause=lambda: wait_for(waited, 0.3))
-    assert answer.answer is Answer.taken, answer.why
+    assert answer.answer is StoreAnswer.taken, answer.why
     assert body == source.file.source.read_bytes()[5:]
 
 
-def test_a_store_that_takes_nothing_is_left_after_a_while(source: Source, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_store_that_takes_nothing_is_left_after_a_while(source: OpenFile, monkeypatch: pytest.MonkeyPatch) -> None:
     released = threading.Event()
-    monkeypatch.setattr(_connections, "READ_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(store, "READ_TIMEOUT_S", 0.2)
     answer, _ = put(source, pause=lambda: wait_for(released, 20))
     released.set()
-    assert answer.answer is Answer.try_again
+    assert answer.answer is StoreAnswer.try_again
 
 
-def test_a_file_that_became_shorter_is_reported(source: Source) -> None:
+def test_a_file_that_became_shorter_is_reported(source: OpenFile) -> None:
     os.truncate(source.file.source, SLICE_BYTES)
     with pytest.raises(FileChanged):
         put(source)
 
 
-def test_a_failing_disk_is_reported(source: Source, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failing_disk_is_reported(source: OpenFile, monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object) -> int:
         raise OSError(errno.EIO, "Input/output error")
 
@@ -168,7 +168,7 @@ def test_a_failing_disk_is_reported(source: Source, monkeypatch: pytest.MonkeyPa
 
 def test_one_connection_serves_one_put_after_the_other() -> None:
     answers, store = put_each(_TAKEN, _TAKEN, _TAKEN)
-    assert answers == [PutAnswer(Answer.taken, etag="e")] * 3
+    assert answers == [PutResult(StoreAnswer.taken, etag="e")] * 3
     assert store.connections == 1
     host = store.url.split("/")[2].encode()
     head = b"PUT /bucket/key?X-Amz-Signature=ab HTTP/1.1\r\nHost: " + host
@@ -181,7 +181,7 @@ _BUSY = b"<Error><Code>SlowDown</Code></Error>"
 
 
 @pytest.mark.parametrize(
-    ("said", "expected"),
+    ("reply", "expected"),
     [
         (b"HTTP/1.1 503 Busy\r\nContent-Length: %d\r\n\r\n%b" % (len(_BUSY), _BUSY), "503 SlowDown"),
         (b"HTTP/1.1 503 Busy\r\nTransfer-Encoding: chunked\r\n\r\n24\r\n%b\r\n0\r\n\r\n" % _BUSY, "503 SlowDown"),
@@ -194,14 +194,14 @@ _BUSY = b"<Error><Code>SlowDown</Code></Error>"
 )
 def test_whatever_else_is_answered_the_connection_serves_the_next(reply: bytes, expected: str | None) -> None:
     (first, second), store = put_each(reply, _TAKEN)
-    assert first.answer is (Answer.try_again if expected else Answer.taken)
+    assert first.answer is (StoreAnswer.try_again if expected else StoreAnswer.taken)
     assert first.reason == (f"the store answered {expected}" if expected else "")
-    assert second == PutAnswer(Answer.taken, etag="e")
+    assert second == PutResult(StoreAnswer.taken, etag="e")
     assert store.connections == 1
 
 
 @pytest.mark.parametrize(
-    "said",
+    "reply",
     [
         b"HTTP/1.1 200 OK\r\nConnection: close\r\nETag: e\r\nContent-Length: 0\r\n\r\n",
         b"HTTP/1.1 200 OK\r\nConnection: close\r\nETag: e\r\n\r\n",
@@ -210,24 +210,24 @@ def test_whatever_else_is_answered_the_connection_serves_the_next(reply: bytes, 
 )
 def test_a_connection_that_the_store_ends_is_followed_by_another(reply: bytes) -> None:
     answers, store = put_each(reply, _TAKEN)
-    assert answers == [PutAnswer(Answer.taken, etag="e")] * 2
+    assert answers == [PutResult(StoreAnswer.taken, etag="e")] * 2
     assert store.connections == 2
 
 
 @pytest.mark.parametrize(
-    "said", [b"close", b"rubbish, close\r\n\r\n", b"HTTP/1.1 200 OK\r\nContent-Length: 9\r\n\r\nclose"]
+    "reply", [b"close", b"rubbish, close\r\n\r\n", b"HTTP/1.1 200 OK\r\nContent-Length: 9\r\n\r\nclose"]
 )
 def test_no_answer_is_a_reason_to_try_again(reply: bytes) -> None:
     (first, second), store = put_each(reply, _TAKEN)
-    assert first.answer is Answer.try_again
+    assert first.answer is StoreAnswer.try_again
     assert first.why
-    assert second.answer is Answer.taken
+    assert second.answer is StoreAnswer.taken
     assert store.connections == 2
 
 
 def test_a_redirect_is_not_followed() -> None:
     (answer,), _ = put_each(b"HTTP/1.1 307 Elsewhere\r\nLocation: http://127.0.0.1:9/\r\nContent-Length: 0\r\n\r\n")
-    assert (answer.answer, answer.reason) == (Answer.refused, "the store answered 307")
+    assert (answer.answer, answer.reason) == (StoreAnswer.refused, "the store answered 307")
 
 
 @pytest.mark.parametrize(
@@ -235,7 +235,7 @@ def test_a_redirect_is_not_followed() -> None:
     [("a b", {}), ("a\r\nX: y", {}), ("a", {"X\r\nY": "z"}), ("a", {"X": "y\r\nZ: z"}), ("a", {"X": "\u00fc"})],
 )
 def test_nothing_slips_into_a_request(target: str, headers: dict[str, str]) -> None:
-    store, door = Scripted(_TAKEN), StoreDoor(1)
+    store, door = Scripted(_TAKEN), StoreClient(1)
     try:
         with pytest.raises(ValueError, match="would be read as another"):
             door.put(store.url.replace("key", target), headers, 4, [b"abcd"])
@@ -256,8 +256,8 @@ def test_a_put_goes_to_a_store_whose_certificate_is_known(
         monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
     file = tmp_path / "a.bin"
     file.write_bytes(b"abcd")
-    source = Source(LocalFile(file, "a.bin", identity_of(file.stat())))
-    store, door = Scripted(_TAKEN, _TAKEN, tls=tls), StoreDoor(1)
+    source = OpenFile(LocalFile(file, "a.bin", identity_of(file.stat())))
+    store, door = Scripted(_TAKEN, _TAKEN, tls=tls), StoreClient(1)
     try:
         answers = [door.put(store.url, {}, 4, source.stretches(0, 4)) for _ in range(2)]
     finally:
@@ -265,9 +265,9 @@ def test_a_put_goes_to_a_store_whose_certificate_is_known(
         door.close()
         store.listener.close()
     if is_known:
-        assert answers == [PutAnswer(Answer.taken, etag="e")] * 2
+        assert answers == [PutResult(StoreAnswer.taken, etag="e")] * 2
         assert [requests[-4:] for requests in store.requests] == [b"abcd"] * 2
     else:
-        assert [answer.answer for answer in answers] == [Answer.try_again] * 2
+        assert [answer.answer for answer in answers] == [StoreAnswer.try_again] * 2
         assert "certificate" in answers[0].why
         assert store.requests == []

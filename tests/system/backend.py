@@ -7,13 +7,13 @@ from urllib.parse import quote
 
 import psycopg
 
-from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
-from kleinkram.server.runs.jobs import tend_once as tend_runs
+from kleinkram.server.runs.jobs import maintain_runs_once as tend_runs
+from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings
-from kleinkram.server.storage import open_storage
-from kleinkram.server.uploads.jobs import tend_uploads
+from kleinkram.server.uploads.jobs import maintain_uploads
 from kleinkram.standalone.data_dir import DataDir, load_secrets
 from kleinkram.standalone.postgres import DATABASE, SERVE
 from tests.system.cluster import Cluster
@@ -33,10 +33,10 @@ def tidy(cluster: Cluster) -> None:
     """Do at once what the worker's periodic jobs do in time: see to uploads and runs, sweep what nothing refers to."""
 
     async def all_rounds(context: AppContext) -> None:
-        await tend_uploads(context, stale_s=0)
+        await maintain_uploads(context, stale_after_s=0)
         await tend_runs(context)
         for _ in range(2):
-            await sweep_once(context)
+            await collect_garbage(context)
 
     on_site(cluster, all_rounds)
 
@@ -47,9 +47,9 @@ def objects(cluster: Cluster) -> dict[str, int]:
     return {key: size for key, size in found.items() if not key.startswith(_PROBES)}
 
 
-def open_multiparts(cluster: Cluster) -> list[tuple[str, str]]:
+def list_multiparts(cluster: Cluster) -> list[tuple[str, str]]:
     """Return the multipart uploads that its store still keeps parts of."""
-    found = on_site(cluster, lambda context: context.storage.open_multiparts(""))
+    found = on_site(cluster, lambda context: context.storage.list_multiparts(""))
     return [(key, multipart_id) for key, multipart_id in found if not key.startswith(_PROBES)]
 
 
@@ -60,7 +60,7 @@ def held_bytes(cluster: Cluster) -> int:
         while True:
             objects = await context.storage.sizes("")
             parts = [
-                await context.storage.held_parts(*each) or [] for each in await context.storage.open_multiparts("")
+                await context.storage.list_parts(*each) or [] for each in await context.storage.list_multiparts("")
             ]
             # What was joined meanwhile would count twice, as parts and as an object.
             if await context.storage.sizes("") == objects:

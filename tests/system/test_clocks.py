@@ -68,7 +68,7 @@ def _sign_in_by_a_code(cluster: Cluster, client: Terminal, url: str) -> None:
 def _is_told(cluster: Cluster, hours: int) -> None:
     """The server's log and the doctor say so, in a sentence."""
     lines = [json.loads(line) for line in (cluster.data_dir / "logs" / "api.log").read_text().splitlines()]
-    (said,) = [line for line in lines if "clocks of this server and of the store are apart" in line["message"]]
+    (said,) = [line for line in lines if "clocks of this server and of the store differ" in line["message"]]
     assert abs(said["store_ahead_s"] + hours * 3600) < _MEANWHILE.total_seconds()
     command = cluster.terminal.command("doctor", "--data-dir", cluster.data_dir)
     runtime_info = subprocess.run(

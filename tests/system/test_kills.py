@@ -26,9 +26,9 @@ _ROUNDS_A_HOUSE = 10
 _UNFINISHED = "SELECT path, state, failure FROM upload WHERE state IN ('open', 'completing')"
 _FILES = """
     SELECT file.path, encode(blob.sha256, 'hex') FROM file JOIN blob ON blob.id = file.blob_id
-    JOIN mission ON mission.id = mission_id WHERE mission.name = %s AND blob.state = 'proven'
+    JOIN mission ON mission.id = mission_id WHERE mission.name = %s AND blob.state = 'verified'
 """
-_UNPROVEN = "SELECT count(*) FROM blob WHERE state <> 'proven'"
+_UNVERIFIED = "SELECT count(*) FROM blob WHERE state <> 'verified'"
 _LASTING = """
 import time
 from kleinkram.action import out
@@ -108,7 +108,7 @@ def _all_is_well(cluster: Cluster, rounds: list[Round]) -> None:
     wait_until(lambda: all(cluster.runtime_info()["parts"].values()), "every part to run")
     backend.tidy(cluster)
     assert backend.sql(cluster, _UNFINISHED) == [], "no name is blocked"
-    wait_until(lambda: backend.sql(cluster, _UNPROVEN) == [(0,)], "the server to have read all bytes")
+    wait_until(lambda: backend.sql(cluster, _UNVERIFIED) == [(0,)], "the server to have read all bytes")
     for one in rounds:
         assert dict(backend.sql(cluster, _FILES, one.mission)) == one.sha256, f"round {one.seed}"
     wait_until(lambda: all(_is_over(cluster, run) for one in rounds for run in one.runs), "the runs to end")
@@ -118,7 +118,7 @@ def _all_is_well(cluster: Cluster, rounds: list[Round]) -> None:
     backend.tidy(cluster)
     kept = dict(backend.sql(cluster, "SELECT key, size_bytes FROM blob"))
     assert backend.objects(cluster) == kept, "objects that nobody refers to, or none where one should be"
-    assert backend.open_multiparts(cluster) == []
+    assert backend.list_multiparts(cluster) == []
 
 
 def _is_over(cluster: Cluster, run: str) -> bool:

@@ -1,4 +1,4 @@
-"""A store that lies: scrub and proof say so, and uploading the same files again mends them. As a lab would see it."""
+"""A store that loses or alters objects: scrub and verification report it, and uploading the same files repairs them."""
 
 import os
 import time
@@ -24,8 +24,8 @@ def _harm(cluster: Cluster, bodies: dict[str, bytes]) -> None:
 
     async def do(context: AppContext) -> None:
         await context.storage.delete(keys["gone.bin"])
-        await context.storage.put_small(keys["cut.bin"], bodies["cut.bin"][:1000])
-        await context.storage.put_small(keys["altered.bin"], altered[:-1] + bytes([altered[-1] ^ 1]))
+        await context.storage.put_object(keys["cut.bin"], bodies["cut.bin"][:1000])
+        await context.storage.put_object(keys["altered.bin"], altered[:-1] + bytes([altered[-1] ^ 1]))
 
     backend.on_site(cluster, do)
 
@@ -58,14 +58,14 @@ def test_what_a_store_loses_cuts_and_alters_is_told_and_mended(cluster: Cluster,
         assert states[name][0] == state
         assert why in str(states[name][1])
         assert why in terminal.run("file", "info", name, "-p", "p", "-m", "m").out
-    assert states["good.bin"] == ("proven", None)
+    assert states["good.bin"] == ("verified", None)
     shown = terminal.run("mission", "info", "-p", "p", "-m", "m").out
     assert "WHAT DIFFERS" in shown
     terminal.run("download", "-p", "p", "-m", "m", "--dest", tmp_path / "none", code=9)
 
     terminal.run("upload", *sorted(folder.iterdir()), "-p", "p", "-m", "m")
     assert "same" in terminal.run("verify", "--remote", "-p", "p", "-m", "m").out
-    assert set(_states(terminal).values()) == {("proven", None)}
+    assert set(_states(terminal).values()) == {("verified", None)}
     again = terminal.run("admin", "scrub", "--json").json()
     assert (again["last"]["lost"], again["last"]["corrupt"], again["last"]["stopped"]) == (0, 0, None)
     terminal.run("download", "-p", "p", "-m", "m", "--dest", tmp_path / "back")

@@ -122,7 +122,7 @@ def test_a_refused_consent_is_told_plainly(place: Place, chromium: Chromium) -> 
 def test_a_wrong_state_signs_nobody_in(place: Place, chromium: Chromium) -> None:
     back = come_back(place, chromium, "ada")
     chromium.goto(re.sub("state=[^&]+", f"state={secrets.token_urlsafe(32)}", back))
-    chromium.see("was not begun in this browser")
+    chromium.see("was not started in this browser")
     chromium.goto(f"{place.url}/account")
     chromium.arrive("/sign-in")
 
@@ -131,7 +131,7 @@ def test_a_way_back_that_somebody_else_began_signs_nobody_in(place: Place, chrom
     back = come_back(place, chromium, "mallory")
     chromium.do("fresh")
     chromium.goto(back)
-    chromium.see("was not begun in this browser")
+    chromium.see("was not started in this browser")
 
 
 def test_a_replayed_code_signs_nobody_in(place: Place, chromium: Chromium) -> None:
@@ -160,7 +160,7 @@ def test_a_token_that_has_expired_is_not_believed(place: Place, chromium: Chromi
     try:
         back = come_back(place, chromium, "ada")
         chromium.goto(back)
-        chromium.see("could not say who you are")
+        chromium.see("could not confirm who you are")
         assert "expired_token" in chromium.text()
     finally:
         place.provider.start()
@@ -191,7 +191,7 @@ def test_an_invited_person_links_the_provider_to_their_account(place: Place, chr
     chromium.kept()
     chromium.goto(f"{place.url}/account")
     chromium.see("Signed in as Some One")
-    chromium.click("[data-ways] [data-provider=lab]")
+    chromium.click("[data-methods] [data-provider=lab]")
     chromium.fill("login", "linked")
     chromium.fill("password", "any")
     chromium.click("button[type=submit]")
@@ -203,7 +203,7 @@ def test_an_invited_person_links_the_provider_to_their_account(place: Place, chr
     go_to_provider(place, chromium, "linked")
     chromium.click("button[type=submit]")
     chromium.see("Signed in as Some One")
-    chromium.click("[data-ways] [aria-label='Unlink The Lab']")
+    chromium.click("[data-methods] [aria-label='Unlink The Lab']")
     chromium.click("dialog[open] [type=submit]")
     chromium.see("The Lab is unlinked.")
     chromium.do("fresh")

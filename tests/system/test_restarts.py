@@ -117,7 +117,7 @@ def test_while_the_database_is_away_it_is_said_so_and_when_to_come_back(cluster:
             assert (status, said["code"]) == (503, "database_unavailable")
             assert int(retry_after) > 0
         refused = cluster.terminal.run("project", "list", code=7).err
-        assert "The database cannot be used (it does not answer). Nothing was lost; try again in a moment." in refused
+        assert "The database is not available (it does not answer). Nothing was lost; try again in a moment." in refused
     finally:
         cluster.process.send_signal(signal.SIGCONT)
     wait_until(lambda: _status(cluster, "GET", "/health/ready", "")[0] == 200, "the database to be back")

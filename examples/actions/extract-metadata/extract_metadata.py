@@ -49,8 +49,7 @@ from typing import Any, NamedTuple
 
 from kleinkram.action import context, inputs, out, parameters, progress, report
 from kleinkram.action.places import given
-from kleinkram.recordings import FileSource, RecordingGroup, group
-from kleinkram.recordings.reading import Message, NotARecording, Recording
+from kleinkram.recordings import FileSource, Message, NotARecording, Recording, RecordingGroup, group
 
 NS = 10**9
 MOST_POINTS = 5000

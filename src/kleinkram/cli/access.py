@@ -10,8 +10,8 @@ from kleinkram.cli.options import AsJson, MissionOption, ProjectOption, Until
 from kleinkram.cli.render import escape, moment, note, show_json, show_json_list, table
 from kleinkram.cli.units import parse_time
 from kleinkram.client import Client
-from kleinkram.client.access import Place, find_grant
 from kleinkram.client.errors import InvalidInput
+from kleinkram.client.people import Place, find_grant
 from kleinkram.contract.grants import AccessRead, GrantRead
 from kleinkram.contract.rights import Right
 

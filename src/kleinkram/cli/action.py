@@ -24,8 +24,8 @@ from kleinkram.contract.runners import Isolation
 from kleinkram.contract.runs import EndReason
 
 if TYPE_CHECKING:
-    from kleinkram.runner.local import LocalRun
-    from kleinkram.runner.work import Executor
+    from kleinkram.runner.executors.base import Executor
+    from kleinkram.runner.local_run import LocalRun
 
 _ISOLATIONS = {
     Isolation.container: "in a container.",
@@ -62,8 +62,8 @@ def run_local(
     An action with an image runs in a container, built first of the Dockerfile beside its manifest; any other runs as a
     process.
     """
-    from kleinkram.cli.progress import watching
-    from kleinkram.runner.local import run_locally
+    from kleinkram.cli.transfer_view import watching
+    from kleinkram.runner.local_run import run_locally
 
     definition = read_manifest(action)
     values = parameter_values(definition, parameters or [])
@@ -83,14 +83,13 @@ def run_local(
 
 
 def _executor(definition: ActionDefinition) -> "Executor":
-    from kleinkram.runner.__main__ import DEFAULT_IMAGE
-    from kleinkram.runner.choosing import ExecutorChoice, ImagePolicy, choose
+    from kleinkram.runner.__main__ import DEFAULT_IMAGE, ExecutorChoice, ImagePolicy, choose_executor
 
     if definition.image is None:
-        executor = choose(ExecutorChoice.process, "local", ImagePolicy(), DEFAULT_IMAGE)
+        executor = choose_executor(ExecutorChoice.process, ImagePolicy(), DEFAULT_IMAGE)
     else:
         try:
-            executor = choose(ExecutorChoice.docker, "local", ImagePolicy(), DEFAULT_IMAGE)
+            executor = choose_executor(ExecutorChoice.docker, ImagePolicy(), DEFAULT_IMAGE)
         except InvalidInput as error:
             why = f"it runs an image, for which an engine of containers must be here, and {error.reason}"
             raise InvalidInput(what=f"The action {definition.name}", reason=why) from None
@@ -99,10 +98,10 @@ def _executor(definition: ActionDefinition) -> "Executor":
 
 
 def _pinned(executor: "Executor", definition: ActionDefinition, image: str) -> ActionDefinition:
-    from kleinkram.runner.work import CannotStart
+    from kleinkram.runner.executors.base import CannotStart
 
     try:
-        return definition.model_copy(update={"image": executor.prepare(image).reference})
+        return definition.model_copy(update={"image": executor.prepare_image(image).reference})
     except CannotStart as error:
         note(error.ending.message)
         raise typer.Exit(ExitCode.run_failed) from None

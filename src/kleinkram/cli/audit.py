@@ -11,7 +11,7 @@ from kleinkram.cli.filters import ids_of
 from kleinkram.cli.options import AsJson, Limit, MissionsOption, ProjectsOption
 from kleinkram.cli.render import line, plain, show_json_list, table
 from kleinkram.cli.units import parse_time
-from kleinkram.client.checking import checked
+from kleinkram.client._nouns import checked
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.audit import AuditFilter, AuditRead
 from kleinkram.contract.names import is_id

@@ -56,7 +56,7 @@ def download(
         if dry_run:
             _show_plan(plan, as_json)
             return
-        from kleinkram.cli.progress import watching
+        from kleinkram.cli.transfer_view import watching
 
         began_at = time.monotonic()
         try:

@@ -7,19 +7,19 @@ from typing import Annotated
 import typer
 
 from kleinkram.cli.commands import Noun
-from kleinkram.cli.completion import complete_endpoint
-from kleinkram.cli.options import AsJson, read_text, read_token
+from kleinkram.cli.options import AsJson, complete_endpoint, read_text, read_token
 from kleinkram.cli.render import details, moment, note, show_json, table
-from kleinkram.client.config import EndpointSource, find_endpoint
-from kleinkram.client.errors import NotConfigured
-from kleinkram.client.saved_endpoints import (
+from kleinkram.client.config import (
+    EndpointSource,
     SavedEndpoint,
     add_endpoint,
     endpoints_file,
+    find_endpoint,
     load_endpoints,
     remove_endpoint,
     use_endpoint,
 )
+from kleinkram.client.errors import NotConfigured
 
 app = Noun("Which server commands talk to, and why.", no_args_is_help=False)
 

@@ -67,7 +67,7 @@ EXIT_CODES: dict[type[KleinkramError], ExitCode] = {
     remote.RightExceeded: ExitCode.not_allowed,
     remote.LastOwner: ExitCode.conflict,
     remote.LastAdmin: ExitCode.conflict,
-    remote.LastWayIn: ExitCode.conflict,
+    remote.LastSignInMethod: ExitCode.conflict,
     remote.GroupFixed: ExitCode.conflict,
     remote.NotFound: ExitCode.not_found,
     remote.WrongClient: ExitCode.usage,

@@ -11,8 +11,7 @@ import typer
 from kleinkram.cli.options import MissionsOption, ProjectsOption, the_only
 from kleinkram.cli.units import parse_size, parse_time
 from kleinkram.client import Client
-from kleinkram.client.checking import checked
-from kleinkram.client.references import is_glob
+from kleinkram.client._nouns import checked, is_glob
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import FileFilter, FileRead
 from kleinkram.contract.missions import MissionFilter, MissionRead
@@ -43,7 +42,7 @@ class Choice:
     message_type: Annotated[Many, typer.Option("--type", metavar="GLOB", help="Has such a message type.")] = None
     file_format: Annotated[Many, typer.Option("--format", metavar="FORMAT", help="mcap, rosbag1, db3, …")] = None
     label: Annotated[Many, typer.Option("--label", metavar="LABEL", help="Has this label.")] = None
-    state: Annotated[Many, typer.Option("--state", metavar="STATE", help="Bytes: stored, proven, lost, corrupt.")] = (
+    state: Annotated[Many, typer.Option("--state", metavar="STATE", help="Bytes: stored, verified, lost, corrupt.")] = (
         None
     )
     content: Annotated[

@@ -19,8 +19,8 @@ from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.client.manifest import read_manifest
 from kleinkram.contract.actions import ActionDefinition, ActionRead, ParameterValues
-from kleinkram.contract.errors import from_problem
 from kleinkram.contract.missions import MissionRead
+from kleinkram.contract.problems import from_problem
 from kleinkram.contract.runs import ReportFilter, RunCreated, RunDetail, RunRead, RunRefused, RunState
 
 SetOption = Annotated[

@@ -1,21 +1,35 @@
-"""`klein login`: a token for this machine, kept for its user alone."""
+"""`klein login`, `klein logout`, `klein whoami`: the token of this machine, which only its user can read."""
 
 import os
 import socket
 import sys
 import webbrowser
 from contextlib import suppress
+from dataclasses import asdict, dataclass
 from typing import Annotated
 from urllib.parse import urlsplit
 
 import typer
 
+from kleinkram import connect
+from kleinkram.cli.errors import exit_code_of
 from kleinkram.cli.options import AsJson, read_token
-from kleinkram.cli.render import escape, moment, note, show_json
-from kleinkram.client.config import TOKEN_VARIABLE, URL_VARIABLE, EndpointSource, find_endpoint
+from kleinkram.cli.render import details, escape, moment, note, show_json
+from kleinkram.client.config import (
+    TOKEN_VARIABLE,
+    URL_VARIABLE,
+    EndpointSource,
+    SavedEndpoint,
+    add_endpoint,
+    find_endpoint,
+    load_endpoints,
+    name_for,
+    normal_url,
+    remove_endpoint,
+    require_endpoint,
+)
 from kleinkram.client.errors import EndpointTaken, InvalidInput, NoBrowser
-from kleinkram.client.saved_endpoints import SavedEndpoint, add_endpoint, load_endpoints, name_for, normal_url
-from kleinkram.client.signing_in import begin_browser, begin_device, end_token, see_server, wait_for_device, who_has
+from kleinkram.client.sign_in import begin_browser, begin_device, end_token, see_server, wait_for_device, who_has
 from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.signing_in import SignedIn
 
@@ -51,7 +65,7 @@ def login(
     if before is not None and before.is_own and before.token != endpoint.token:
         with suppress(KleinkramError):  # it ends by itself, only later
             end_token(before.url, before.token)
-    _tell(saved_as, endpoint, as_json)
+    _report_login(saved_as, endpoint, as_json)
 
 
 def _server(url: str | None) -> str:
@@ -140,7 +154,7 @@ def _keep(name: str, endpoint: SavedEndpoint) -> None:
         raise
 
 
-def _tell(name: str, endpoint: SavedEndpoint, as_json: bool) -> None:
+def _report_login(name: str, endpoint: SavedEndpoint, as_json: bool) -> None:
     until = endpoint.expires_at
     if as_json:
         expires_at = until.isoformat() if until else None
@@ -149,3 +163,97 @@ def _tell(name: str, endpoint: SavedEndpoint, as_json: bool) -> None:
     note(f"Signed in to {endpoint.url} as {escape(endpoint.person or '')}{ending}. The endpoint {name} is in use now.")
     if (used := find_endpoint()).source is EndpointSource.environment and used.token != endpoint.token:
         note(f"But {URL_VARIABLE} and {TOKEN_VARIABLE} are set, and go before it.")
+
+
+@dataclass(frozen=True)
+class _Ended:
+    name: str
+    url: str
+    revoked: bool
+    reason: str | None
+
+
+def logout(
+    name: Annotated[
+        str | None, typer.Argument(metavar="NAME", show_default=False, help="The endpoint; else the one in use.")
+    ] = None,
+    everywhere: Annotated[bool, typer.Option("--all", help="Sign out of every server that is saved here.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Sign out: revoke the token at its server and forget it here. It is forgotten even where it cannot be revoked."""
+    if name is not None and everywhere:
+        raise InvalidInput(what="The command", reason="say which endpoint, or --all, not both")
+    saved = load_endpoints()
+    if everywhere:
+        chosen = dict(saved.endpoints)
+    else:
+        chosen = {name: require_endpoint(saved, name)} if name else _in_use()
+    failures: list[KleinkramError] = []
+    ended = [_end(one, endpoint, failures) for one, endpoint in chosen.items()]
+    if as_json:
+        show_json({"items": [asdict(one) for one in ended]})
+    elif not ended:
+        note("No server is saved here, so there is nothing to sign out of.")
+    if failures:
+        raise typer.Exit(exit_code_of(failures))
+
+
+def _in_use() -> dict[str, SavedEndpoint]:
+    """Return what is saved of the endpoint in use.
+
+    Raises:
+        InvalidInput: it is not one that was signed in to.
+    """
+    used = find_endpoint()
+    if used.source is EndpointSource.chosen:
+        return {used.name: load_endpoints().endpoints[used.name]}
+    if used.source is EndpointSource.local:
+        reason = "the server in use runs on this machine, and knows its owner by a file; `klein down` ends it"
+    else:
+        reason = f"the token in use comes from {TOKEN_VARIABLE}; unset that, or name an endpoint"
+    raise InvalidInput(what="klein logout", reason=reason)
+
+
+def _end(name: str, endpoint: SavedEndpoint, failures: list[KleinkramError]) -> _Ended:
+    reason = None
+    try:
+        revoked = end_token(endpoint.url, endpoint.token)
+    except KleinkramError as error:
+        failures.append(error)
+        revoked, reason = False, str(error)
+    remove_endpoint(name, token=endpoint.token)
+    _report_logout(name, endpoint, revoked, reason)
+    return _Ended(name, endpoint.url, revoked, reason)
+
+
+def _report_logout(name: str, endpoint: SavedEndpoint, revoked: bool, reason: str | None) -> None:
+    if reason is None:
+        ending = "its token is revoked" if revoked else "its token was good for nothing already"
+        note(f"Signed out of {endpoint.url}: {ending}, and {name} is forgotten.")
+        return
+    until = f"until {moment(endpoint.expires_at)}" if endpoint.expires_at else "for good"
+    note(f"Error: the token for {endpoint.url} could not be revoked: {escape(reason)}")
+    note(f"{name} is forgotten here, but its token is valid there {until}. Sign in again and `klein token revoke` it.")
+
+
+def whoami(as_json: AsJson = False) -> None:
+    """Say who the server in use takes you for, and what your token is good for."""
+    with connect() as client:
+        me, endpoint = client.me.get(), client.endpoint
+    if as_json:
+        show_json({**me.model_dump(mode="json"), "endpoint": endpoint.name, "url": endpoint.url})
+        return
+    credential = me.credential
+    details(
+        [
+            ("person", me.person.name),
+            ("e-mail", me.emails),
+            ("admin", "yes" if me.is_admin else None),
+            ("by", f"{credential.kind.value} token {credential.name!r}"),
+            ("good for", [scope.value for scope in credential.scopes]),
+            ("limited", "to certain projects or missions" if credential.is_limited else None),
+            ("until", credential.expires_at),
+            ("server", endpoint.url),
+            ("endpoint", endpoint.name),
+        ]
+    )

@@ -7,8 +7,18 @@ import typer
 
 from kleinkram import connect
 from kleinkram.cli.commands import Noun
-from kleinkram.cli.completion import complete_project
-from kleinkram.cli.options import AsJson, DryRun, IfMatch, Limit, ProjectOption, Yes, confirm, read_text, the_ref
+from kleinkram.cli.options import (
+    AsJson,
+    DryRun,
+    IfMatch,
+    Limit,
+    ProjectOption,
+    Yes,
+    complete_project,
+    confirm,
+    read_text,
+    the_ref,
+)
 from kleinkram.cli.render import details, line, note, show_json, show_json_list, table
 from kleinkram.cli.units import count, parse_size, size, total_hours
 from kleinkram.client.errors import InvalidInput

@@ -21,7 +21,7 @@ from kleinkram.cli.run_view import action_name, show_run, show_runs
 from kleinkram.cli.transfer_view import plain_report, say_left_out, say_summary
 from kleinkram.cli.units import instant, size
 from kleinkram.client import Client
-from kleinkram.client.checking import checked
+from kleinkram.client._nouns import checked
 from kleinkram.client.errors import NothingToDo
 from kleinkram.contract.reports import Severity
 from kleinkram.contract.runs import ReportFilter, RunFilter, RunState
@@ -144,7 +144,7 @@ def artifacts(
             return
         if not rows:
             raise NothingToDo(reason="No artifact matches")
-        from kleinkram.cli.progress import watching
+        from kleinkram.cli.transfer_view import watching
 
         began_at = time.monotonic()
         try:

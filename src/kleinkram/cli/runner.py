@@ -62,8 +62,7 @@ def start(
 ) -> None:
     """Run actions on this machine. Ctrl-C ends it and its runs; SIGTERM leaves them to the next one."""
     from kleinkram.client.config import find_endpoint
-    from kleinkram.runner.__main__ import DEFAULT_IMAGE, Arguments
-    from kleinkram.runner.choosing import ExecutorChoice
+    from kleinkram.runner.__main__ import DEFAULT_IMAGE, Arguments, ExecutorChoice
 
     arguments = Arguments(
         url=url or find_endpoint().url,

@@ -30,7 +30,7 @@ _CODE = '''\
 from collections import Counter
 
 from kleinkram.action import inputs, out, parameters, progress, report
-from kleinkram.recordings.reading import NotARecording, Recording
+from kleinkram.recordings import NotARecording, Recording
 
 
 def main() -> None:

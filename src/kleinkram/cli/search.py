@@ -1,6 +1,8 @@
-"""`klein search`"""
+"""`klein search` and `klein stats`"""
 
+import csv
 import enum
+import sys
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Annotated
@@ -10,14 +12,16 @@ import typer
 from kleinkram import connect
 from kleinkram.cli.file import show_found
 from kleinkram.cli.filters import Choice, Many, file_filter, mission_query, with_choice
-from kleinkram.cli.mission_view import show_missions
+from kleinkram.cli.mission import show_missions
 from kleinkram.cli.options import AsJson, Limit
 from kleinkram.cli.render import note, show_json, show_json_list, table
+from kleinkram.cli.units import size
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.files import FileSort
 from kleinkram.contract.query import render
 from kleinkram.contract.searching import FacetsRead, TopicFound
+from kleinkram.contract.stats import StatsRead, StatsRow
 
 
 class Shown(str, enum.Enum):
@@ -91,3 +95,49 @@ def _show_facets(found: FacetsRead, as_json: bool) -> None:
     table(["facet", "value", "files", "query"], rows)
     if not found.is_whole:
         note(f"To save time only {found.file_count} files were counted; say more to find fewer.")
+
+
+_GROUPS = frozenset(("project", "mission", "topic", "type", "month", "format"))
+_NS_PER_HOUR = 3600 * 1_000_000_000
+
+
+@with_choice
+def stats(
+    choice: Choice,
+    by: Annotated[
+        str,
+        typer.Option("--by", metavar="GROUP", help="project, mission, topic, type, month, format or a metadata FIELD."),
+    ] = "project",
+    as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV on stdout.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Count hours, bytes, files, messages and missions, grouped; of all files, or of those that the options choose."""
+    if as_csv and as_json:
+        raise InvalidInput(what="The command", reason="say --csv or --json, not both")
+    with connect() as client:
+        found = client.stats.get(_grouping(by), file_filter(client, choice))
+    if as_json:
+        show_json(found)
+    elif as_csv:
+        _write_csv(found)
+    else:
+        rows = [_row(row.group or "(none)", row) for row in found.rows]
+        table([by, "missions", "files", "recordings", "hours", "size", "messages"], [*rows, _row("total", found.total)])
+
+
+def _grouping(by: str) -> str:
+    """Return how to group; what is no group by itself is the name of a field."""
+    return by if by in _GROUPS or by.startswith("metadata.") else f"metadata.{by}"
+
+
+def _row(group: str, row: StatsRow) -> tuple[object, ...]:
+    hours = f"{row.duration_ns / _NS_PER_HOUR:.4f}"
+    return (group, row.missions, row.files, row.recordings, hours, size(row.size_bytes), row.messages)
+
+
+def _write_csv(found: StatsRead) -> None:
+    writer = csv.writer(sys.stdout, lineterminator="\n")
+    writer.writerow([found.by, "missions", "files", "recordings", "duration_ns", "size_bytes", "messages"])
+    for row in found.rows:
+        counts = [row.missions, row.files, row.recordings, row.duration_ns, row.size_bytes, row.messages]
+        writer.writerow([row.group or "", *counts])

@@ -169,7 +169,7 @@ def _show_plan(plan: UploadPlan) -> dict[str, object]:
 
 
 def _transfer(client: Client, mission: MissionRead, plan: UploadPlan, how: _How) -> tuple[dict[str, object], int]:
-    from kleinkram.cli.progress import watching
+    from kleinkram.cli.transfer_view import watching
 
     began_at = time.monotonic()
     try:

@@ -14,7 +14,7 @@ from kleinkram.cli.transfer_view import plain_error, say_left_out
 from kleinkram.cli.units import count, size
 from kleinkram.client import Client
 from kleinkram.client.errors import ClientError, InvalidInput, NothingToDo
-from kleinkram.client.transfer import UploadPlan, Verdict, Verified, plan_upload, verify_local, verify_remote
+from kleinkram.client.transfer import FileVerdict, UploadPlan, Verdict, plan_upload, verify_local, verify_remote
 
 
 def verify(
@@ -27,7 +27,7 @@ def verify(
     timeout: Annotated[float, typer.Option("--timeout", metavar="SECONDS", help="How long to wait for it.")] = 600.0,
     as_json: AsJson = False,
 ) -> None:
-    """Compare local files with a mission's, byte for byte (by sha256); or prove those in the store again."""
+    """Compare local files with a mission's by SHA-256; with --remote, have the server verify its stored bytes again."""
     left_out: Sequence[ClientError] = ()
     with connect() as client:
         if remote:
@@ -65,7 +65,7 @@ def _plan(paths: list[str]) -> UploadPlan:
     return plan
 
 
-def _remote(client: Client, project: Many, mission: Many, paths: list[str], timeout_s: float) -> list[Verified]:
+def _remote(client: Client, project: Many, mission: Many, paths: list[str], timeout_s: float) -> list[FileVerdict]:
     choice = Choice(project=project, mission=mission)
     if choice.is_empty() and not paths:
         raise InvalidInput(what="The command", reason="say which files: -p, -m, a path, a glob or an id")
@@ -75,7 +75,7 @@ def _remote(client: Client, project: Many, mission: Many, paths: list[str], time
     return verify_remote(client.files, files, timeout_s=timeout_s)
 
 
-def _named(found: list[Verified]) -> list[tuple[Verified, str]]:
+def _named(found: list[FileVerdict]) -> list[tuple[FileVerdict, str]]:
     """Return each with its path, and with project and mission before it where these are several."""
     places = [(one.file.mission.project.name, one.file.mission.name) if one.file else () for one in found]
     if len({place for place in places if place}) < 2:
@@ -83,14 +83,14 @@ def _named(found: list[Verified]) -> list[tuple[Verified, str]]:
     return [(one, "/".join([*place, one.path])) for one, place in zip(found, places, strict=True)]
 
 
-def _say_damage(found: list[Verified]) -> None:
+def _say_damage(found: list[FileVerdict]) -> None:
     for one, path in _named(found):
         if one.file is not None and one.file.damaged_at is not None:
             reason, since = one.file.state_reason, moment(one.file.damaged_at)
             note(f"{path} is {one.file.state.value} since {since}: {reason}. Upload it again to mend it.")
 
 
-def _plain(one: Verified) -> dict[str, object]:
+def _plain(one: FileVerdict) -> dict[str, object]:
     state = one.file.state.value if one.file else None
     reason = one.file.state_reason if one.file else None
     return {

@@ -1,4 +1,4 @@
-"""The client: one connection, one attribute a noun."""
+"""The client: one connection, with one attribute per noun."""
 
 import importlib
 import logging
@@ -18,44 +18,43 @@ from kleinkram.client.errors import InvalidInput, NothingToDo
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from kleinkram.client.references import Ref
-    from kleinkram.client.search import FileFields, Wanted
+    from kleinkram.client._nouns import Ref
+    from kleinkram.client.search import Condition, FileFields
     from kleinkram.client.transfer import TransferReport
     from kleinkram.contract.files import FileRead
     from kleinkram.contract.metadata import Metadata
 
     AnyPath = str | os.PathLike[str]
 
-    from kleinkram.client.access import Access
     from kleinkram.client.actions import Actions
-    from kleinkram.client.admin import Admin
-    from kleinkram.client.audit import Audit
-    from kleinkram.client.events import Events
     from kleinkram.client.files import Files
-    from kleinkram.client.groups import Groups
-    from kleinkram.client.home import Home
-    from kleinkram.client.me import Me
     from kleinkram.client.missions import Missions
-    from kleinkram.client.people import People
+    from kleinkram.client.people import Access, Groups, People
     from kleinkram.client.projects import Projects
     from kleinkram.client.recordings import Recordings
     from kleinkram.client.runners import Runners
     from kleinkram.client.runs import Runs
-    from kleinkram.client.search import Search
-    from kleinkram.client.service import Service
-    from kleinkram.client.shares import Shares
-    from kleinkram.client.stats import Stats
-    from kleinkram.client.tokens import Tokens
-    from kleinkram.client.trash import Trash
+    from kleinkram.client.search import Search, Stats
+    from kleinkram.client.server import Admin, Audit, Events, Home, Me, Service, Trash
+    from kleinkram.client.tokens import Shares, Tokens
     from kleinkram.client.uploads import Uploads
 
 _log = logging.getLogger("kleinkram")
+
+# The modules of the nouns that have none of their own name.
+_MODULES = {
+    "access": "people",
+    "groups": "people",
+    "shares": "tokens",
+    "stats": "search",
+    **dict.fromkeys(("admin", "audit", "events", "home", "me", "service", "trash"), "server"),
+}
 
 
 class Client:
     """A connection to one Kleinkram server. A context manager; may be shared between threads.
 
-    A noun is loaded when it is first asked for: whoever lists projects does not wait for all the others.
+    The module of a noun is imported on first use, which keeps short commands fast.
     """
 
     projects: "Projects"
@@ -131,7 +130,7 @@ class Client:
 
     def download(
         self,
-        what: "Wanted | Ref | Iterable[Ref]" = None,
+        what: "Condition | Ref | Iterable[Ref]" = None,
         dest: "AnyPath" = ".",
         *,
         nested: bool = False,
@@ -167,7 +166,7 @@ class Client:
         plan = plan_download(files, Path(as_paths(dest)[0]), nested=nested)
         return download(self, plan, overwrite=overwrite, connections=connections, bytes_per_s=bytes_per_s)
 
-    def _files_of(self, what: "Wanted | Ref | Iterable[Ref]", fields: "FileFields") -> "list[FileRead]":
+    def _files_of(self, what: "Condition | Ref | Iterable[Ref]", fields: "FileFields") -> "list[FileRead]":
         from kleinkram.contract.files import FileFilter, FileRead
         from kleinkram.contract.missions import MissionRead
         from kleinkram.contract.names import is_id
@@ -176,16 +175,16 @@ class Client:
             if not what and not fields:
                 raise NothingToDo(reason='Say which files: download("*") is all')
             return [*self.files.list("path:*" if what == "*" else what, **fields)]
-        found: list[FileRead] = []
+        files: list[FileRead] = []
         is_one = hasattr(what, "id") or isinstance(what, str) or not isinstance(what, Iterable)
-        for each in [cast("Ref", what)] if is_one else cast("Iterable[Ref]", what):
-            if isinstance(each, MissionRead):
+        for item in [cast("Ref", what)] if is_one else cast("Iterable[Ref]", what):
+            if isinstance(item, MissionRead):
                 narrowed = fields.copy()
-                narrowed["mission"] = each
-                found += self.files.list(None, **narrowed)
+                narrowed["mission"] = item
+                files += self.files.list(None, **narrowed)
             else:
-                found.append(each if isinstance(each, FileRead) else self.files.get(each))
-        return found
+                files.append(item if isinstance(item, FileRead) else self.files.get(item))
+        return files
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle which server it is (`Endpoint` says how the token travels); connections are made anew."""
@@ -204,7 +203,7 @@ class Client:
             kind = Client.__annotations__.get(noun)
             if kind is None:
                 raise AttributeError(f"{type(self).__name__!r} object has no attribute {noun!r}")
-            made = getattr(importlib.import_module(f"kleinkram.client.{noun}"), kind)(self._api)
+            made = getattr(importlib.import_module(f"kleinkram.client.{_MODULES.get(noun, noun)}"), kind)(self._api)
             setattr(self, noun, made)
             return made
 
@@ -231,7 +230,7 @@ def as_paths(paths: "AnyPath | Sequence[AnyPath]") -> "list[AnyPath]":
         InvalidInput: it is none.
     """
     several: object = [paths] if isinstance(paths, str | os.PathLike) else paths
-    if not isinstance(several, Iterable) or not all(isinstance(each, str | os.PathLike) for each in several):
+    if not isinstance(several, Iterable) or not all(isinstance(item, str | os.PathLike) for item in several):
         raise InvalidInput(what=f"The path {paths!r}", reason="give a path, or several")
     return [*several]
 

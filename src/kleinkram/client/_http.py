@@ -29,7 +29,8 @@ from kleinkram.client.errors import (
     StoreUnreachable,
     remember_request,
 )
-from kleinkram.contract.errors import KleinkramError, NotAuthenticated, ProblemDocument, from_problem
+from kleinkram.contract.errors import KleinkramError, NotAuthenticated
+from kleinkram.contract.problems import ProblemDocument, from_problem
 from kleinkram.contract.wording import first_problem
 
 T = TypeVar("T", bound=BaseModel)
@@ -222,7 +223,7 @@ class Api:
             if answer.status < 300:
                 return answer
             backoff = backoff or _backoff(patience_s, wait)
-            if answer.status == _TOO_OFTEN and backoff.obey(_retry_after_s(answer.headers)):
+            if answer.status == _TOO_OFTEN and backoff.wait_retry_after(_retry_after_s(answer.headers)):
                 continue  # nothing was done yet, so this holds for changes too
             if answer.status in _RETRIED_STATUS and idempotent and backoff.pause(_retry_after_s(answer.headers)):
                 continue

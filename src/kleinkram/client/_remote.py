@@ -8,8 +8,7 @@ from functools import partial
 from kleinkram.client.files import Files
 from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.files import DownloadLink
-from kleinkram.recordings.connections import Connections
-from kleinkram.recordings.http_source import HttpSource
+from kleinkram.recordings.http_source import HttpConnections, HttpSource
 from kleinkram.recordings.limits import PARALLEL_READS
 
 _MOST_FILES = 500
@@ -21,7 +20,7 @@ class RemoteFiles:
     def __init__(self, files: Files, file_ids: Sequence[uuid.UUID]) -> None:
         self._files = files
         self._file_ids = file_ids
-        self._connections = Connections(PARALLEL_READS)
+        self._connections = HttpConnections(PARALLEL_READS)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle which files they are, without connections and addresses: both are made anew."""
@@ -55,7 +54,7 @@ class RemoteFiles:
 
     def _ask_for_check(self, file_id: uuid.UUID) -> None:
         with suppress(KleinkramError):  # who may not ask for it reads on
-            self._files.prove(file_id)
+            self._files.verify(file_id)
 
     def _sign_again(self, file_id: uuid.UUID) -> str:
         return self._files.links([file_id]).items[0].url

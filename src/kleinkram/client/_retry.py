@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 FIRST_WAIT_S = 0.25
 LONGEST_WAIT_S = 4.0
-# How long in all a request waits because the server said so: a limit on how often one may ask ends within a minute.
-LONGEST_TOLD_S = 90.0
+# How long in all a request waits because the server notify so: a limit on how often one may ask ends within a minute.
+LONGEST_RETRY_AFTER_S = 90.0
 
 
 class Backoff:
@@ -20,7 +20,7 @@ class Backoff:
         self._began_at = time.monotonic()
         self._ends_at = self._began_at + patience_s
         self._next_s = FIRST_WAIT_S
-        self._told_left_s = LONGEST_TOLD_S
+        self._retry_after_left_s = LONGEST_RETRY_AFTER_S
         self._wait = wait
 
     def lasting_s(self) -> float:
@@ -31,11 +31,11 @@ class Backoff:
         """Leave out of account how long something else was waited for."""
         self._ends_at += waited_s
 
-    def obey(self, wait_s: float) -> bool:
+    def wait_retry_after(self, wait_s: float) -> bool:
         """Wait as long as the server says, which costs no patience; return False, without waiting, for too long."""
-        if not 0 < wait_s <= self._told_left_s:
+        if not 0 < wait_s <= self._retry_after_left_s:
             return False
-        self._told_left_s -= wait_s
+        self._retry_after_left_s -= wait_s
         self._ends_at += wait_s
         self._wait(wait_s)
         return True

@@ -3,10 +3,8 @@
 import uuid
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import Listing, pages
-from kleinkram.client.checking import checked
+from kleinkram.client._nouns import Listing, Ref, checked, known_id, pages, resolve_one
 from kleinkram.client.projects import Projects
-from kleinkram.client.references import Ref, known_id, the_one
 from kleinkram.contract.actions import (
     ActionCreate,
     ActionDefinition,
@@ -57,7 +55,7 @@ class Actions:
         ref = str(ref)
         project_id = self._project_id(project)
         rows = [*self.list(name=ref, project=project_id)] or [*self.list(name=ref, project=project_id, archived=True)]
-        return the_one("action", ref, rows, name=lambda row: row.name, label=action_label)
+        return resolve_one("action", ref, rows, name=lambda row: row.name, label=action_label)
 
     def create(
         self, definition: ActionDefinition, *, project: Ref | None = None, project_id: Ref | None = None

@@ -1,20 +1,211 @@
-"""Which server a client talks to, and why that one.
+"""Which server a client uses, and the saved servers with their tokens.
 
-In this order: what the caller gives; KLEINKRAM_URL and KLEINKRAM_TOKEN; the endpoint signed in to last, or chosen with
-`klein endpoint use`; the instance that `klein up` runs for this user.
+The saved endpoints are one file that only its owner may read.
 """
 
+import datetime
 import enum
+import fcntl
+import json
 import os
+import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import platformdirs
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
-from kleinkram.client.errors import ConfigurationBroken, NotConfigured
-from kleinkram.client.saved_endpoints import APPLICATION, load_endpoints, normal_url, short_reason
+from kleinkram.client.errors import (
+    ConfigurationBroken,
+    CredentialsExposed,
+    EndpointTaken,
+    InvalidInput,
+    NoSuchEndpoint,
+    NotConfigured,
+)
 from kleinkram.contract.shares import SHARE_PAGE
+from kleinkram.contract.wording import first_problem
+
+APPLICATION = "kleinkram"
+_OTHERS = stat.S_IRWXG | stat.S_IRWXO
+
+
+class SavedEndpoint(BaseModel):
+    """One server: the token for it, and, where that was asked, whose it is and until when it is good."""
+
+    model_config = ConfigDict(frozen=True)
+
+    url: str
+    token: str
+    person: str | None = None
+    expires_at: datetime.datetime | None = None
+    # Made by `klein login` for this machine, rather than brought along: signing in again does away with it.
+    is_own: bool = False
+
+    def __repr_args__(self) -> Iterator[tuple[str | None, object]]:
+        """Leave the token out of what is printed of it."""
+        yield from ((name, value) for name, value in super().__repr_args__() if name != "token")
+
+
+class SavedEndpoints(BaseModel):
+    """The file of endpoints; `current` is the one chosen with `klein endpoint use`, or signed in to last."""
+
+    model_config = ConfigDict(frozen=True)
+
+    version: int = 1
+    current: str | None = None
+    endpoints: dict[str, SavedEndpoint] = {}
+
+
+def endpoints_file() -> Path:
+    """Return where the endpoints are kept."""
+    return Path(platformdirs.user_config_dir(APPLICATION)) / "endpoints.json"
+
+
+def load_endpoints() -> SavedEndpoints:
+    """Return the saved endpoints; none when there is no file yet.
+
+    Raises:
+        ConfigurationBroken: the file cannot be read.
+        CredentialsExposed: others can read or change it.
+    """
+    path = endpoints_file()
+    try:
+        with path.open("rb") as file:
+            mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
+            if mode & _OTHERS:
+                raise CredentialsExposed(file=str(path), mode=f"{mode:04o}")
+            return SavedEndpoints.model_validate_json(file.read())
+    except FileNotFoundError:
+        return SavedEndpoints()
+    except (OSError, ValidationError) as error:
+        raise ConfigurationBroken(file=str(path), reason=short_reason(error)) from error
+
+
+def add_endpoint(name: str, endpoint: SavedEndpoint, *, choose: bool = False) -> SavedEndpoints:
+    """Save an endpoint under a name, instead of what is saved for that server there; chosen if the first, or asked for.
+
+    Raises:
+        InvalidInput: the URL is none, or the name or token is empty.
+        EndpointTaken: the name is that of another server.
+    """
+    if not name or not endpoint.token:
+        raise InvalidInput(what="The endpoint", reason="it needs a name and a token")
+    added = endpoint.model_copy(update={"url": normal_url(endpoint.url)})
+    with _changing() as saved:
+        existing = saved.endpoints.get(name)
+        if existing is not None and existing.url != added.url:
+            raise EndpointTaken(name=name, url=existing.url)
+        current = name if choose or saved.current is None else saved.current
+        return _save(saved.model_copy(update={"endpoints": {**saved.endpoints, name: added}, "current": current}))
+
+
+def use_endpoint(name: str) -> SavedEndpoints:
+    """Choose the endpoint that commands use from now on.
+
+    Raises:
+        NoSuchEndpoint: none has that name.
+    """
+    with _changing() as saved:
+        require_endpoint(saved, name)
+        return _save(saved.model_copy(update={"current": name}))
+
+
+def remove_endpoint(name: str, *, token: str | None = None) -> SavedEndpoints:
+    """Forget an endpoint and its token; with `token`, only if it still is the one saved.
+
+    Raises:
+        NoSuchEndpoint: none has that name.
+    """
+    with _changing() as saved:
+        existing = require_endpoint(saved, name)
+        if token is not None and existing.token != token:
+            return saved
+        left = {key: value for key, value in saved.endpoints.items() if key != name}
+        current = None if saved.current == name else saved.current
+        return _save(saved.model_copy(update={"endpoints": left, "current": current}))
+
+
+def require_endpoint(saved: SavedEndpoints, name: str) -> SavedEndpoint:
+    """Return the endpoint of a name.
+
+    Raises:
+        NoSuchEndpoint: none has it.
+    """
+    if name not in saved.endpoints:
+        raise NoSuchEndpoint(name=name, known=", ".join(sorted(saved.endpoints)) or "none")
+    return saved.endpoints[name]
+
+
+def name_for(url: str, saved: SavedEndpoints) -> str:
+    """Return the name under which a server is saved, else its host, with its port where that is not the usual one."""
+    for name, endpoint in saved.endpoints.items():
+        if endpoint.url == url:
+            return name
+    return urlsplit(url).netloc
+
+
+def normal_url(url: str) -> str:
+    """Return a server's URL without a slash at its end.
+
+    Raises:
+        InvalidInput: it is not an http or https URL.
+    """
+    try:
+        parts = urlsplit(url)
+        usable = parts.scheme in {"http", "https"} and bool(parts.hostname) and (parts.port is None or parts.port > 0)
+        usable = usable and not (parts.query or parts.fragment or parts.username)
+    except ValueError:
+        usable = False
+    if not usable:
+        raise InvalidInput(what=f"The URL {url!r}", reason="it must look like http://host:port or https://host")
+    return url.rstrip("/")
+
+
+def short_reason(error: Exception) -> str:
+    """Return why a file cannot be used, without what stands in it: that may be a secret."""
+    if isinstance(error, ValidationError):
+        return first_problem(error)
+    return getattr(error, "strerror", None) or str(error)
+
+
+@contextmanager
+def _changing() -> Iterator[SavedEndpoints]:
+    """Give what is saved, while no other process changes it."""
+    path = endpoints_file()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        lock = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    except OSError as error:
+        raise ConfigurationBroken(file=str(path), reason=short_reason(error)) from error
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield load_endpoints()
+    finally:
+        os.close(lock)
+
+
+def _save(saved: SavedEndpoints) -> SavedEndpoints:
+    path = endpoints_file()
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".endpoints-")  # made with mode 0600
+        try:
+            with os.fdopen(handle, "w") as out:
+                json.dump(saved.model_dump(mode="json"), out, indent=2)
+                out.flush()
+                os.fsync(out.fileno())
+            Path(temporary).replace(path)
+        except OSError:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise ConfigurationBroken(file=str(path), reason=short_reason(error)) from error
+    return saved
+
 
 URL_VARIABLE = "KLEINKRAM_URL"
 TOKEN_VARIABLE = "KLEINKRAM_TOKEN"  # noqa: S105  the variable's name
@@ -40,11 +231,11 @@ class Endpoint:
     token: str | None = field(repr=False)
     source: EndpointSource
     # Said by the caller, or in the address of a link: known nowhere else.
-    is_token_given: bool = False
+    has_explicit_token: bool = False
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle without the token where it can be read again from this user's configuration; else with it."""
-        token = self.token if self.is_token_given else None
+        token = self.token if self.has_explicit_token else None
         return _find_again, (self.name, self.url, token, self.source, self.token is not None)
 
 
@@ -55,8 +246,8 @@ class _Instance(BaseModel):
 
 def data_dir() -> Path:
     """Return where `klein up` keeps this user's instance."""
-    given = os.environ.get(DATA_DIR_VARIABLE)
-    return Path(given) if given else Path(platformdirs.user_data_dir(APPLICATION))
+    override = os.environ.get(DATA_DIR_VARIABLE)
+    return Path(override) if override else Path(platformdirs.user_data_dir(APPLICATION))
 
 
 def state_dir() -> Path:
@@ -73,8 +264,8 @@ def find_endpoint(url: str | None = None, token: str | None = None) -> Endpoint:
         CredentialsExposed: others can read the file of tokens.
     """
     endpoint = _find_endpoint(url, token)
-    is_given = endpoint.token is not None and (endpoint.token == token or f"{SHARE_PAGE}#" in (url or ""))
-    return replace(endpoint, is_token_given=is_given)
+    is_explicit = endpoint.token is not None and (endpoint.token == token or f"{SHARE_PAGE}#" in (url or ""))
+    return replace(endpoint, has_explicit_token=is_explicit)
 
 
 def _find_again(name: str, url: str, token: str | None, source: EndpointSource, had_token: bool) -> Endpoint:
@@ -85,24 +276,24 @@ def _find_again(name: str, url: str, token: str | None, source: EndpointSource, 
     """
     if token is not None:
         return replace(find_endpoint(url, token), name=name, source=source)
-    found: Endpoint | None = None
+    endpoint: Endpoint | None = None
     if source is EndpointSource.environment and os.environ.get(URL_VARIABLE):
-        found = find_endpoint()
+        endpoint = find_endpoint()
     elif (saved := load_endpoints().endpoints.get(name)) is not None:
-        found = Endpoint(name, saved.url, saved.token, source)
-    if found is None or found.url != url:
-        found = replace(find_endpoint(url), name=name, source=source)
-    if had_token and found.token is None:
+        endpoint = Endpoint(name, saved.url, saved.token, source)
+    if endpoint is None or endpoint.url != url:
+        endpoint = replace(find_endpoint(url), name=name, source=source)
+    if had_token and endpoint.token is None:
         raise NotConfigured(reason=f"this was pickled where a token for {url} was configured, and here there is none")
-    return found
+    return endpoint
 
 
 def _find_endpoint(url: str | None, token: str | None) -> Endpoint:
     if url:
         return _with_token("(given)", url, token, EndpointSource.argument)
-    if given := os.environ.get(URL_VARIABLE):
+    if override := os.environ.get(URL_VARIABLE):
         known = token or os.environ.get(TOKEN_VARIABLE)
-        return _with_token("(environment)", given, known, EndpointSource.environment)
+        return _with_token("(environment)", override, known, EndpointSource.environment)
     saved = load_endpoints()
     if saved.current and (chosen := saved.endpoints.get(saved.current)):
         return Endpoint(saved.current, chosen.url, token or chosen.token, EndpointSource.chosen)
@@ -132,8 +323,8 @@ def find_local() -> Endpoint | None:
     return Endpoint("local", normal_url(instance.url), token, EndpointSource.local)
 
 
-def _with_token(name: str, given: str, token: str | None, source: EndpointSource) -> Endpoint:
-    base, _, secret = given.partition(f"{SHARE_PAGE}#")  # a link's address is also its secret
+def _with_token(name: str, override: str, token: str | None, source: EndpointSource) -> Endpoint:
+    base, _, secret = override.partition(f"{SHARE_PAGE}#")  # a link's address is also its secret
     # What is known for another server is not shown to the link's.
     url, token = normal_url(base), secret or token
     if token:

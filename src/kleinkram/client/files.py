@@ -6,11 +6,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing_extensions import Unpack
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import Listing, count, pages
-from kleinkram.client.checking import checked
+from kleinkram.client._nouns import Listing, Ref, checked, count, known_id, pages, resolve_one
 from kleinkram.client.missions import Missions
-from kleinkram.client.references import Ref, known_id, the_one
-from kleinkram.client.search import FileFields, Wanted, as_filter
+from kleinkram.client.search import Condition, FileFields, as_filter
 from kleinkram.contract.files import (
     DownloadLinks,
     DownloadRequest,
@@ -32,7 +30,7 @@ class Files:
 
     def list(
         self,
-        matching: Wanted = None,
+        matching: Condition = None,
         *,
         sort: FileSort | str | None = None,
         limit: int | None = None,
@@ -49,7 +47,7 @@ class Files:
         query = query_of(as_filter(matching, fields), sort=sort)
         return pages(self._api, "/files", FileRead, query, limit=limit)
 
-    def count(self, matching: Wanted = None, **fields: Unpack[FileFields]) -> int:
+    def count(self, matching: Condition = None, **fields: Unpack[FileFields]) -> int:
         """Return how many files match."""
         return count(self._api, "/files", FileRead, query_of(as_filter(matching, fields)))
 
@@ -77,7 +75,7 @@ class Files:
         elif project is not None:
             place["project"] = project
         scope = as_filter(None, place)
-        return the_one("file", path, self.list(scope), name=lambda row: row.path, label=file_label)
+        return resolve_one("file", path, self.list(scope), name=lambda row: row.path, label=file_label)
 
     def id_of(self, ref: Ref) -> uuid.UUID:
         """Return the id of a file that is named by its path; one that is known is not asked for.
@@ -96,12 +94,12 @@ class Files:
         return self._api.get(f"/files/{self.id_of(file_id)}/lineage", LineageRead)
 
     def find_topics(
-        self, matching: Wanted = None, *, limit: int | None = None, **fields: Unpack[FileFields]
+        self, matching: Condition = None, *, limit: int | None = None, **fields: Unpack[FileFields]
     ) -> Listing[TopicRead]:
         """Yield the topics of all files that match; the filter's topic and type globs narrow the topics too."""
         return pages(self._api, "/topics", TopicRead, query_of(as_filter(matching, fields)), limit=limit)
 
-    def topics_found(self, matching: Wanted = None, **fields: Unpack[FileFields]) -> Sequence[TopicFound]:
+    def topics_found(self, matching: Condition = None, **fields: Unpack[FileFields]) -> Sequence[TopicFound]:
         """Return each topic of the files that match once, by name and type, over all files."""
         files: dict[tuple[str, str | None], int] = {}
         messages: dict[tuple[str, str | None], int | None] = {}
@@ -139,7 +137,7 @@ class Files:
         Raises:
             InvalidInput: a label is not usable.
         """
-        ids = [self.id_of(each) for each in file_ids]
+        ids = [self.id_of(file_id) for file_id in file_ids]
         for start in range(0, len(ids), MAX_LABELLED):
             some = ids[start : start + MAX_LABELLED]
             body = checked(LabelChange, "The labels", file_ids=some, add=[*add], remove=[*remove])
@@ -150,9 +148,12 @@ class Files:
         answer = self._api.delete(f"/files/{self.id_of(file_id)}", query_of(None, dry_run=dry_run or None))
         return self._api.understood(Deleted, "DELETE file", answer)
 
-    def prove(self, file_id: Ref) -> FileRead:
-        """Have the server read the file's bytes again; `state` and `proven_at` tell when it has."""
-        return self._api.understood(FileRead, "prove", self._api.post_empty(f"/files/{self.id_of(file_id)}/prove"))
+    def verify(self, file_id: Ref) -> FileRead:
+        """Have the server verify the stored bytes again; `state` and `verified_at` change when it has read them all.
+
+        Compares no local file: `kleinkram.client.transfer.verify_local` does.
+        """
+        return self._api.understood(FileRead, "verify", self._api.post_empty(f"/files/{self.id_of(file_id)}/verify"))
 
     def links(self, file_ids: Sequence[Ref]) -> DownloadLinks:
         """Return where to read the bytes of up to 500 files, in the order asked.
@@ -160,7 +161,7 @@ class Files:
         Raises:
             FileUnavailable: the store's copy of one is lost or corrupt.
         """
-        body = checked(DownloadRequest, "The files", file_ids=[self.id_of(each) for each in file_ids])
+        body = checked(DownloadRequest, "The files", file_ids=[self.id_of(file_id) for file_id in file_ids])
         return self._api.repeat("/files/download", DownloadLinks, body)
 
 

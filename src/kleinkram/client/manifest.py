@@ -45,21 +45,21 @@ def read_manifest(path: Path) -> ActionDefinition:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
         raise InvalidInput(what=str(file), reason=f"cannot be read as an action: {reason}") from error
-    said = _of_script(file, text) if file.suffix == ".py" else _of_yaml(file, text)
+    fields = _of_script(file, text) if file.suffix == ".py" else _of_yaml(file, text)
     try:
-        return ActionDefinition.model_validate(said)
+        return ActionDefinition.model_validate(fields)
     except ValidationError as error:
         raise InvalidInput(what=str(file), reason=first_problem(error, "the action")) from error
 
 
 def _of_yaml(file: Path, text: str) -> dict[str, Any]:
     try:
-        said = shallow_yaml("safe", max_depth=_MAX_DEPTH).load(text)
+        fields = shallow_yaml("safe", max_depth=_MAX_DEPTH).load(text)
     except (YAMLError, ValueError, RecursionError) as error:
         raise InvalidInput(what=str(file), reason=f"is not YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(said, dict):
+    if not isinstance(fields, dict):
         raise InvalidInput(what=str(file), reason="is not a mapping of names to values")
-    return said
+    return fields
 
 
 def _of_script(file: Path, text: str) -> dict[str, Any]:
@@ -75,5 +75,5 @@ def _of_script(file: Path, text: str) -> dict[str, Any]:
             header = tomllib.loads("\n".join(lines))
         except tomllib.TOMLDecodeError as error:
             raise InvalidInput(what=str(file), reason=f"its header is not TOML: {error}") from error
-    said = header.get("tool", {}).get("kleinkram", {})
-    return {"name": file.stem, **said, "script": text, "dependencies": header.get("dependencies", [])}
+    fields = header.get("tool", {}).get("kleinkram", {})
+    return {"name": file.stem, **fields, "script": text, "dependencies": header.get("dependencies", [])}

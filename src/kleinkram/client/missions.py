@@ -6,11 +6,9 @@ from collections.abc import Iterator
 from typing_extensions import Unpack
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import Listing, count, pages
-from kleinkram.client.checking import checked
+from kleinkram.client._nouns import Listing, Ref, checked, count, known_id, pages, resolve_one
 from kleinkram.client.errors import InvalidInput
 from kleinkram.client.projects import Projects
-from kleinkram.client.references import Ref, known_id, the_one
 from kleinkram.client.search import MissionFields, as_mission_filter
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.metadata import Metadata
@@ -49,8 +47,8 @@ class Missions:
         Raises:
             InvalidQuery: the query cannot be read, or a comparison cannot be made.
         """
-        asked = query_of(as_mission_filter(matching, fields), query=query, sort=sort)
-        return pages(self._api, "/missions", MissionRead, asked, limit=limit)
+        parameters = query_of(as_mission_filter(matching, fields), query=query, sort=sort)
+        return pages(self._api, "/missions", MissionRead, parameters, limit=limit)
 
     def count(
         self, matching: MissionFilter | None = None, *, query: str | None = None, **fields: Unpack[MissionFields]
@@ -74,7 +72,7 @@ class Missions:
             project, _, name = name.partition("/")
         within = MissionFilter() if project is None else self.within(project)
         rows = self.list(within.model_copy(update={"name": name}))
-        return the_one("mission", name, rows, name=lambda row: row.name, label=mission_label)
+        return resolve_one("mission", name, rows, name=lambda row: row.name, label=mission_label)
 
     def id_of(self, ref: Ref, *, project: Ref | None = None) -> uuid.UUID:
         """Return the id of a mission that is named; one that is known is not asked for.
@@ -147,8 +145,8 @@ class Missions:
             NameTaken: the project has a mission of that name.
             InvalidInput: the name is not usable.
         """
-        given = {"metadata_yaml": metadata_yaml, "metadata": metadata}
-        body = checked(MissionCreate, "The mission", name=name, notes=notes, **given)
+        metadata_fields = {"metadata_yaml": metadata_yaml, "metadata": metadata}
+        body = checked(MissionCreate, "The mission", name=name, notes=notes, **metadata_fields)
         where = project if project is not None else project_id
         if where is None:
             raise InvalidInput(what="The mission", reason="say in which project, by project=")

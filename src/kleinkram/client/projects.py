@@ -3,9 +3,7 @@
 import uuid
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import Listing, count, pages
-from kleinkram.client.checking import checked
-from kleinkram.client.references import Ref, known_id, the_one
+from kleinkram.client._nouns import Listing, Ref, checked, count, known_id, pages, resolve_one
 from kleinkram.contract.metadata import MetadataFields
 from kleinkram.contract.missions import MissionTemplate
 from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
@@ -43,7 +41,9 @@ class Projects:
         """
         if (project_id := known_id(ref, "project")) is not None:
             return self._api.get(f"/projects/{project_id}", ProjectRead)
-        return the_one("project", str(ref), self.list(name=str(ref)), name=lambda row: row.name, label=project_label)
+        return resolve_one(
+            "project", str(ref), self.list(name=str(ref)), name=lambda row: row.name, label=project_label
+        )
 
     def id_of(self, ref: Ref) -> uuid.UUID:
         """Return the id of a project that is named; one that is known is not asked for.

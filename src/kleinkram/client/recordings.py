@@ -5,17 +5,16 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from kleinkram.client._http import Api
-from kleinkram.client._paging import Listing, pages
+from kleinkram.client._nouns import Listing, Ref, known_id, pages, resolve_one
 from kleinkram.client.errors import InvalidInput
 from kleinkram.client.files import Files
 from kleinkram.client.missions import Missions
-from kleinkram.client.references import Ref, known_id, the_one
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import FileFilter, FileRead, RecordingRead
 from kleinkram.contract.names import is_id
 
 if TYPE_CHECKING:
-    from kleinkram.recordings.reading import Recording
+    from kleinkram.recordings import Recording
 
 _METADATA = "metadata.yaml"
 
@@ -37,9 +36,9 @@ class Recordings:
         Raises:
             NotFound: there is none with this id.
         """
-        if (found := known_id(recording_id, "recording")) is None:
+        if (source := known_id(recording_id, "recording")) is None:
             raise InvalidInput(what=f"The recording {recording_id!r}", reason="give its id; `open` takes names")
-        return self._api.get(f"/recordings/{found}", RecordingRead)
+        return self._api.get(f"/recordings/{source}", RecordingRead)
 
     def open(
         self,
@@ -69,13 +68,13 @@ class Recordings:
             SourceError: the store does not give the bytes.
         """
         from kleinkram.client._remote import RemoteFiles
-        from kleinkram.recordings.reading import Recording  # only who reads pays for importing it
+        from kleinkram.recordings import Recording  # only who reads pays for importing it
 
-        found = self._find(what, mission, project)
-        if isinstance(found, FileRead):
-            ids = [found.id, *self._logs_of(found.mission.id, [found.path])]
+        source = self._find(what, mission, project)
+        if isinstance(source, FileRead):
+            ids = [source.id, *self._logs_of(source.mission.id, [source.path])]
         else:
-            ids = [*self._metadata_of(found), *found.file_ids, *self._logs_of(found.mission.id, found.paths)]
+            ids = [*self._metadata_of(source), *source.file_ids, *self._logs_of(source.mission.id, source.paths)]
         return Recording.open(RemoteFiles(Files(self._api), ids), most_bytes=most_bytes)
 
     def _find(
@@ -94,7 +93,7 @@ class Recordings:
         if mission is not None:
             named = self.list(Missions(self._api).get(mission, project=project).id)
             try:
-                return the_one("recording", what, named, name=lambda row: row.name, label=_label)
+                return resolve_one("recording", what, named, name=lambda row: row.name, label=_label)
             except NotFound:
                 pass
         return Files(self._api).get(what, mission=mission, project=project)
@@ -110,11 +109,11 @@ class Recordings:
 
     def _logs_of(self, mission_id: uuid.UUID, paths: Sequence[str]) -> Sequence[uuid.UUID]:
         """Return the ids of the logs and journals beside databases: they hold what a killed recorder wrote last."""
-        wanted = [f"{path}{suffix}" for path in paths if path.endswith(".db3") for suffix in ("-wal", "-journal")]
-        if not wanted:
+        log_paths = [f"{path}{suffix}" for path in paths if path.endswith(".db3") for suffix in ("-wal", "-journal")]
+        if not log_paths:
             return []
-        matching = FileFilter(mission_id=mission_id, path=wanted)
-        return [file.id for file in Files(self._api).list(matching) if file.path in wanted and file.size_bytes]
+        matching = FileFilter(mission_id=mission_id, path=log_paths)
+        return [file.id for file in Files(self._api).list(matching) if file.path in log_paths and file.size_bytes]
 
 
 def _label(recording: RecordingRead) -> str:

@@ -1,14 +1,14 @@
-"""Runners: who runs what, for admins; and what a runner itself says to its server, request by request.
+"""Runners: a list for admins, and the requests of a runner.
 
-All that a runner says about a run may be said again, so it outlasts a server that is away for a while. All but asking
-for a run: what the server gave in an answer that never came, it takes back once the runner says what it holds.
+Requests about runs are idempotent, so they are repeated while the server is unavailable. A claim is not: where its
+answer was lost, the server assigns the run again, since the next claim does not list it as active.
 """
 
 import uuid
 from collections.abc import Callable, Sequence
 
 from kleinkram.client._http import PATIENCE_S, Api
-from kleinkram.client._paging import Listing, pages
+from kleinkram.client._nouns import Listing, pages
 from kleinkram.client.uploads import Uploads
 from kleinkram.contract.runners import (
     ArtifactUploadsCreate,
@@ -33,7 +33,7 @@ from kleinkram.contract.uploads import UploadDecisions, UploadFile
 
 
 class Runners:
-    """`client.runners`. `patience_s` is how long a server may be away; `wait` is what waits meanwhile."""
+    """`client.runners`. `patience_s` is how long to retry while the server is unavailable; `wait` waits meanwhile."""
 
     def __init__(
         self, api: Api, *, patience_s: float = PATIENCE_S, wait: Callable[[float], object] | None = None
@@ -43,55 +43,55 @@ class Runners:
         self._wait = wait
 
     def with_patience(self, patience_s: float, wait: Callable[[float], object]) -> "Runners":
-        """Return the same with other patience."""
+        """Return a client with another retry timeout."""
         return Runners(self._api, patience_s=patience_s, wait=wait)
 
     def list(self) -> Listing[RunnerRead]:
-        """Yield all runners."""
+        """List all runners."""
         return pages(self._api, "/runners", RunnerRead, [])
 
-    def hello(self, hello: RunnerRegistration) -> RunnerRead:
-        """Say, as a runner, what it is."""
-        return self._api.repeat("/runners", RunnerRead, hello, patience_s=self._patience_s, wait=self._wait)
+    def register(self, registration: RunnerRegistration) -> RunnerRead:
+        """Register a runner, or update its description."""
+        return self._api.repeat("/runners", RunnerRead, registration, patience_s=self._patience_s, wait=self._wait)
 
-    def claim(self, runner_id: uuid.UUID, ask: ClaimRequest) -> RunAssignment | None:
-        """Wait for a run and return it; None where none came that fits."""
-        return self._api.send("POST", f"/runners/{runner_id}/claims", ClaimReply, ask).run
+    def claim(self, runner_id: uuid.UUID, request: ClaimRequest) -> RunAssignment | None:
+        """Wait for a run and return it; None where there is none."""
+        return self._api.send("POST", f"/runners/{runner_id}/claims", ClaimReply, request).run
 
-    def beat(self, runner_id: uuid.UUID, beats: Heartbeats) -> HeartbeatReplies:
-        """Say what all runs are at, and hear what becomes of them."""
-        return self._api.send("POST", f"/runners/{runner_id}/heartbeats", HeartbeatReplies, beats)
+    def send_heartbeats(self, runner_id: uuid.UUID, heartbeats: Heartbeats) -> HeartbeatReplies:
+        """Send the states of all runs, and renew their leases."""
+        return self._api.send("POST", f"/runners/{runner_id}/heartbeats", HeartbeatReplies, heartbeats)
 
-    def context(self, run_id: uuid.UUID, attempt: Attempt) -> RunContext:
-        """Return what a run is told."""
+    def get_context(self, run_id: uuid.UUID, attempt: Attempt) -> RunContext:
+        """Return the content of `/in/mission.json`."""
         return self._api.get(f"/runner/runs/{run_id}/context", RunContext, [("attempt", str(attempt))])
 
-    def inputs(self, run_id: uuid.UUID, ask: InputsRequest) -> InputUrls:
-        """Return where to GET some inputs."""
+    def sign_inputs(self, run_id: uuid.UUID, request: InputsRequest) -> InputUrls:
+        """Return URLs of inputs."""
         path = f"/runner/runs/{run_id}/inputs"
-        return self._api.repeat(path, InputUrls, ask, patience_s=self._patience_s, wait=self._wait)
+        return self._api.repeat(path, InputUrls, request, patience_s=self._patience_s, wait=self._wait)
 
-    def create_log_chunk(self, run_id: uuid.UUID, ask: LogChunkCreate) -> LogChunkUpload:
-        """Return where to PUT a piece of the log."""
+    def create_log_chunk(self, run_id: uuid.UUID, chunk: LogChunkCreate) -> LogChunkUpload:
+        """Return where to PUT a chunk of the log."""
         path = f"/runner/runs/{run_id}/log-chunks"
-        return self._api.repeat(path, LogChunkUpload, ask, patience_s=self._patience_s, wait=self._wait)
+        return self._api.repeat(path, LogChunkUpload, chunk, patience_s=self._patience_s, wait=self._wait)
 
-    def confirm_log_chunk(self, run_id: uuid.UUID, kept: LogChunkConfirm) -> None:
-        """Say that a piece of the log is stored."""
-        self._api.tell(f"/runner/runs/{run_id}/log-chunks/confirm", kept, patience_s=self._patience_s, wait=self._wait)
+    def confirm_log_chunk(self, run_id: uuid.UUID, chunk: LogChunkConfirm) -> None:
+        """Confirm that a chunk of the log was uploaded."""
+        self._api.tell(f"/runner/runs/{run_id}/log-chunks/confirm", chunk, patience_s=self._patience_s, wait=self._wait)
 
     def uploads(self, run_id: uuid.UUID, attempt: Attempt) -> "ArtifactUploads":
-        """Return the upload protocol for what a run leaves."""
+        """Return the upload protocol for artifacts of a run."""
         return ArtifactUploads(self._api, run_id, attempt, patience_s=self._patience_s, wait=self._wait)
 
     def finish(self, run_id: uuid.UUID, finish: RunFinish) -> RunFinished:
-        """Say how a run ended."""
+        """Report the end of a run."""
         path = f"/runner/runs/{run_id}/finish"
         return self._api.repeat(path, RunFinished, finish, patience_s=self._patience_s, wait=self._wait)
 
 
 class ArtifactUploads(Uploads):
-    """The upload protocol into a run instead of a mission: `begin` takes the run's id."""
+    """The upload protocol for artifacts: `begin` takes the id of the run."""
 
     def __init__(
         self,
@@ -107,7 +107,7 @@ class ArtifactUploads(Uploads):
         self._attempt = attempt
 
     def with_patience(self, patience_s: float, wait: Callable[[float], object]) -> "ArtifactUploads":
-        """Return the same with other patience."""
+        """Return a client with another retry timeout."""
         return ArtifactUploads(self._api, self._run_id, self._attempt, patience_s=patience_s, wait=wait)
 
     def begin(self, mission_id: uuid.UUID, files: Sequence[UploadFile]) -> UploadDecisions:

@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING, TypeVar, cast
 from typing_extensions import TypedDict, Unpack
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import Listing, count, pages
+from kleinkram.client._nouns import Listing, Ref, checked, count, known_id, pages, refs_of
 from kleinkram.client.actions import Actions
-from kleinkram.client.checking import checked
 from kleinkram.client.errors import InvalidInput, TimedOut
 from kleinkram.client.missions import Missions
 from kleinkram.client.projects import Projects
-from kleinkram.client.references import Ref, known_id, refs_of
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.files import BlobState, DownloadLink
 from kleinkram.contract.reports import Severity

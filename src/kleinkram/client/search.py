@@ -1,23 +1,24 @@
-"""One search over missions, files and topics, for programs. A query is a text; see the page on searching."""
+"""Search over missions, files and topics, and statistics. The query language is described in docs/searching.md."""
 
 import uuid
 from collections.abc import Mapping, Sequence
 from typing import cast
 
-from typing_extensions import TypedDict
+from typing_extensions import TypedDict, Unpack
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client.checking import Time, as_datetime, checked
+from kleinkram.client._nouns import Ref, Time, as_datetime, checked, known_id, refs_of
 from kleinkram.client.errors import InvalidInput
-from kleinkram.client.references import Ref, known_id, refs_of
+from kleinkram.client.projects import Projects
 from kleinkram.contract.amounts import read_size
 from kleinkram.contract.files import FileFilter, FileSort
 from kleinkram.contract.missions import MissionFilter
 from kleinkram.contract.query import parse, whole
 from kleinkram.contract.searching import FacetsRead, FileQuery, SearchRead
+from kleinkram.contract.stats import Overview, StatsRead
 
 # What lists of files take: a filter, the text of a query, or None for everything.
-Wanted = FileFilter | str | None
+Condition = FileFilter | str | None
 
 
 class Search:
@@ -34,8 +35,8 @@ class Search:
         Raises:
             InvalidQuery: the query cannot be read; says which word, at which column, and what is possible.
         """
-        asked = query_of(None, query=query, sort=sort, limit=limit)
-        return self._api.get("/search", SearchRead, asked)
+        parameters = query_of(None, query=query, sort=sort, limit=limit)
+        return self._api.get("/search", SearchRead, parameters)
 
     def facets(self, query: str = "") -> FacetsRead:
         """Return how the files that a query finds divide, and the query with each value chosen.
@@ -91,61 +92,63 @@ class FileFields(TypedDict, total=False):
 
 
 _NO_FIELDS: FileFields = {}
-_SAID_ONCE = frozenset({"text", "recording_id", "completed", "satisfied", "min_duration_ns", "max_duration_ns"})
+_SINGLE_VALUED = frozenset({"text", "recording_id", "completed", "satisfied", "min_duration_ns", "max_duration_ns"})
 
 
-def as_filter(wanted: Wanted, fields: FileFields = _NO_FIELDS) -> FileFilter | None:
+def as_filter(condition: Condition, fields: FileFields = _NO_FIELDS) -> FileFilter | None:
     """Return the filter that is wanted: of the text of a query, of keywords, of both, or as it is.
 
     Raises:
         InvalidQuery: the query cannot be read.
         InvalidInput: a keyword is unknown, or its value is not usable.
     """
-    if not (wanted is None or isinstance(wanted, str | FileFilter)):
-        raise InvalidInput(what=f"The filter {wanted!r}", reason="give the text of a query, keywords, or a FileFilter")
+    if not (condition is None or isinstance(condition, str | FileFilter)):
+        raise InvalidInput(what=f"The filter {condition!r}", reason="use query text, keywords, or a FileFilter")
     if not fields:
-        return parse(wanted) if isinstance(wanted, str) else wanted
-    given = _read_fields(fields)
-    if isinstance(wanted, FileFilter):
-        given = {**wanted.model_dump(exclude_defaults=True), **given}
-    query = {"query": wanted} if isinstance(wanted, str) else {}
-    return whole(checked(FileQuery, "The filter", **given, **query))
+        return parse(condition) if isinstance(condition, str) else condition
+    values = _read_fields(fields)
+    if isinstance(condition, FileFilter):
+        values = {**condition.model_dump(exclude_defaults=True), **values}
+    query = {"query": condition} if isinstance(condition, str) else {}
+    return whole(checked(FileQuery, "The filter", **values, **query))
 
 
-def as_mission_filter(wanted: MissionFilter | None, fields: MissionFields) -> MissionFilter | None:
+def as_mission_filter(condition: MissionFilter | None, fields: MissionFields) -> MissionFilter | None:
     """Return the filter of missions that keywords and a filter say together.
 
     Raises:
         InvalidInput: a keyword is unknown, or its value is not usable.
     """
-    if not (wanted is None or isinstance(wanted, MissionFilter)):
-        raise InvalidInput(what=f"The filter {wanted!r}", reason="give keywords, or a MissionFilter")
+    if not (condition is None or isinstance(condition, MissionFilter)):
+        raise InvalidInput(what=f"The filter {condition!r}", reason="give keywords, or a MissionFilter")
     if not fields:
-        return wanted
-    given = _read_fields(fields)
-    if isinstance(names := given.get("name"), list):
-        given = {**{key: value for key, value in given.items() if key != "name"}, "missions": names}
-    return checked(MissionFilter, "The filter", **(wanted.model_dump(exclude_defaults=True) if wanted else {}), **given)
+        return condition
+    values = _read_fields(fields)
+    if isinstance(names := values.get("name"), list):
+        values = {**{key: value for key, value in values.items() if key != "name"}, "missions": names}
+    return checked(
+        MissionFilter, "The filter", **(condition.model_dump(exclude_defaults=True) if condition else {}), **values
+    )
 
 
 def _read_fields(fields: Mapping[str, object]) -> dict[str, object]:
-    given: dict[str, object] = {}
+    values: dict[str, object] = {}
     for name, value in fields.items():
         if value is None:
             continue
         if name == "mission":
-            given |= _missions(value, has_project=fields.get("project") is not None)
+            values |= _missions(value, has_project=fields.get("project") is not None)
         elif name == "project":
-            given |= _place(name, refs_of(name, value))
+            values |= _place(name, refs_of(name, value))
         elif name in {"recorded_after", "recorded_before"}:
-            given[name] = as_datetime(name, value)
+            values[name] = as_datetime(name, value)
         elif name.endswith("_size_bytes") and isinstance(value, str):
-            given[name] = _size(name, value)
-        elif name in _SAID_ONCE or name.endswith("_bytes") or name == "name":
-            given[name] = value
+            values[name] = _size(name, value)
+        elif name in _SINGLE_VALUED or name.endswith("_bytes") or name == "name":
+            values[name] = value
         else:
-            given[name] = refs_of(name, value)
-    return given
+            values[name] = refs_of(name, value)
+    return values
 
 
 def _missions(value: object, *, has_project: bool) -> dict[str, object]:
@@ -173,3 +176,35 @@ def _size(name: str, text: str) -> int:
         return int(read_size(text))
     except ValueError as error:
         raise InvalidInput(what=f"The filter ({name})", reason=str(error)) from None
+
+
+class Stats:
+    """`client.stats`."""
+
+    def __init__(self, api: Api) -> None:
+        self._api = api
+
+    def get(self, by: str = "project", matching: Condition = None, **fields: Unpack[FileFields]) -> StatsRead:
+        """Return hours, bytes, files and messages of the matching files.
+
+        `by` is `project`, `mission`, `topic`, `type`, `month`, `format` or `metadata.FIELD`.
+
+        Raises:
+            InvalidQuery: `by` is none of these.
+        """
+        return self._api.get("/stats", StatsRead, query_of(as_filter(matching, fields), by=by))
+
+    def overview(
+        self, by: str = "month", *, project: Ref | None = None, project_id: Ref | None = None, most: int = 20
+    ) -> Overview:
+        """Return what a project amounts to, or all that one may see, in at most so many buckets.
+
+        `by` is `month`, of recording, or the name of a metadata field.
+
+        Raises:
+            NotFound: there is no such project.
+            InvalidQuery: no mission has such a field.
+        """
+        where = project if project is not None else project_id
+        path = "/overview" if where is None else f"/projects/{Projects(self._api).id_of(where)}/stats"
+        return self._api.get(path, Overview, query_of(None, by=by, most=most))

@@ -1,4 +1,4 @@
-"""Tokens, for programs."""
+"""Tokens for scripts and robots, and share links for people without an account."""
 
 import builtins
 import datetime
@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from kleinkram.client._http import Api, query_of
-from kleinkram.client._paging import Listing, pages
-from kleinkram.client.checking import checked
+from kleinkram.client._nouns import HasId, Listing, Ref, checked, known_id, pages, resolve_one
 from kleinkram.client.missions import Missions
 from kleinkram.client.projects import Projects
-from kleinkram.client.references import Ref, known_id, the_one
 from kleinkram.contract.rights import Scope, TokenKind
+from kleinkram.contract.shares import ShareCreate, SharedRead, ShareMade, ShareRead
 from kleinkram.contract.tokens import TokenCreate, TokenMade, TokenRead
 
 
@@ -62,21 +61,21 @@ class Tokens:
             SignInTooOld: it has the scope admin, and one signed in too long ago.
             InvalidInput: it is not one that can be; a robot's, for one, must be limited.
         """
-        given: dict[str, object] = {"name": name, "kind": kind}
+        values: dict[str, object] = {"name": name, "kind": kind}
         if expires_at is not None:
-            given["expires_at"] = expires_at
+            values["expires_at"] = expires_at
         if no_end:
-            given["no_end"] = True
+            values["no_end"] = True
         if runner is not None and runner.runner_id is not None:
-            given["runner_id"] = runner.runner_id
+            values["runner_id"] = runner.runner_id
         if runner is not None and runner.labels:
-            given["runner_labels"] = [*runner.labels]
+            values["runner_labels"] = [*runner.labels]
         if scopes is not None:
-            given["scopes"] = [*scopes]
+            values["scopes"] = [*scopes]
         if reach is not None:
-            given["project_ids"] = [Projects(self._api).id_of(ref) for ref in reach.project_ids]
-            given["mission_ids"] = [Missions(self._api).id_of(ref) for ref in reach.mission_ids]
-        return self._api.send("POST", "/tokens", TokenMade, checked(TokenCreate, "The token", **given))
+            values["project_ids"] = [Projects(self._api).id_of(ref) for ref in reach.project_ids]
+            values["mission_ids"] = [Missions(self._api).id_of(ref) for ref in reach.mission_ids]
+        return self._api.send("POST", "/tokens", TokenMade, checked(TokenCreate, "The token", **values))
 
     def list(self, *, everybody: bool = False, ended: bool = False, limit: int | None = None) -> Listing[TokenRead]:
         """Yield one's tokens, latest first; with `ended` those that are over, too. `everybody` is for admins."""
@@ -92,10 +91,10 @@ class Tokens:
         """
         rows: builtins.list[TokenRead] = [*self.list(everybody=everybody)]
         if (token_id := known_id(ref, "token")) is not None:
-            return the_one("token", str(token_id), rows, name=lambda row: str(row.id), label=token_label)
-        said = str(ref)
-        begun = [row for row in rows if row.prefix and said.startswith(row.prefix)]
-        return begun[0] if len(begun) == 1 else the_one("token", said, rows, name=_name, label=token_label)
+            return resolve_one("token", str(token_id), rows, name=lambda row: str(row.id), label=token_label)
+        name = str(ref)
+        begun = [row for row in rows if row.prefix and name.startswith(row.prefix)]
+        return begun[0] if len(begun) == 1 else resolve_one("token", name, rows, name=_token_name, label=token_label)
 
     def revoke(self, token: Ref) -> None:
         """End a token, those that were made with it, and those made with these, from the next request on.
@@ -111,5 +110,81 @@ def token_label(token: TokenRead) -> str:
     return f"{token.name} ({token.prefix}…, {token.id})"
 
 
-def _name(token: TokenRead) -> str:
+def _token_name(token: TokenRead) -> str:
     return token.name
+
+
+class Shares:
+    """`client.shares`."""
+
+    def __init__(self, api: Api) -> None:
+        self._api = api
+
+    def create(
+        self,
+        mission_id: Ref,
+        name: str,
+        *,
+        expires_at: datetime.datetime,
+        file_ids: Sequence[uuid.UUID | HasId] | None = None,
+    ) -> ShareMade:
+        """Make a link to a mission, or to some of its files, and return it with its address, which is its secret.
+
+        Raises:
+            Forbidden: it takes WRITE on the mission.
+            NotFound: one of the files is not in the mission.
+            InvalidRequest: it lasts longer than the server's settings allow.
+            InvalidInput: the name is not usable.
+        """
+        values: dict[str, object] = {"name": name, "expires_at": expires_at}
+        values |= {} if file_ids is None else {"file_ids": [known_id(file_id, "file") for file_id in file_ids]}
+        body = checked(ShareCreate, "The link", **values)
+        return self._api.send("POST", f"/missions/{Missions(self._api).id_of(mission_id)}/shares", ShareMade, body)
+
+    def list(
+        self, *, mission_id: Ref | None = None, ended: bool = False, limit: int | None = None
+    ) -> Listing[ShareRead]:
+        """Yield the links that one may revoke, latest first; with `ended` those that are over, too."""
+        mission = None if mission_id is None else Missions(self._api).id_of(mission_id)
+        query = query_of(None, mission_id=mission, ended=ended or None)
+        return pages(self._api, "/shares", ShareRead, query, limit=limit)
+
+    def get(self, ref: Ref) -> ShareRead:
+        """Return the link with this id or name, or whose address or secret this is.
+
+        Raises:
+            NotFound: there is none that can still be used.
+            AmbiguousName: several have that name.
+        """
+        rows: builtins.list[ShareRead] = [*self.list()]
+        if (share_id := known_id(ref, "link")) is not None:
+            return resolve_one("link", str(share_id), rows, name=lambda row: str(row.id), label=share_label)
+        name = str(ref)
+        secret = name.rpartition("#")[2]
+        begun = [row for row in rows if secret.startswith(row.prefix)]
+        return begun[0] if len(begun) == 1 else resolve_one("link", name, rows, name=_share_name, label=share_label)
+
+    def revoke(self, share: Ref) -> None:
+        """End a link, from the next request on.
+
+        Raises:
+            NotFound, AmbiguousName: as in `get`.
+        """
+        self._api.delete(f"/shares/{known_id(share, 'link') or self.get(share).id}")
+
+    def shown(self) -> SharedRead:
+        """Return what the link shows that this client came with.
+
+        Raises:
+            NotFound: it came with none.
+        """
+        return self._api.get("/share", SharedRead)
+
+
+def share_label(share: ShareRead) -> str:
+    """Return how a link is listed among candidates."""
+    return f"{share.name} ({share.prefix}…, {share.id})"
+
+
+def _share_name(share: ShareRead) -> str:
+    return share.name

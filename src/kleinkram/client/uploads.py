@@ -8,9 +8,8 @@ import uuid
 from collections.abc import Callable, Sequence
 
 from kleinkram.client._http import PATIENCE_S, Api
-from kleinkram.client._paging import Listing, pages
+from kleinkram.client._nouns import Listing, Ref, pages
 from kleinkram.client.missions import Missions
-from kleinkram.client.references import Ref
 from kleinkram.contract.uploads import (
     PartsSign,
     PartToSign,
@@ -67,7 +66,7 @@ class Uploads:
         return self._api.repeat("/uploads/parts", SignedParts, body, patience_s=self._patience_s, wait=self._wait)
 
     def complete(self, uploads: Sequence[UploadFinish]) -> UploadOutcomes:
-        """Finish up to 200 uploads whose parts are all sent; the store proves each. In the order given."""
+        """Finish up to 200 uploads whose parts are all sent; the store verifies each. In the order given."""
         body = UploadsComplete(uploads=[*uploads])
         return self._api.repeat("/uploads/complete", UploadOutcomes, body, patience_s=self._patience_s, wait=self._wait)
 

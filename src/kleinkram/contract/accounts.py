@@ -58,12 +58,12 @@ class ProviderRef(Response):
     title: str
 
 
-class SignInWays(Response):
-    """How one may sign in here: `GET /auth/ways`. `claim`: nobody is admin yet, and a code from the log makes one."""
+class SignInMethods(Response):
+    """The sign-in methods of a server: `GET /auth/methods`. `bootstrap`: it has no admin yet."""
 
     password: bool
     providers: list[ProviderRef]
-    claim: bool
+    bootstrap: bool
 
 
 class PasswordSignIn(Request):
@@ -74,8 +74,8 @@ class PasswordSignIn(Request):
     second_factor: SecondFactor | None = Field(default=None, repr=False)
 
 
-class PasswordAgain(Request):
-    """Prove once more who one is, in a browser that is signed in: `POST /auth/password/again`."""
+class PasswordReauthenticate(Request):
+    """Enter the password again in a signed-in browser: `POST /auth/password/reauthenticate`."""
 
     password: GivenPassword = Field(repr=False)
     second_factor: SecondFactor | None = Field(default=None, repr=False)
@@ -114,8 +114,8 @@ class CodeSignIn(Request):
     code: OneTimeCode = Field(repr=False)
 
 
-class Claim(Request):
-    """Become the first admin of a fresh server: `POST /auth/claim`. Who is signed in gives the code alone."""
+class AdminBootstrap(Request):
+    """Become the first admin of a new server: `POST /auth/bootstrap`. A signed-in person sends only the code."""
 
     code: OneTimeCode = Field(repr=False)
     name: PersonName | None = None
@@ -203,7 +203,7 @@ class DeviceDecision(Request):
 
 
 class DeviceRead(Response):
-    """Who asks by a code: `POST /auth/device/look`."""
+    """Who asks by a code: `POST /auth/device/status`."""
 
     client: str
     address: str | None

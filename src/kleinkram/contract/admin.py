@@ -116,7 +116,7 @@ class ScrubRead(Response):
     """One comparison of what the store lists with what the database knows of it.
 
     `lost` and `corrupt` are blobs that it newly found so, `found` lost ones whose objects are there again and are being
-    proven, `unknown` objects that nothing here speaks of. `stopped` says why it marked nothing, or not to the end.
+    verified, `unknown` objects that nothing here speaks of. `stopped` says why it marked nothing, or not to the end.
     Until it has `ended_at`, all this is of what it has compared so far.
     """
 
@@ -139,13 +139,14 @@ class ScrubState(Response):
 
     Of the lost and corrupt those count that something still refers to.
 
-    `oldest_proof_at` is when the blob was proven whose proof is the oldest; `again_after_days` when one is proven anew.
+    `oldest_verification_at` is the oldest `verified_at` of all blobs. A blob is verified again `again_after_days` days
+    after its last verification.
     """
 
     last: ScrubRead | None
     every_hours: float
     again_after_days: int
-    oldest_proof_at: datetime.datetime | None
+    oldest_verification_at: datetime.datetime | None
     blobs: list[StateAmount]
 
 

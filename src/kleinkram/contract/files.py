@@ -19,7 +19,7 @@ class BlobState(str, enum.Enum):
     """What is known of the bytes: the store's checksums agreed; the server read them; gone; not what they were."""
 
     stored = "stored"
-    proven = "proven"
+    verified = "verified"
     lost = "lost"
     corrupt = "corrupt"
 
@@ -73,7 +73,7 @@ def _etag(said: dict[str, Any]) -> str:
 class FileRead(Response):
     """A file of a mission: its place, its bytes, and what they hold. Checksums are lower-case hex.
 
-    `sha256` is the uploader's word until `state` is `proven`; `md5` is null until then. `summarised_at` is null until
+    `sha256` is the uploader's word until `state` is `verified`; `md5` is null until then. `summarised_at` is null until
     the server has looked at the content, whatever came of it. `depth` says how far it read; null until then.
     `damaged_at` is since when it is known to be lost or corrupt; `state_reason` says how that showed. `etag` names
     the path and labels that people gave it last, as with missions.
@@ -92,7 +92,7 @@ class FileRead(Response):
     sha256: str | None
     md5: str | None
     crc64nvme: str | None
-    proven_at: datetime.datetime | None
+    verified_at: datetime.datetime | None
     summarised_at: datetime.datetime | None
     labels: list[str]
     origin: str

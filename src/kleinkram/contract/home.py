@@ -45,7 +45,7 @@ class Need(str, enum.Enum):
     runs_failed = "runs_failed"
     metadata_missing = "metadata_missing"
     scrub_stopped = "scrub_stopped"
-    proofs_late = "proofs_late"
+    verifications_overdue = "verifications_overdue"
     jobs_failed = "jobs_failed"
     disk_low = "disk_low"
 

@@ -76,7 +76,7 @@ class MissionRead(Response):
 
     `start_ns` and `end_ns` (log clock, since 1970, UTC) span its recordings without suspect stamps.
     `metadata_problems` names what no longer satisfies the project's fields. `pending_file_count` counts the files whose
-    content nobody has read yet, those included that only the proof will read; `recordings_current` says whether
+    content nobody has read yet, those included that only the verification will read; `recordings_current` says whether
     recordings and span follow from today's files. `right` is the asker's own on it, from wherever it comes.
     `etag` names what people edited last: given back with a change, that is refused where somebody else came first.
     """

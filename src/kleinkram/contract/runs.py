@@ -9,12 +9,12 @@ from pydantic import Field, model_validator
 from typing_extensions import Self
 
 from kleinkram.contract.actions import ActionDefinition, Network, ParameterValues
-from kleinkram.contract.errors import ProblemDocument
 from kleinkram.contract.files import FileRead, RecordingRead, TopicRead
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import MissionRead, MissionRef
 from kleinkram.contract.names import Ids, Term
 from kleinkram.contract.people import PersonRef
+from kleinkram.contract.problems import ProblemDocument
 from kleinkram.contract.reports import Finding, Metric, Preview, Progress, Severity
 from kleinkram.contract.wire import Request, Response
 

@@ -5,11 +5,11 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-from kleinkram.contract.errors import ProblemDocument
 from kleinkram.contract.files import FileFilter, FileRead
 from kleinkram.contract.missions import MissionRead
 from kleinkram.contract.names import Label, check_text
 from kleinkram.contract.paging import Page
+from kleinkram.contract.problems import ProblemDocument
 from kleinkram.contract.wire import Request, Response
 
 MAX_QUERY_CHARACTERS = 8192

@@ -112,7 +112,7 @@ class SessionRead(Response):
     """A browser that one is signed in with: `GET /me/sessions`; `DELETE /me/sessions/{id}` signs it out."""
 
     id: uuid.UUID
-    way: str
+    method: str
     address: str | None
     user_agent: str | None
     created_at: datetime.datetime

@@ -1,4 +1,4 @@
-"""The upload protocol: begin -> parts -> complete. See `docs/decisions/` on resuming and on proof by the store."""
+"""The upload protocol: begin -> parts -> complete. See `docs/decisions/` on resuming and on the store's checksums."""
 
 import datetime
 import enum
@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from typing_extensions import Self
 
-from kleinkram.contract.errors import ProblemDocument
 from kleinkram.contract.files import FileRead
 from kleinkram.contract.names import FilePath
+from kleinkram.contract.problems import ProblemDocument
 from kleinkram.contract.wire import Request, Response
 
 # The least that S3 takes. A part that did not arrive whole is sent again, which is dear on a slow link.
@@ -34,7 +34,7 @@ def part_size_bytes(file_size_bytes: int) -> int:
 
 
 class ChecksumKind(str, enum.Enum):
-    """How the store proves what it received, as found by the server's probe when it started.
+    """How the store verifies what it received, as found by the server's probe when it started.
 
     `crc64nvme`: every part by a signed CRC-64/NVME header, and the whole object by the full-object CRC-64/NVME.
     `sha256`: every part by a signed SHA-256 header. `md5`: every part by a signed Content-MD5, for old stores.
@@ -80,7 +80,7 @@ class UploadBegin(Request):
     files: Annotated[list[UploadFile], Field(min_length=1, max_length=MAX_FILES_PER_REQUEST)]
 
 
-class HeldPart(Response):
+class StoredPart(Response):
     """A part that the store already holds."""
 
     number: PartNumber
@@ -100,7 +100,7 @@ class UploadRead(Response):
     state: UploadState
     lease_ends_at: datetime.datetime
     expires_at: datetime.datetime
-    parts: list[HeldPart] = []
+    parts: list[StoredPart] = []
 
 
 class SignedPart(Response):

@@ -1,29 +1,32 @@
-"""Bytes of a recording -> facts about it: ROS 1 bag, MCAP, rosbag2.
+"""Recordings (MCAP, ROS 1 bag, rosbag2, ULog): what is in them (`summarise`, `scan`), and their messages (`Recording`).
 
-Pure: a source is "read these bytes at this offset". Bounded memory, no database, nothing of ours outside this
-package. Files are untrusted: whatever their bytes, the answer is a summary (`summarise`), and a server lets a child
-process give it (`summarise_isolated`).
+Independent of the rest of Kleinkram: it reads bytes from a source, in bounded memory, without a database. Files are
+untrusted: whatever their bytes, the answer is a summary. A server reads them in a child process (`isolation`).
 
 Names are imported when they are first used, so that `klein --help` does not pay for reading recordings.
-
-Submodules: `grouping`, `combining`, `inspect`, `isolation`, `rosbag2.metadata`, `http_source` (needs urllib3) and
-`sample`, which makes sample missions.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from kleinkram.recordings.combining import combine
+    from kleinkram.recordings.combine_summaries import combine
     from kleinkram.recordings.errors import FailureKind, RecordingError, SourceError, SummaryFailed
-    from kleinkram.recordings.forward import Forward, from_file, from_pipe, from_source
-    from kleinkram.recordings.grouping import GroupKind, RecordingGroup, group, is_recording_name
+    from kleinkram.recordings.formats.registry import sniff
+    from kleinkram.recordings.formats.rosbag2.metadata import (
+        MemberFacts,
+        Rosbag2Metadata,
+        TopicFacts,
+        compare_metadata,
+        parse_rosbag2_metadata,
+    )
     from kleinkram.recordings.isolation import (
         CHILD_COMMAND,
         CHILD_ENVIRONMENT,
         FileRequest,
         StreamRequest,
         UrlRequest,
+        from_dict,
         metadata_request_bytes,
         read_answer,
         read_metadata_answer,
@@ -31,6 +34,7 @@ if TYPE_CHECKING:
         stream_request_bytes,
         summarise_isolated,
         timed_out,
+        to_dict,
     )
     from kleinkram.recordings.model import (
         Content,
@@ -42,16 +46,35 @@ if TYPE_CHECKING:
         RecordingSummary,
         TopicSummary,
     )
-    from kleinkram.recordings.rosbag2.comparing import MemberFacts, TopicFacts, compare_metadata
-    from kleinkram.recordings.rosbag2.metadata import Rosbag2Metadata, parse_rosbag2_metadata
-    from kleinkram.recordings.serialise import from_dict, to_dict
-    from kleinkram.recordings.sniffing import sniff
-    from kleinkram.recordings.sources import CountingSource, FileSource, Source
+    from kleinkram.recordings.recording import (
+        Channel,
+        Message,
+        NoSuchTopic,
+        NotARecording,
+        RawMessage,
+        Recording,
+        Schema,
+        SeveralRecordings,
+        TooCostly,
+        TooDisordered,
+        Topic,
+    )
+    from kleinkram.recordings.recording_groups import RecordingGroup, RecordingGroupKind, group, is_recording_name
+    from kleinkram.recordings.sources import (
+        CountingSource,
+        FileSource,
+        SequentialReader,
+        Source,
+        file_reader,
+        pipe_reader,
+        source_reader,
+    )
     from kleinkram.recordings.summary import scan, summarise
 
 __all__ = [
     "CHILD_COMMAND",
     "CHILD_ENVIRONMENT",
+    "Channel",
     "Content",
     "CountingSource",
     "Depth",
@@ -59,38 +82,48 @@ __all__ = [
     "FailureKind",
     "FileRequest",
     "FileSource",
-    "Forward",
-    "GroupKind",
     "Lost",
     "MemberFacts",
+    "Message",
+    "NoSuchTopic",
+    "NotARecording",
     "Problem",
+    "RawMessage",
+    "Recording",
     "RecordingError",
     "RecordingFormat",
     "RecordingGroup",
+    "RecordingGroupKind",
     "RecordingSummary",
     "Rosbag2Metadata",
+    "Schema",
+    "SequentialReader",
+    "SeveralRecordings",
     "Source",
     "SourceError",
     "StreamRequest",
     "SummaryFailed",
+    "TooCostly",
+    "TooDisordered",
+    "Topic",
     "TopicFacts",
     "TopicSummary",
     "UrlRequest",
     "combine",
     "compare_metadata",
+    "file_reader",
     "from_dict",
-    "from_file",
-    "from_pipe",
-    "from_source",
     "group",
     "is_recording_name",
     "metadata_request_bytes",
     "parse_rosbag2_metadata",
+    "pipe_reader",
     "read_answer",
     "read_metadata_answer",
     "request_bytes",
     "scan",
     "sniff",
+    "source_reader",
     "stream_request_bytes",
     "summarise",
     "summarise_isolated",
@@ -99,16 +132,39 @@ __all__ = [
 ]
 
 _HOMES = {
-    "combining": ("combine",),
+    "recording": (
+        "Channel",
+        "Message",
+        "NoSuchTopic",
+        "NotARecording",
+        "RawMessage",
+        "Recording",
+        "Schema",
+        "SeveralRecordings",
+        "TooCostly",
+        "TooDisordered",
+        "Topic",
+    ),
+    "combine_summaries": ("combine",),
     "errors": ("FailureKind", "RecordingError", "SourceError", "SummaryFailed"),
-    "forward": ("Forward", "from_file", "from_pipe", "from_source"),
-    "grouping": ("GroupKind", "RecordingGroup", "group", "is_recording_name"),
+    "sources": (
+        "CountingSource",
+        "FileSource",
+        "SequentialReader",
+        "Source",
+        "file_reader",
+        "pipe_reader",
+        "source_reader",
+    ),
+    "recording_groups": ("RecordingGroupKind", "RecordingGroup", "group", "is_recording_name"),
     "isolation": (
         "CHILD_COMMAND",
         "CHILD_ENVIRONMENT",
         "FileRequest",
         "StreamRequest",
         "UrlRequest",
+        "from_dict",
+        "to_dict",
         "metadata_request_bytes",
         "read_answer",
         "read_metadata_answer",
@@ -118,11 +174,14 @@ _HOMES = {
         "timed_out",
     ),
     "model": ("Content", "Depth", "Fact", "Lost", "Problem", "RecordingFormat", "RecordingSummary", "TopicSummary"),
-    "rosbag2.comparing": ("MemberFacts", "TopicFacts", "compare_metadata"),
-    "rosbag2.metadata": ("Rosbag2Metadata", "parse_rosbag2_metadata"),
-    "serialise": ("from_dict", "to_dict"),
-    "sniffing": ("sniff",),
-    "sources": ("CountingSource", "FileSource", "Source"),
+    "formats.rosbag2.metadata": (
+        "MemberFacts",
+        "Rosbag2Metadata",
+        "TopicFacts",
+        "compare_metadata",
+        "parse_rosbag2_metadata",
+    ),
+    "formats.registry": ("sniff",),
     "summary": ("scan", "summarise"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

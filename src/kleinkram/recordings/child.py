@@ -1,6 +1,6 @@
 """The process that reads untrusted files: a line of JSON on stdin for each, a line on stdout, nothing else.
 
-Behind a request's line its bytes may follow. Then all of them are taken before the answer is given, so that whoever
+Behind a request's line its bytes may follow. Then all of them are taken before the answer is given, so that the caller
 writes them need not know when the reader has seen enough.
 
 It bounds itself before it looks at a byte: address space, processor time, no core file. It is started with an empty
@@ -19,12 +19,11 @@ from dataclasses import asdict
 from typing import Any
 
 from kleinkram.recordings.errors import SourceError
-from kleinkram.recordings.forward import from_pipe, from_source
+from kleinkram.recordings.formats.rosbag2.metadata import parse_rosbag2_metadata
+from kleinkram.recordings.isolation import to_dict
 from kleinkram.recordings.limits import WINDOW
 from kleinkram.recordings.model import Depth, RecordingSummary
-from kleinkram.recordings.rosbag2.metadata import parse_rosbag2_metadata
-from kleinkram.recordings.serialise import to_dict
-from kleinkram.recordings.sources import FileSource, Source
+from kleinkram.recordings.sources import FileSource, Source, pipe_reader, source_reader
 from kleinkram.recordings.summary import scan, scan_with_logs, summarise
 
 STACK_BYTES = 512 * 1024
@@ -43,8 +42,8 @@ def main() -> int:
 def _answer(request: dict[str, Any]) -> dict[str, object]:
     try:
         if "metadata" in request:
-            said = parse_rosbag2_metadata(request["metadata"])
-            return {"metadata": said and asdict(said)}
+            metadata = parse_rosbag2_metadata(request["metadata"])
+            return {"metadata": metadata and asdict(metadata)}
         return {"summary": to_dict(_read(request))}
     except SourceError as error:
         return {"failed": "source", "message": str(error)}
@@ -54,17 +53,17 @@ def _answer(request: dict[str, Any]) -> dict[str, object]:
 
 def _read(request: dict[str, Any]) -> RecordingSummary:
     if "stream_bytes" in request:
-        forward = from_pipe(sys.stdin.buffer, request["stream_bytes"], request["name"])
+        reader = pipe_reader(sys.stdin.buffer, request["stream_bytes"], request["name"])
         try:
-            return scan(forward)
+            return scan(reader)
         finally:
-            while forward.read(WINDOW):
+            while reader.read(WINDOW):
                 pass
     source = _open(request)
     if request.get("logs"):
         return scan_with_logs(source, _open_logs(request))
     if request["depth"] == Depth.scan.value:
-        return scan(from_source(source))
+        return scan(source_reader(source))
     return summarise(source, most_bytes=request["most_bytes"])
 
 

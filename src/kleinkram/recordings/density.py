@@ -1,4 +1,4 @@
-"""How densely messages lie in time: a bounded number of bins whose sums are exact, however they are put together.
+"""Message density: a bounded histogram of messages over time whose parts add up exactly.
 
 Bins are a power of two of nanoseconds wide and begin at a multiple of their width. The width is the smallest with which
 all messages fall into at most so many bins. So it follows from the earliest and the latest stamp alone, and the bins
@@ -14,7 +14,7 @@ from array import array
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 
-from kleinkram.recordings.model import Density
+from kleinkram.recordings.model import MessageDensity
 
 MAX_BINS = 256
 """Bins of one topic: between half as many and as many are in use, where messages lie far enough apart."""
@@ -22,7 +22,7 @@ MAX_BINS = 256
 MANY_TOPICS = 4096
 """In a file with more topics,"""
 
-FEW_BINS = 64
+BINS_OF_MANY_TOPICS = 64
 """there are so many bins of each."""
 
 _HEAD = struct.Struct("<BBQ")
@@ -31,17 +31,17 @@ _LARGEST = [2 ** (8 * array(code).itemsize) - 1 for code in _CODES]
 
 
 def most_bins(topics: int) -> int:
-    """Return how many bins each of so many topics has, so that all together stay small."""
-    return MAX_BINS if topics <= MANY_TOPICS else FEW_BINS
+    """Return how many bins each of this many topics has."""
+    return MAX_BINS if topics <= MANY_TOPICS else BINS_OF_MANY_TOPICS
 
 
-def count_stamps(stamps: Sequence[int], *, least_bin_ns: int = 1, most: int = MAX_BINS) -> Density:
-    """Return the density of sorted stamps, at least one. Bins narrower than `least_bin_ns` are not wanted."""
+def count_stamps(stamps: Sequence[int], *, least_bin_ns: int = 1, most: int = MAX_BINS) -> MessageDensity:
+    """Return the density of sorted stamps, at least one, with bins of at least `least_bin_ns`."""
     bits = _bits(stamps[0], stamps[-1], least_bin_ns.bit_length() - 1, most)
     first = stamps[0] >> bits
     bins = (stamps[-1] >> bits) - first + 1
     if bins == 1:
-        return Density(first << bits, 1 << bits, (len(stamps),))
+        return MessageDensity(first << bits, 1 << bits, (len(stamps),))
     counts = [0] * bins
     if len(stamps) < 4 * bins:
         for stamp in stamps:
@@ -52,11 +52,11 @@ def count_stamps(stamps: Sequence[int], *, least_bin_ns: int = 1, most: int = MA
             end = bisect_left(stamps, (first + number + 1) << bits, begin)
             counts[number] = end - begin
             begin = end
-    return Density(first << bits, 1 << bits, tuple(counts))
+    return MessageDensity(first << bits, 1 << bits, tuple(counts))
 
 
-def add_up(densities: Iterable[Density], *, most: int = MAX_BINS) -> Density | None:
-    """Return the sum of densities; None of none."""
+def add_up(densities: Iterable[MessageDensity], *, most: int = MAX_BINS) -> MessageDensity | None:
+    """Return the sum of densities; None if there are none."""
     parts = list(densities)
     if len(parts) == 1 and len(parts[0].counts) <= most:
         return parts[0]
@@ -74,11 +74,11 @@ def add_up(densities: Iterable[Density], *, most: int = MAX_BINS) -> Density | N
         counts[begin : begin + len(head.counts)] = head.counts
     for part in parts:
         _add(counts, part, first, bits)
-    return Density(first << bits, 1 << bits, tuple(counts))
+    return MessageDensity(first << bits, 1 << bits, tuple(counts))
 
 
-def on_axis(density: Density, *, start_ns: int, bin_ns: int, bins: int) -> list[int]:
-    """Return the counts in given bins; what lies outside of them is left out.
+def on_axis(density: MessageDensity, *, start_ns: int, bin_ns: int, bins: int) -> list[int]:
+    """Return the counts in the given bins, without what is outside of them.
 
     `bin_ns` is a power of two, not smaller than that of the density, and `start_ns` a multiple of it.
     """
@@ -92,7 +92,7 @@ def on_axis(density: Density, *, start_ns: int, bin_ns: int, bins: int) -> list[
     return [*before, *inside, *([0] * (bins - len(before) - len(inside)))]
 
 
-def pack(density: Density) -> bytes:
+def pack(density: MessageDensity) -> bytes:
     """Return a density in few bytes: its width and first bin, then counts of 1, 2, 4 or 8 bytes, little-endian."""
     largest = max(density.counts)
     size = next(number for number, most in enumerate(_LARGEST) if largest <= most)
@@ -100,12 +100,12 @@ def pack(density: Density) -> bytes:
     return _HEAD.pack(bits, size, density.start_ns >> bits) + _little(array(_CODES[size], density.counts)).tobytes()
 
 
-def unpack(packed: bytes) -> Density:
+def unpack(packed: bytes) -> MessageDensity:
     """Return what `pack` was given."""
     bits, size, first = _HEAD.unpack_from(packed)
     counts = array(_CODES[size])
     counts.frombytes(packed[_HEAD.size :])
-    return Density(first << bits, 1 << bits, tuple(_little(counts)))
+    return MessageDensity(first << bits, 1 << bits, tuple(_little(counts)))
 
 
 def _little(counts: array[int]) -> array[int]:
@@ -114,7 +114,7 @@ def _little(counts: array[int]) -> array[int]:
     return counts
 
 
-def _last_ns(density: Density) -> int:
+def _last_ns(density: MessageDensity) -> int:
     return density.start_ns + len(density.counts) * density.bin_ns - 1
 
 
@@ -127,7 +127,7 @@ def _bits(first_ns: int, last_ns: int, bits: int, most: int) -> int:
     return bits
 
 
-def _add(counts: list[int], part: Density, first: int, bits: int) -> None:
+def _add(counts: list[int], part: MessageDensity, first: int, bits: int) -> None:
     """Add a density, of the same or a smaller width, to counts of bins from `first` on."""
     own_bits = part.bin_ns.bit_length() - 1
     own_first = part.start_ns >> own_bits

@@ -1,4 +1,4 @@
-"""What can go wrong around a recording, by name.
+"""Errors about recordings.
 
 The content of a file never raises to a caller: it becomes `content` and `reason` of a summary. These errors are about
 reading at all, or about the child process that reads.
@@ -10,11 +10,11 @@ from enum import Enum
 
 
 class RecordingError(Exception):
-    """Something about reading a recording failed."""
+    """Base class: reading a recording failed."""
 
 
 class SourceError(RecordingError):
-    """The bytes of a recording could not be read (disk, network, store): not the file's fault, worth a retry."""
+    """The bytes of a recording could not be read (disk, network, store). Not the file's fault; retry."""
 
 
 class FailureKind(str, Enum):
@@ -27,7 +27,7 @@ class FailureKind(str, Enum):
 
 
 class SummaryFailed(RecordingError):
-    """The process that reads a recording gave no summary: it ran out of memory or time, crashed, or could not read.
+    """The child process gave no summary: it ran out of memory or time, crashed, or could not read.
 
     Attributes:
         kind: which of these.
@@ -41,7 +41,7 @@ class SummaryFailed(RecordingError):
 
 
 class Malformed(RecordingError):
-    """The bytes contradict their format at a known place. Never leaves `recordings`.
+    """The bytes contradict their format at a known place. Internal to `recordings`.
 
     Attributes:
         where: the place in words, such as "byte 4117".
@@ -55,10 +55,74 @@ class Malformed(RecordingError):
         self.certain = certain
 
 
+class Cut(Malformed):
+    """The bytes end too early."""
+
+
 class NotIndexed(RecordingError):
-    """The file has no index that can be used, so that it must be read whole. Never leaves `recordings`."""
+    """The file has no usable index, so it must be read whole. Internal to `recordings`."""
 
     def __init__(self, code: str, message: str, *, is_problem: bool) -> None:
         super().__init__(message)
         self.code = code
         self.is_problem = is_problem
+
+
+_SHOWN = 20
+
+
+class NotARecording(RecordingError):
+    """A file or folder without messages, or of a format without a reader.
+
+    Attributes:
+        name: of the file or folder.
+    """
+
+    def __init__(self, name: str, reason: str) -> None:
+        super().__init__(f"{name}: {reason}")
+        self.name = name
+
+
+class SeveralRecordings(RecordingError):
+    """A folder holds several recordings; open one of them.
+
+    Attributes:
+        names: of the recordings.
+    """
+
+    def __init__(self, folder: str, names: list[str]) -> None:
+        shown = ", ".join(names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "")
+        super().__init__(f"{folder} holds {len(names)} recordings; open one of them: {shown}")
+        self.names = names
+
+
+class TooCostly(RecordingError):
+    """A file without a usable index would have to be read whole, and is larger than allowed.
+
+    Attributes:
+        name: of the file.
+        size_bytes: what reading it would cost.
+    """
+
+    def __init__(self, name: str, size_bytes: int, why: str) -> None:
+        super().__init__(
+            f"{name}: {why}; to open it, all its {size_bytes} bytes must be read first: "
+            f"allow that with most_bytes={size_bytes}, or download the file and open it from there"
+        )
+        self.name = name
+        self.size_bytes = size_bytes
+
+
+class NoSuchTopic(RecordingError):
+    """The recording has no topic of that name.
+
+    Attributes:
+        topic: the name.
+        topics: those that it has.
+    """
+
+    def __init__(self, topic: str, topics: list[str]) -> None:
+        shown = ", ".join(topics[:_SHOWN]) + (", ..." if len(topics) > _SHOWN else "")
+        super().__init__(f"there is no topic {topic}; the recording has {shown or 'none'}")
+        self.topic = topic
+        self.topics = topics

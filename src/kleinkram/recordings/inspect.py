@@ -1,4 +1,4 @@
-"""What is in local files and folders, without a server: the content of `klein inspect`."""
+"""Summaries of local files and folders: the content of `klein inspect`."""
 
 from __future__ import annotations
 
@@ -10,32 +10,36 @@ from enum import Enum
 from pathlib import Path
 from typing import Protocol
 
-from kleinkram.recordings.combining import combine
+from kleinkram.recordings.combine_summaries import combine, combine_folder
 from kleinkram.recordings.errors import SourceError
-from kleinkram.recordings.folder import FolderRecordings, read_folder, recording_of_metadata
-from kleinkram.recordings.forward import FileForward
-from kleinkram.recordings.grouping import METADATA_NAME, GroupKind, RecordingGroup
 from kleinkram.recordings.model import Content, Depth, RecordingFormat, RecordingSummary
-from kleinkram.recordings.rosbag2.folder import combine_folder
-from kleinkram.recordings.sources import FileSource
+from kleinkram.recordings.recording_groups import (
+    METADATA_NAME,
+    FolderRecordings,
+    RecordingGroup,
+    RecordingGroupKind,
+    read_folder,
+    recording_of_metadata,
+)
+from kleinkram.recordings.sources import FileReader, FileSource
 from kleinkram.recordings.summary import scan, summarise
 
 
-class Watch(Protocol):
-    """Is told how far a scan is."""
+class ScanProgress(Protocol):
+    """Receives the progress of a scan."""
 
     def began(self, path: str, size_bytes: int) -> None:
-        """A file is being read from here on."""
+        """A file is being read."""
 
     def moved(self, size_bytes: int) -> None:
-        """So many more of its bytes were read."""
+        """More of its bytes were read."""
 
     def ended(self) -> None:
-        """It was read."""
+        """The file was read."""
 
 
 class InspectionKind(str, Enum):
-    """Whether one file or a recording of several was looked at; `folder` is one that could not be listed."""
+    """What was inspected: a file, a recording of several files, or a folder that could not be listed."""
 
     file = "file"
     recording = "recording"
@@ -44,7 +48,7 @@ class InspectionKind(str, Enum):
 
 @dataclass(frozen=True)
 class Inspection:
-    """What is in one file, or in one recording.
+    """The summary of one file or recording.
 
     Attributes:
         path: as it was given, or below the folder that was given.
@@ -60,26 +64,26 @@ class Inspection:
 
 
 def inspect_paths(
-    paths: Iterable[str | os.PathLike[str]], *, depth: Depth = Depth.summary, watch: Watch | None = None
+    paths: Iterable[str | os.PathLike[str]], *, depth: Depth = Depth.summary, progress: ScanProgress | None = None
 ) -> list[Inspection]:
-    """Look into files and folders, in the order given; of a folder, each recording inside it.
+    """Inspect files and folders, in the given order; of a folder, each recording in it.
 
     `Depth.summary` reads indexes, and the whole file where it has none. `Depth.scan` reads every byte of every file;
-    `watch` is then told of the bytes that were read. A metadata.yaml of rosbag2 stands for its recording. A file or
+    `progress` is then told of the bytes that were read. A metadata.yaml of rosbag2 is for its recording. A file or
     folder that cannot be read is an inspection of its own and hides no other.
 
     Raises:
         FileNotFoundError: a path does not exist; nothing was read.
     """
-    look = _Look(depth, watch)
-    given = [Path(path) for path in paths]
-    for path in given:
+    inspector = _FileInspector(depth, progress)
+    all_paths = [Path(path) for path in paths]
+    for path in all_paths:
         if not path.exists():
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
-    found: list[Inspection] = []
-    for path in given:
-        found += _inspect_folder(path, look) if path.is_dir() else [_inspect_given_file(path, look)]
-    return found
+    inspections: list[Inspection] = []
+    for path in all_paths:
+        inspections += _inspect_folder(path, inspector) if path.is_dir() else [_inspect_one_file(path, inspector)]
+    return inspections
 
 
 def to_plain(inspection: Inspection) -> dict[str, object]:
@@ -119,15 +123,15 @@ def to_plain(inspection: Inspection) -> dict[str, object]:
     }
 
 
-class _Look:
-    """How files are looked into."""
+class _FileInspector:
+    """Summarises or scans files."""
 
-    def __init__(self, depth: Depth, watch: Watch | None) -> None:
+    def __init__(self, depth: Depth, progress: ScanProgress | None) -> None:
         self._depth = depth
-        self._watch = watch
+        self._watch = progress
 
     def into(self, path: Path) -> RecordingSummary:
-        """Summarise or scan a file; say so where it cannot be read."""
+        """Summarise or scan a file; a failure becomes the content `error`."""
         try:
             return self._read(path)
         except SourceError as error:
@@ -137,29 +141,29 @@ class _Look:
         if self._depth is Depth.summary:
             with FileSource(path) as source:
                 return summarise(source)
-        with FileForward(path) as forward:
+        with FileReader(path) as reader:
             if self._watch is None:
-                return scan(forward)
-            self._watch.began(str(path), forward.size_bytes)
+                return scan(reader)
+            self._watch.began(str(path), reader.size_bytes)
             try:
-                return scan(_Watched(forward, self._watch))
+                return scan(_ProgressReader(reader, self._watch))
             finally:
                 self._watch.ended()
 
 
-class _Watched:
-    """A file read forward, whose reader is watched."""
+class _ProgressReader:
+    """A reader that reports its progress."""
 
-    def __init__(self, forward: FileForward, watch: Watch) -> None:
-        self.name = forward.name
-        self.size_bytes = forward.size_bytes
-        self.path = forward.path
-        self._forward = forward
-        self._watch = watch
+    def __init__(self, reader: FileReader, progress: ScanProgress) -> None:
+        self.name = reader.name
+        self.size_bytes = reader.size_bytes
+        self.path = reader.path
+        self._reader = reader
+        self._watch = progress
 
     def read(self, length: int) -> bytes:
         """Return the next bytes; b"" at the end."""
-        data = self._forward.read(length)
+        data = self._reader.read(length)
         self._watch.moved(len(data))
         return data
 
@@ -168,41 +172,47 @@ def _unreadable(reason: str) -> RecordingSummary:
     return RecordingSummary(RecordingFormat.unknown, Content.error, reason)
 
 
-def _inspect_given_file(path: Path, look: _Look) -> Inspection:
+def _inspect_one_file(path: Path, inspector: _FileInspector) -> Inspection:
     if path.name != METADATA_NAME:
-        return _inspect_file(path, look)
+        return _inspect_file(path, inspector)
     try:
-        found = recording_of_metadata(path)
+        group_of_metadata = recording_of_metadata(path)
     except SourceError as error:
         return Inspection(str(path), InspectionKind.file, (str(path),), _unreadable(str(error)))
-    return _inspect_file(path, look) if found is None else _inspect_group(path.parent, found[1], found[0], look)
+    return (
+        _inspect_file(path, inspector)
+        if group_of_metadata is None
+        else _inspect_group(path.parent, group_of_metadata[1], group_of_metadata[0], inspector)
+    )
 
 
-def _inspect_file(path: Path, look: _Look) -> Inspection:
-    return Inspection(str(path), InspectionKind.file, (str(path),), look.into(path))
+def _inspect_file(path: Path, inspector: _FileInspector) -> Inspection:
+    return Inspection(str(path), InspectionKind.file, (str(path),), inspector.into(path))
 
 
-def _inspect_folder(folder: Path, look: _Look) -> list[Inspection]:
-    found = read_folder(folder)
+def _inspect_folder(folder: Path, inspector: _FileInspector) -> list[Inspection]:
+    recordings = read_folder(folder)
     unlisted = [
         Inspection(
-            str(each.path), InspectionKind.folder, (), _unreadable(f"{each.path}: cannot be read: {each.reason}")
+            str(item.path), InspectionKind.folder, (), _unreadable(f"{item.path}: cannot be read: {item.reason}")
         )
-        for each in found.unreadable_folders
+        for item in recordings.unreadable_folders
     ]
     unread = [
         Inspection(str(folder / name), InspectionKind.file, (str(folder / name),), _unreadable(str(error)))
-        for name, error in found.unreadable_files.items()
+        for name, error in recordings.unreadable_files.items()
     ]
-    return [*unlisted, *unread, *(_inspect_group(folder, each, found, look) for each in found.groups)]
+    return [*unlisted, *unread, *(_inspect_group(folder, item, recordings, inspector) for item in recordings.groups)]
 
 
-def _inspect_group(folder: Path, found: RecordingGroup, beside: FolderRecordings, look: _Look) -> Inspection:
-    if found.kind is GroupKind.single:
-        return _inspect_file(folder / found.members[0], look)
-    members = tuple(str(folder / name) for name in found.members)
+def _inspect_group(
+    folder: Path, group: RecordingGroup, beside: FolderRecordings, inspector: _FileInspector
+) -> Inspection:
+    if group.kind is RecordingGroupKind.single:
+        return _inspect_file(folder / group.members[0], inspector)
+    members = tuple(str(folder / name) for name in group.members)
     names = [Path(member).name for member in members]
-    summaries = [look.into(Path(member)) for member in members]
-    is_folder = found.kind is GroupKind.rosbag2
-    summary = combine_folder(beside.metadata_of(found), names, summaries) if is_folder else combine(summaries, names)
-    return Inspection(str(folder / found.name), InspectionKind.recording, members, summary)
+    summaries = [inspector.into(Path(member)) for member in members]
+    is_folder = group.kind is RecordingGroupKind.rosbag2
+    summary = combine_folder(beside.metadata_of(group), names, summaries) if is_folder else combine(summaries, names)
+    return Inspection(str(folder / group.name), InspectionKind.recording, members, summary)

@@ -1,4 +1,4 @@
-"""Untrusted files, read in a child process that is bounded in memory and time and holds no credential.
+"""Reads untrusted files in a child process without credentials, bounded in memory and time.
 
 `summarise_isolated` waits for it. A server that must not wait starts `CHILD_COMMAND` with `CHILD_ENVIRONMENT` itself,
 writes `request_bytes(...)` and a newline to its stdin, and hands the line that comes back to `read_answer` (after a
@@ -13,14 +13,23 @@ import signal
 import subprocess
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from kleinkram.recordings.errors import FailureKind, SummaryFailed
+from kleinkram.recordings.formats.rosbag2.metadata import Rosbag2Metadata, StatedFile, StatedTopic
 from kleinkram.recordings.limits import MAX_SCAN_BYTES
-from kleinkram.recordings.model import Depth, RecordingSummary
-from kleinkram.recordings.rosbag2.metadata import Rosbag2Metadata
-from kleinkram.recordings.serialise import from_dict, metadata_from_dict
+from kleinkram.recordings.model import (
+    Content,
+    Depth,
+    Fact,
+    Lost,
+    MessageDensity,
+    Problem,
+    RecordingFormat,
+    RecordingSummary,
+    TopicSummary,
+)
 
 CHILD_COMMAND: tuple[str, ...] = (sys.executable, "-I", "-m", "kleinkram.recordings.child")
 """`-I`: the child takes no module from the working directory, and nothing from the environment."""
@@ -79,8 +88,8 @@ def request_bytes(
     timeout_s: int = DEFAULT_TIMEOUT_S,
 ) -> bytes:
     """Return the line that the child reads from stdin, without its newline. `most_bytes`: as `summarise`."""
-    wanted = {"depth": depth.value, "most_bytes": most_bytes, "memory_bytes": memory_bytes, "cpu_s": timeout_s}
-    return json.dumps({**vars(request), **wanted}).encode()
+    options = {"depth": depth.value, "most_bytes": most_bytes, "memory_bytes": memory_bytes, "cpu_s": timeout_s}
+    return json.dumps({**vars(request), **options}).encode()
 
 
 def stream_request_bytes(
@@ -98,7 +107,7 @@ def metadata_request_bytes(
 
 
 def read_answer(stdout: bytes, stderr: bytes, returncode: int) -> RecordingSummary:
-    """Return the summary from what the child left behind.
+    """Return the summary in the child's answer.
 
     Raises:
         SummaryFailed: there is none; says why.
@@ -111,7 +120,7 @@ def read_answer(stdout: bytes, stderr: bytes, returncode: int) -> RecordingSumma
 
 
 def read_metadata_answer(stdout: bytes, stderr: bytes, returncode: int) -> Rosbag2Metadata | None:
-    """Return what `parse_rosbag2_metadata` returned, from what the child left behind.
+    """Return the metadata in the child's answer.
 
     Raises:
         SummaryFailed: it was not read; says why.
@@ -142,7 +151,7 @@ def _answer(stdout: bytes, stderr: bytes, returncode: int) -> dict[str, Any]:
 
 
 def timed_out() -> SummaryFailed:
-    """Return the error for a child that was stopped after its time."""
+    """Return the error for a child that was stopped after its time limit."""
     return _failure(FailureKind.time, "")
 
 
@@ -179,3 +188,51 @@ def _failure(kind: FailureKind, detail: str, ended_by: int | None = None) -> Sum
 
 def _not_understood() -> SummaryFailed:
     return _failure(FailureKind.crash, "its answer cannot be understood")
+
+
+def to_dict(summary: RecordingSummary) -> dict[str, Any]:
+    """Return a summary as what `json.dumps` takes; enums as their values, times as integers."""
+    plain = asdict(summary)
+    plain["format"] = summary.format.value
+    plain["content"] = summary.content.value
+    plain["depth"] = summary.depth.value
+    for name in ("compression", "topics", "problems", "facts"):
+        plain[name] = list(plain[name])
+    return plain
+
+
+def from_dict(plain: Mapping[str, Any]) -> RecordingSummary:
+    """Return the summary that `to_dict` was given.
+
+    Raises:
+        KeyError, TypeError, ValueError: it is not one.
+    """
+    values = dict(plain)
+    values["format"] = RecordingFormat(values["format"])
+    values["content"] = Content(values["content"])
+    values["compression"] = tuple(values["compression"])
+    values["topics"] = tuple(_topic(topic) for topic in values["topics"])
+    values["problems"] = tuple(Problem(**problem) for problem in values["problems"])
+    values["depth"] = Depth(values["depth"])
+    values["lost"] = Lost(**values["lost"]) if values["lost"] is not None else None
+    values["facts"] = tuple(Fact(**fact) for fact in values["facts"])
+    return RecordingSummary(**values)
+
+
+def _topic(plain: Mapping[str, Any]) -> TopicSummary:
+    density = plain["density"]
+    counted = MessageDensity(**{**density, "counts": tuple(density["counts"])}) if density is not None else None
+    return TopicSummary(**{**plain, "density": counted})
+
+
+def metadata_from_dict(plain: Mapping[str, Any]) -> Rosbag2Metadata:
+    """Return what `dataclasses.asdict` was given, after a round trip through JSON.
+
+    Raises:
+        KeyError, TypeError: it is none.
+    """
+    values = dict(plain)
+    values["files"] = tuple(values["files"])
+    values["topics"] = tuple(StatedTopic(**topic) for topic in values["topics"])
+    values["file_entries"] = tuple(StatedFile(**entry) for entry in values["file_entries"])
+    return Rosbag2Metadata(**values)

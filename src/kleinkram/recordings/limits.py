@@ -1,7 +1,8 @@
 """Every bound on what a file may claim, in one place.
 
 A length in a file is only a claim: nothing is allocated, read or looped over on its word beyond these. All of them
-together keep a summary below about 64 MB plus 60 bytes a chunk of the index.
+together keep a summary by index below about 64 MB plus 60 bytes a chunk of the index; a scan also holds one chunk,
+stored and uncompressed.
 """
 
 from __future__ import annotations
@@ -15,9 +16,12 @@ WINDOW = 2**20
 READ_AHEAD = 2 * 2**20
 """Bytes that a scan asks for at a time."""
 
-MAX_AT_ONCE = 16 * 2**20
-"""Bytes of a chunk, stored or uncompressed, that a scan holds as a whole; a larger one is read in small steps. Also
-how far a scan looks ahead for the place where a damaged file goes on."""
+MAX_CHUNK_BYTES = 128 * 2**20
+"""Bytes of a chunk, stored or uncompressed, that are held in memory; a larger chunk is not read. MCAP and bag writers
+make chunks of about 1 MB, or of one message where that is larger."""
+
+LOOK_AHEAD = 16 * 2**20
+"""How far a scan searches for a record behind a chunk that claims to reach beyond the end of the file."""
 
 TAIL = 64 * 2**10
 """Bytes read at the end of a file at once, hoping that they hold the whole summary."""
@@ -30,6 +34,9 @@ MAX_NAME = 4096
 
 MAX_NAMES = 8 * 2**20
 """Bytes of all names of one file together."""
+
+MAX_DEFINITIONS = 32 * 2**20
+"""Bytes of all message definitions of one file; later ones are left out."""
 
 MAX_TOPICS = 20_000
 """Topics of one file. MCAP can count to 65535 channels, a bag to 2^32 connections."""
@@ -46,6 +53,9 @@ MAX_CHUNK_INDEX = 8 * 2**20
 MAX_SCAN_BYTES = 16 * 2**30
 """Bytes of a file without index that a summary reads; a larger one stays pending for a scan."""
 
+MAX_DESCRIBED_BYTES = 64 * 2**20
+"""Bytes of a file that holds no messages, up to which a summary reads it for its facts."""
+
 MAX_ZSTD_WINDOW = 2**26
 """Memory that a zstd frame may demand of its reader."""
 
@@ -53,7 +63,7 @@ FREE_UNPACKED = 4 * 2**30
 """Bytes that the chunks of a file may unpack to whatever its size, and"""
 
 MAX_EXPANSION = 200
-"""times as many as stand in the file so far: ten times what is seen of real recordings. Beyond, a chunk is left packed,
+"""times as many as are in the file so far: ten times what is seen of real recordings. Beyond, a chunk is left packed,
 so that a scan costs about the file."""
 
 MAX_PROBLEMS = 50

@@ -1,4 +1,4 @@
-"""The nouns of recordings: what a summary says. Values only, no behaviour, no input or output."""
+"""Summaries of recordings: values only."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import Enum
 
 
 class RecordingFormat(str, Enum):
-    """What a file is, by its content."""
+    """A file format."""
 
     mcap = "mcap"
     rosbag1 = "rosbag1"
@@ -42,7 +42,7 @@ class Content(str, Enum):
 
 
 class Depth(str, Enum):
-    """How a file was read: by its index (`summary`), or every byte of it (`scan`)."""
+    """How a file was read: by its index (`summary`), or whole (`scan`)."""
 
     summary = "summary"
     scan = "scan"
@@ -50,7 +50,7 @@ class Depth(str, Enum):
 
 @dataclass(frozen=True)
 class Lost:
-    """What of a damaged file cannot be read.
+    """What cannot be read of a damaged file.
 
     Attributes:
         bytes: of the file (of what is inside, where it is compressed as a whole), that belong to nothing readable.
@@ -65,7 +65,7 @@ class Lost:
 
 @dataclass(frozen=True)
 class Fact:
-    """One thing that a file says of itself, such as the number of poses of a trajectory.
+    """A fact from a file, such as the number of poses of a trajectory.
 
     Attributes:
         name: short and stable, for programs.
@@ -79,7 +79,7 @@ class Fact:
 
 @dataclass(frozen=True)
 class Problem:
-    """Something a person should know about a file that can be read all the same.
+    """Something a person should know about a file that can still be read.
 
     Attributes:
         code: short and stable, for programs.
@@ -93,8 +93,8 @@ class Problem:
 
 
 @dataclass(frozen=True)
-class Density:
-    """How many messages lie where in time (see `density`).
+class MessageDensity:
+    """The number of messages in bins over time (see `density`).
 
     Attributes:
         start_ns: where the first bin begins, a multiple of `bin_ns`.
@@ -110,7 +110,7 @@ class Density:
 
 @dataclass(frozen=True)
 class TopicSummary:
-    """One topic of a recording. Times are integer nanoseconds of the log clock; None: not known or not defined.
+    """One topic. Times are integer nanoseconds of the log clock; None: unknown or undefined.
 
     Attributes:
         count: messages, suspect ones included.
@@ -122,7 +122,7 @@ class TopicSummary:
         head_gap_ns: silence between the start of the recording and the first message.
         tail_gap_ns: silence between the last message and the end of the recording.
         out_of_order_count: messages whose log time is smaller than the largest before them on this topic, in the
-            order in which they stand in the file (by chunk, then by offset in the chunk).
+            order in which they are in the file (by chunk, then by offset in the chunk).
         stored_bytes: share of the stored (compressed) chunks, by the uncompressed bytes of its message records.
         suspect_count: messages whose log time cannot be true (see `timeline`).
         density: of the messages that are not suspect; None where times are not known, or there are none.
@@ -143,12 +143,12 @@ class TopicSummary:
     out_of_order_count: int | None = None
     stored_bytes: int | None = None
     suspect_count: int = 0
-    density: Density | None = None
+    density: MessageDensity | None = None
 
 
 @dataclass(frozen=True)
 class RecordingSummary:
-    """What is in one file, or in all files of one recording (`combine`).
+    """The content of one file, or of all files of a recording (`combine`).
 
     Attributes:
         reason: why `content` is not `indexed`, in words for people.
@@ -187,7 +187,7 @@ class RecordingSummary:
 
 
 def span_text(span_ns: int, sign: str = "") -> str:
-    """Return a span as people read it: seconds, from 100 hours on days, then years; `sign` "+" shows both signs."""
+    """Return a span for people: seconds, from 100 hours on days, then years; `sign` "+" shows both signs."""
     seconds = span_ns / 1e9
     if abs(seconds) >= 365.25 * 86_400:
         return f"{seconds / (365.25 * 86_400):{sign}.1f} years"
@@ -197,5 +197,5 @@ def span_text(span_ns: int, sign: str = "") -> str:
 
 
 def counted(number: int, one: str, several: str = "") -> str:
-    """Return `1 message`, `2 messages`; `several`: what follows other numbers, where that is not `one` and an s."""
+    """Return `1 message`, `2 messages`; `several`: the plural, if it is not `one` and an s."""
     return f"{number} {one if number == 1 else several or f'{one}s'}"

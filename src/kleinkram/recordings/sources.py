@@ -1,4 +1,4 @@
-"""A source: "read these bytes at this offset". Files here; HTTP ranges in `http_source`.
+"""Byte sources: random access (`Source`) and sequential reading (`SequentialReader`).
 
 Sources are safe to share between threads, hold no more than the bytes they return, and never read on their own.
 """
@@ -12,10 +12,10 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol
+from typing import BinaryIO, Protocol
 
 from kleinkram.recordings.errors import SourceError
-from kleinkram.recordings.limits import MAX_READ
+from kleinkram.recordings.limits import MAX_READ, READ_AHEAD
 
 
 class Source(Protocol):
@@ -38,7 +38,7 @@ class Source(Protocol):
 
 
 def check_range(source: Source, offset: int, length: int) -> None:
-    """Refuse what no source may be asked for.
+    """Check a range.
 
     Raises:
         SourceError: outside the file, or more than `MAX_READ` at a time.
@@ -104,7 +104,7 @@ class FileSource:
 
 
 class CountingSource:
-    """Another source that also says what it was asked for.
+    """A source that counts what is read.
 
     Attributes:
         bytes_read: bytes returned so far.
@@ -139,7 +139,7 @@ class CountingSource:
 
 
 def read_short_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
-    """Yield the bytes of each (offset, length), in order; over a network, the next few are already asked for.
+    """Yield the bytes of each (offset, length), in order; over a network, the next ranges are requested meanwhile.
 
     A source that gains from it has a method `read_short`. For ranges of some kB; see `read_ranges` for longer ones.
 
@@ -155,7 +155,7 @@ def read_short_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iter
 
 
 def read_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
-    """Yield the bytes of each (offset, length), in order; over a network, the next few are already under way.
+    """Yield the bytes of each (offset, length), in order; over a network, the next ranges are read meanwhile.
 
     A source that gains from it says so by an attribute `parallel_reads`. At most that many ranges are held.
 
@@ -180,3 +180,162 @@ def read_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[b
             yield under_way.popleft().result()
     finally:
         pool.shutdown(wait=False, cancel_futures=True)  # not waited for: as in `do_ahead`
+
+
+class SequentialReader(Protocol):
+    """The bytes of one file from the first to the last, once."""
+
+    @property
+    def name(self) -> str:
+        """For messages, and for the extension that a file claims; never opened."""
+
+    @property
+    def size_bytes(self) -> int:
+        """The size of the whole file; fixed while it is read."""
+
+    @property
+    def path(self) -> Path | None:
+        """Where the same bytes are on this machine, for formats that need more than one pass; None: nowhere."""
+
+    def read(self, length: int) -> bytes:
+        """Return the next bytes, at least one and at most `length`; b"" behind the last of `size_bytes`.
+
+        Raises:
+            SourceError: they cannot be had, or end before `size_bytes`.
+        """
+
+
+class SourceReader:
+    """Reads a source from its start; over a network, the next blocks are read meanwhile."""
+
+    def __init__(self, source: Source, *, path: Path | None = None) -> None:
+        self.name = source.name
+        self.size_bytes = source.size_bytes
+        self.path = path
+        self._source = source
+        self._is_near = getattr(source, "parallel_reads", 1) == 1
+        self._blocks = self._read(source)
+        self._block = b""
+        self._at = 0
+
+    @staticmethod
+    def _read(source: Source) -> Iterator[bytes]:
+        size, step = source.size_bytes, min(READ_AHEAD, MAX_READ)
+        return read_ranges(source, ((start, min(step, size - start)) for start in range(0, size, step)))
+
+    def read(self, length: int) -> bytes:
+        """Return the next bytes; b"" at the end."""
+        if self._is_near:
+            return self._read_near(min(length, MAX_READ, self.size_bytes - self._at))
+        if self._at == len(self._block):
+            self._block, self._at = next(self._blocks, b""), 0
+        whole = self._at == 0 and length >= len(self._block)
+        piece = self._block if whole else self._block[self._at : self._at + length]
+        self._at += len(piece)
+        return piece
+
+    def _read_near(self, length: int) -> bytes:
+        """Read no more than requested, so that it is still in the processor's cache when it is used."""
+        piece = self._source.read(self._at, length) if length else b""
+        self._at += length
+        return piece
+
+
+class FileReader(SourceReader):
+    """Reads a local file. Close it, or use it in a `with`.
+
+    Raises:
+        SourceError: the file cannot be opened.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self._file = FileSource(path)
+        super().__init__(self._file, path=Path(path))
+
+    def close(self) -> None:
+        """Close the file; a second call does nothing."""
+        self._file.close()
+
+    def __enter__(self) -> FileReader:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class PipeReader:
+    """Reads the next `size_bytes` bytes of a stream."""
+
+    path = None
+
+    def __init__(self, stream: BinaryIO, *, size_bytes: int, name: str) -> None:
+        self.name = name
+        self.size_bytes = size_bytes
+        self._stream = stream
+        self._left = size_bytes
+
+    def read(self, length: int) -> bytes:
+        """Return the next bytes; b"" at the end."""
+        length = min(length, self._left)
+        if length == 0:
+            return b""
+        try:
+            piece = self._stream.read(length)
+        except OSError as error:
+            raise SourceError(f"{self.name}: cannot be read: {error.strerror}") from error
+        if not piece:
+            raise SourceError(f"{self.name}: its bytes end {self._left} before the {self.size_bytes} announced")
+        self._left -= len(piece)
+        return piece
+
+
+class _Rewound:
+    """A reader with its first bytes put back."""
+
+    def __init__(self, head: bytes, rest: SequentialReader) -> None:
+        self.name = rest.name
+        self.size_bytes = rest.size_bytes
+        self.path = rest.path
+        self._head = head
+        self._rest = rest
+
+    def read(self, length: int) -> bytes:
+        """Return the next bytes; b"" at the end."""
+        if not self._head:
+            return self._rest.read(length)
+        piece, self._head = self._head[:length], self._head[length:]
+        return piece
+
+
+def peek(reader: SequentialReader, length: int) -> tuple[bytes, SequentialReader]:
+    """Return the first bytes, at most `length`, and a reader that still begins with them. Do not use `reader`
+    afterwards.
+    """
+    pieces: list[bytes] = []
+    have, length = 0, min(length, reader.size_bytes)
+    while have < length and (piece := reader.read(length - have)):
+        pieces.append(piece)
+        have += len(piece)
+    head = b"".join(pieces)
+    return head, _Rewound(head, reader)
+
+
+def source_reader(source: Source) -> SequentialReader:
+    """Read a source sequentially."""
+    return SourceReader(source, path=source.path if isinstance(source, FileSource) else None)
+
+
+def file_reader(path: str | os.PathLike[str]) -> FileReader:
+    """Read a local file sequentially; use it in a `with`.
+
+    Raises:
+        SourceError: the file cannot be opened.
+    """
+    return FileReader(path)
+
+
+def pipe_reader(stream: BinaryIO, size_bytes: int, name: str) -> SequentialReader:
+    """Read exactly `size_bytes` bytes of a stream. `name`: of the file, for messages and its extension."""
+    return PipeReader(stream, size_bytes=size_bytes, name=name)

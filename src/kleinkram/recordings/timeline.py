@@ -1,6 +1,6 @@
-"""Log times of topics -> counts, spans, gaps. Exact, in bounded memory, whatever the order of the messages.
+"""Log times of topics: counts, spans and gaps, exact and in bounded memory, whatever the order of the messages.
 
-Chunks are added in the order in which they stand in the file. That order decides what is out of order; gaps need the
+Chunks are added in the order in which they are in the file. That order decides what is out of order; gaps need the
 order of time. So stamps wait (8 bytes each) until no earlier one can follow: `settle(before)` says up to where that
 is sure (the smallest start of all chunks still to come), and after it only a few numbers a topic are left. Should
 more than `MAX_PENDING_STAMPS` wait, the older half is settled by force; if an earlier stamp still comes, the longest
@@ -26,7 +26,7 @@ from operator import itemgetter, lt, sub
 
 from kleinkram.recordings.density import MAX_BINS, add_up, count_stamps, most_bins
 from kleinkram.recordings.limits import MAX_PENDING_STAMPS
-from kleinkram.recordings.model import Density
+from kleinkram.recordings.model import MessageDensity
 
 YEAR_NS = 366 * 24 * 3600 * 1_000_000_000
 LEAST_JUMP_NS = 10 * 1_000_000_000
@@ -37,7 +37,7 @@ _KEY_BITS = 20
 
 
 @dataclass(frozen=True)
-class Run:
+class StampRun:
     """Messages of one topic without a year of silence between them; both ends inclusive.
 
     `density` is None where it is not known, or not wanted.
@@ -47,12 +47,12 @@ class Run:
     last_ns: int
     count: int
     longest_gap_ns: int
-    density: Density | None = None
+    density: MessageDensity | None = None
 
 
 @dataclass(frozen=True)
 class Jump:
-    """A clock that was set back: stamps that follow each other in the file.
+    """A clock that was set back.
 
     Attributes:
         before_ns: the last stamp before.
@@ -67,7 +67,7 @@ class Jump:
 
 @dataclass
 class TopicTimes:
-    """What is known of the stamps of one topic so far."""
+    """The stamps of one topic so far."""
 
     count: int = 0
     out_of_order: int = 0
@@ -76,7 +76,7 @@ class TopicTimes:
     previous_ns: int = -1
     jump: Jump | None = None
     earliest_pending_ns: int = 0
-    runs: list[Run] = field(default_factory=list)
+    runs: list[StampRun] = field(default_factory=list)
     gaps_are_upper_bounds: bool = False
     pending: array[int] = field(default_factory=lambda: array("Q"))
 
@@ -127,7 +127,7 @@ class TopicTimes:
             self.earliest_pending_ns = self.pending[0] if self.pending else 0
 
     def append(self, later: TopicTimes) -> None:
-        """Add what is known of stamps that follow in the file."""
+        """Add the stamps of a later part of the file."""
         out_of_order, jump = self.out_of_order + later.out_of_order, self.jump or later.jump
         self.add(later.pending)
         self.out_of_order, self.jump = out_of_order, jump
@@ -138,41 +138,41 @@ class TopicTimes:
         for run in later.runs:
             self._absorb(run, MAX_BINS)
 
-    def _absorb(self, run: Run, most: int) -> None:
+    def _absorb(self, run: StampRun, most: int) -> None:
         if self.runs and run.first_ns < self.runs[-1].last_ns:
             late = any(run.first_ns < known.last_ns and known.first_ns < run.last_ns for known in self.runs)
             self.gaps_are_upper_bounds = self.gaps_are_upper_bounds or late
         self.runs = join([*self.runs, run], most)
 
 
-def _split(stamps: Sequence[int], bin_ns: int, most: int) -> list[Run]:
-    """Cut sorted stamps where a year passes."""
+def _split(stamps: Sequence[int], bin_ns: int, most: int) -> list[StampRun]:
+    """Split sorted stamps at gaps of more than a year."""
     gaps = list(map(sub, stamps[1:], stamps))
     longest = max(gaps, default=0)
     if longest <= YEAR_NS:
         density = count_stamps(stamps, least_bin_ns=bin_ns, most=most)
-        return [Run(stamps[0], stamps[-1], len(stamps), longest, density)]
+        return [StampRun(stamps[0], stamps[-1], len(stamps), longest, density)]
     cuts = [0, *(i + 1 for i, gap in enumerate(gaps) if gap > YEAR_NS), len(stamps)]
     return [
-        Run(stamps[a], stamps[b - 1], b - a, max(gaps[a : b - 1], default=0), count_stamps(stamps[a:b], most=most))
+        StampRun(stamps[a], stamps[b - 1], b - a, max(gaps[a : b - 1], default=0), count_stamps(stamps[a:b], most=most))
         for a, b in pairwise(cuts)
     ]
 
 
-def join(runs: Iterable[Run], most: int = MAX_BINS) -> list[Run]:
-    """Join runs that overlap or lie within a year of each other; sorted by time.
+def join(runs: Iterable[StampRun], most: int = MAX_BINS) -> list[StampRun]:
+    """Join runs that overlap or are within a year of each other; sorted by time.
 
     The gap between two runs that do not overlap counts as a gap of the joined one, whose density has at most `most`
     bins.
     """
-    joined: list[Run] = []
+    joined: list[StampRun] = []
     for run in sorted(runs, key=lambda run: run.first_ns):
         previous = joined[-1] if joined else None
         if previous is None or run.first_ns - previous.last_ns > YEAR_NS:
             joined.append(run)
             continue
         between = max(0, run.first_ns - previous.last_ns)
-        joined[-1] = Run(
+        joined[-1] = StampRun(
             previous.first_ns,
             max(previous.last_ns, run.last_ns),
             previous.count + run.count,
@@ -182,17 +182,17 @@ def join(runs: Iterable[Run], most: int = MAX_BINS) -> list[Run]:
     return joined
 
 
-def _both(one: Density | None, other: Density | None, most: int = MAX_BINS) -> Density | None:
+def _both(one: MessageDensity | None, other: MessageDensity | None, most: int = MAX_BINS) -> MessageDensity | None:
     return add_up((one, other), most=most) if one is not None and other is not None else None
 
 
-def bulk(runs: Iterable[Run]) -> Run | None:
-    """Return the island with the most messages over all topics; of equals, the latest. None without any message."""
-    bare = [Run(run.first_ns, run.last_ns, run.count, run.longest_gap_ns) for run in runs]
+def bulk(runs: Iterable[StampRun]) -> StampRun | None:
+    """Return the island with the most messages over all topics, the latest of equals; None without messages."""
+    bare = [StampRun(run.first_ns, run.last_ns, run.count, run.longest_gap_ns) for run in runs]
     return max(join(bare), key=lambda run: (run.count, run.first_ns), default=None)
 
 
-def within(runs: Iterable[Run], island: Run | None) -> Run | None:
+def within(runs: Iterable[StampRun], island: StampRun | None) -> StampRun | None:
     """Return the runs of a topic inside the island as one run; None if there are none."""
     if island is None:
         return None
@@ -202,12 +202,12 @@ def within(runs: Iterable[Run], island: Run | None) -> Run | None:
     gaps = [run.longest_gap_ns for run in inside]
     gaps += [after.first_ns - before.last_ns for before, after in pairwise(inside)]
     density = reduce(_both, [run.density for run in inside])
-    return Run(inside[0].first_ns, inside[-1].last_ns, sum(run.count for run in inside), max(gaps), density)
+    return StampRun(inside[0].first_ns, inside[-1].last_ns, sum(run.count for run in inside), max(gaps), density)
 
 
 @dataclass(frozen=True)
 class ChunkEntries:
-    """The index of one topic in one chunk: log times, and where the messages begin in the uncompressed chunk."""
+    """The index of one topic in one chunk: log times, and offsets in the uncompressed chunk."""
 
     topic: str
     stamps: Sequence[int]
@@ -229,15 +229,8 @@ class Timeline:
             times = self.topics[name] = TopicTimes()
         return times
 
-    def fork(self) -> Timeline:
-        """Return a copy: what is added to one is not in the other."""
-        fork = Timeline()
-        fork.topics = {name: replace(times, pending=times.pending[:]) for name, times in self.topics.items()}
-        fork._pending = self._pending
-        return fork
-
     def rename(self, old: str, new: str) -> None:
-        """Give the messages of a topic to another one, as if they stood behind those that it has."""
+        """Move the messages of a topic to another one, after those that it has."""
         times = self.topics.pop(old, None)
         if times is not None:
             self.topic(new).append(times)
@@ -275,7 +268,7 @@ class Timeline:
         self.bound()
 
     def bound(self) -> None:
-        """Keep no more stamps waiting than `MAX_PENDING_STAMPS`, though nothing is known of those to come."""
+        """Keep at most `MAX_PENDING_STAMPS` stamps pending."""
         if self._pending > MAX_PENDING_STAMPS:
             self._settle_older_half()
 

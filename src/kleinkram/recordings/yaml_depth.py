@@ -1,4 +1,4 @@
-"""A YAML reader that refuses deep nesting at once.
+"""A YAML reader that refuses deep nesting.
 
 The usual scanner looks up to 1,024 characters ahead for a key, at every open bracket: the time grows with the square of
 the depth, before any event is seen. This one stops at the bracket, or the indent, that goes too deep.
@@ -15,7 +15,7 @@ from ruamel.yaml.scanner import Scanner, ScannerError
 
 
 def shallow_yaml(typ: Literal["safe", "base"], *, max_depth: int) -> YAML:
-    """Return a reader that raises `ScannerError` where a value stands more than `max_depth` levels below the top."""
+    """Return a reader that raises `ScannerError` where a value is more than `max_depth` levels below the top."""
 
     class ShallowScanner(Scanner):
         def fetch_flow_collection_start(self, TokenClass: Any, to_push: str) -> None:  # noqa: N803  the base's name

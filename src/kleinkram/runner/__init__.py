@@ -1,4 +1,4 @@
-"""Runs actions: takes a run, gives it its inputs, starts and watches it, and carries home what it left.
+"""Runs actions: claims runs, prepares their inputs, runs them by an executor, and uploads their results.
 
-Speaks HTTPS to the API, and holds no credential of a database or a store.
+Communicates with the API and the object store over HTTPS, without credentials of a database or a store.
 """

@@ -1,35 +1,61 @@
-"""`python -m kleinkram.runner OPTIONS`: a runner as a process of its own, without the CLI's imports.
+"""`python -m kleinkram.runner ARGUMENTS`: a runner as a process, without the imports of the CLI.
 
-OPTIONS is the JSON of `Arguments`. SIGTERM ends the runner and leaves its runs, which the next one takes up; SIGINT
-ends its runs, too, which the next one begins anew.
+ARGUMENTS is the JSON of `Arguments`. SIGTERM ends the runner but not its runs, which the next one goes on with; SIGINT
+ends its runs, too, which the next one starts again.
 """
 
 import datetime
+import enum
 import json
 import logging
 import os
 import signal
 import sys
 import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
+from kleinkram.client.errors import ConfigurationBroken, CredentialsExposed, InvalidInput, NotConfigured
 from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.names import Label
-from kleinkram.runner.choosing import ExecutorChoice, ImagePolicy, choose
-from kleinkram.runner.docker.images import Pull
-from kleinkram.runner.home import open_home
-from kleinkram.runner.machine import Share
-from kleinkram.runner.runner import Runner, RunnerOptions
-from kleinkram.runner.token import find_token
+from kleinkram.contract.runners import Isolation
+from kleinkram.runner.executors.base import CannotStart, Executor
+from kleinkram.runner.executors.docker import DockerExecutor
+from kleinkram.runner.executors.docker_client import DockerClient, EngineError, EngineUnavailable, find_socket
+from kleinkram.runner.executors.docker_images import Pull
+from kleinkram.runner.executors.local import Machine, MachineShare
+from kleinkram.runner.executors.process import ProcessExecutor
+from kleinkram.runner.loop import Runner, RunnerOptions
+from kleinkram.runner.state_directory import StateDirectory, open_state_directory
 
 DEFAULT_IMAGE = "kleinkram/action-python:latest"
+TOKEN_VARIABLE = "KLEINKRAM_RUNNER_TOKEN"  # noqa: S105  the name of the variable
+
+_log = logging.getLogger("kleinkram.runner")
+
+
+class ExecutorChoice(str, enum.Enum):
+    """`auto`: containers where an engine answers that has, or can pull, the default image; else processes."""
+
+    auto = "auto"
+    docker = "docker"
+    process = "process"
+
+
+@dataclass(frozen=True)
+class ImagePolicy:
+    """Which images may be pulled, and when. `allowed`: registries, or namespaces of them; None for all."""
+
+    pull: Pull = Pull.missing
+    allowed: Sequence[str] | None = None
 
 
 class Arguments(BaseModel):
-    """All that a runner can be told. Its token is in `KLEINKRAM_RUNNER_TOKEN` or in a file."""
+    """The options of a runner. Its token is in `KLEINKRAM_RUNNER_TOKEN` or in a file."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -51,7 +77,7 @@ class Arguments(BaseModel):
     log_format: Literal["json", "text"] = "text"
 
     def command(self) -> list[str]:
-        """Return the command line of such a runner."""
+        """Return the command line of a runner with these options."""
         return [sys.executable, "-m", "kleinkram.runner", self.model_dump_json(exclude_defaults=True)]
 
 
@@ -65,62 +91,131 @@ class _JsonLines(logging.Formatter):
 
 
 def main() -> None:
-    """Run until asked to end; what keeps it from running is one sentence on stderr and exit code 1."""
+    """Run until a signal; an error is one sentence on stderr and exit code 1."""
     arguments = Arguments.model_validate_json(sys.argv[1])
     _set_up_logs(arguments.log_format)
     try:
-        with open_home(arguments.data_dir) as home:
-            options = RunnerOptions(
-                url=arguments.url,
-                token=find_token(arguments.token_file),
-                name=arguments.name,
-                labels=tuple(arguments.labels),
-                share=Share(
-                    arguments.cores,
-                    arguments.memory_bytes,
-                    arguments.disk_bytes,
-                    arguments.gpus,
-                    arguments.cache_bytes,
-                ),
-                default_image=arguments.default_image,
-            )
-            policy = ImagePolicy(arguments.pull, arguments.registries)
-            executor = choose(arguments.executor, str(home.runner_id), policy, arguments.default_image)
-            code = _carry_on(Runner(options, home, executor), once=arguments.once)
+        with open_state_directory(arguments.data_dir) as state:
+            code = _run_until_signal(_make_runner(arguments, state), once=arguments.once)
     except KleinkramError as error:
         sys.exit(f"Error: {error}")
-    # Threads that wait for a server that is away are not waited for.
+    # Do not wait for threads that wait for an unavailable server.
     logging.shutdown()
     os._exit(code)
 
 
-def _carry_on(runner: Runner, *, once: bool) -> int:
+def _make_runner(arguments: Arguments, state: StateDirectory) -> Runner:
+    share = MachineShare(
+        arguments.cores,
+        arguments.memory_bytes,
+        arguments.disk_bytes,
+        arguments.gpus,
+        arguments.cache_bytes,
+    )
+    options = RunnerOptions(
+        url=arguments.url,
+        token=find_token(arguments.token_file),
+        name=arguments.name,
+        labels=tuple(arguments.labels),
+        default_image=arguments.default_image,
+    )
+    policy = ImagePolicy(arguments.pull, arguments.registries)
+    runner, machine = str(state.runner_id), Machine(state.path, share)
+    executor = choose_executor(arguments.executor, policy, arguments.default_image, runner=runner, machine=machine)
+    return Runner(options, state, executor)
+
+
+def find_token(file: Path | None) -> str:
+    """Return the token of the runner, from a file or from the environment.
+
+    Raises:
+        NotConfigured: there is none.
+        CredentialsExposed: others can read the file.
+        ConfigurationBroken: the file cannot be read.
+    """
+    if file is None:
+        # Removed from the environment, so that child processes do not get it.
+        token = os.environ.pop(TOKEN_VARIABLE, "")
+        if not token:
+            raise NotConfigured(reason=f"a runner needs its token, in {TOKEN_VARIABLE} or in a file (--token-file)")
+        return token.strip()
+    try:
+        mode = file.stat().st_mode & 0o777
+        if mode & 0o077:
+            raise CredentialsExposed(file=str(file), mode=f"{mode:o}")
+        return file.read_text(encoding="ascii").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationBroken(file=str(file), reason=str(error)) from error
+
+
+def choose_executor(
+    choice: ExecutorChoice,
+    policy: ImagePolicy,
+    default_image: str,
+    *,
+    runner: str = "local",
+    machine: Machine | None = None,
+) -> Executor:
+    """Return the executor of a runner. The default image may be pulled first, which may take long.
+
+    Raises:
+        InvalidInput: `choice` is `docker`, and no engine answers.
+    """
+    if choice is not ExecutorChoice.process:
+        try:
+            containers = _docker_executor(policy, runner, machine)
+            if choice is ExecutorChoice.auto:
+                containers.prepare_image(default_image)
+            return containers
+        except (EngineUnavailable, EngineError) as error:
+            if choice is ExecutorChoice.docker:
+                raise InvalidInput(what="The executor docker", reason=str(error)) from error
+            _log.info("no engine of containers here (%s): scripts run as processes", error)
+        except CannotStart as error:
+            _log.warning(
+                "%s So scripts run as processes, and images do not run; to change this: --executor docker", error
+            )
+    executor = ProcessExecutor(machine)
+    if executor.abilities.isolation is Isolation.none:
+        _log.warning("this kernel allows this user no namespaces: runs can read and change whatever the runner can")
+    return executor
+
+
+def _docker_executor(policy: ImagePolicy, runner: str, machine: Machine | None) -> DockerExecutor:
+    socket = find_socket()
+    if socket is None:
+        raise EngineUnavailable("there is no socket of one")
+    client = DockerClient(socket)
+    return DockerExecutor(client, machine, runner=runner, pull=policy.pull, allowed=policy.allowed)
+
+
+def _run_until_signal(runner: Runner, *, once: bool) -> int:
     """Run until a signal or the end; return the exit code."""
-    over = threading.Event()
-    asked: list[int] = []
-    failures: list[Exception] = []
+    has_ended = threading.Event()
+    signals: list[int] = []
+    errors: list[Exception] = []
 
     def run() -> None:
         try:
             runner.run(once=once)
         except (KleinkramError, OSError) as error:
-            failures.append(error)
+            errors.append(error)
         finally:
-            over.set()
+            has_ended.set()
 
-    def stop(sign: int, _: object) -> None:
-        asked.append(sign)
+    def stop(number: int, _: object) -> None:
+        signals.append(number)
         runner.stop()
-        over.set()
+        has_ended.set()
 
-    for sign in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(sign, stop)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, stop)
     threading.Thread(target=run, name="runner", daemon=True).start()
-    over.wait()
-    runner.leave(kill=signal.SIGINT in asked)
-    for failure in failures:
-        sys.stderr.write(f"Error: {failure}\n")
-    return 1 if failures else 0
+    has_ended.wait()
+    runner.close(kill=signal.SIGINT in signals)
+    for error in errors:
+        sys.stderr.write(f"Error: {error}\n")
+    return 1 if errors else 0
 
 
 def _set_up_logs(log_format: str) -> None:
@@ -128,7 +223,7 @@ def _set_up_logs(log_format: str) -> None:
     text = logging.Formatter("%(asctime)s %(levelname)s %(name)s %(message)s")
     handler.setFormatter(_JsonLines() if log_format == "json" else text)
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
-    # It would name addresses, and they are signed.
+    # It would log URLs, which are signed.
     logging.getLogger("urllib3").setLevel(logging.ERROR)
 
 

@@ -1,181 +1,221 @@
-"""What a run writes, on its way to the store while it lasts: in order, in pieces, without secrets.
+"""Uploads the log of a run while it lasts: in order, in chunks, without secrets.
 
-A piece is decided and written down before it is sent. So a runner that was killed in between sends the very same piece
-again, and nothing is there twice or missing.
+A chunk is recorded before it is uploaded. So after a kill the next runner uploads the same chunk again, and nothing is
+missing or there twice.
 """
 
 import hashlib
 import logging
+import re
 import threading
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
-from awscrt.checksums import crc64nvme
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from kleinkram.client.runners import Runners
-from kleinkram.client.transfer._store import Answer, StoreDoor
+from kleinkram.client.transfer.store import StoreAnswer, StoreClient
+from kleinkram.contract.checksums import crc64nvme
 from kleinkram.contract.errors import KleinkramError, RunGone
 from kleinkram.contract.runners import LogChunkConfirm, LogChunkCreate, RunAssignment
-from kleinkram.runner.disk import write_whole
-from kleinkram.runner.redacting import Redactor
+from kleinkram.runner.executors.base import Executor, Job
+from kleinkram.runner.files import write_atomically
+from kleinkram.runner.state_directory import LOG_UPLOAD
 
-LOG = "log"
-LOG_STATE = "log.json"
-_PIECE_BYTES = 4 * 2**20
+_CHUNK_BYTES = 4 * 2**20
 _EVERY_S = 1.0
-_LOOK_EVERY_S = 0.2
-_PATIENCE_S = 30.0
-_LEAVE_S = 2.0
+_CHECK_EVERY_S = 0.2
+_RETRY_S = 30.0
+_CLOSE_S = 2.0
+_REDACTED = b"[redacted]"
+# No secret is longer. So a secret that begins this far from the end of a window is there as a whole.
+_LONGEST_SECRET = 512
+_SHORTEST_SECRET = 16
+_SECRET_PATTERNS = (
+    rb"klein_[a-z]{1,16}_[A-Za-z0-9_-]{43}[0-9A-Za-z]{6}",
+    rb"(X-Amz-(?:Signature|Credential|Security-Token)=)[0-9A-Za-z%/._+-]{1,256}",
+)
+_SECRET_PREFIXES = (b"klein_", b"X-Amz-")
 
 _log = logging.getLogger("kleinkram.runner")
 
 
-class _Sent(BaseModel):
-    """How far it is: `raw` bytes of what the run wrote are kept, as `kept` bytes without secrets.
+class Redactor:
+    """Removes secrets from a log: some known tokens, all tokens of Kleinkram, and signatures of URLs."""
 
-    `next_raw` bytes are the piece under way.
-    """
+    def __init__(self, secrets: Collection[str]) -> None:
+        known = [secret.encode() for secret in secrets if _SHORTEST_SECRET <= len(secret) <= _LONGEST_SECRET // 2]
+        self._pattern = re.compile(b"|".join([*map(re.escape, known), *_SECRET_PATTERNS]))
+        # Searched for first: most output has none of these, and the pattern is a hundred times slower.
+        self._prefixes = [*known, *_SECRET_PREFIXES]
+
+    def redact(self, data: bytes) -> bytes:
+        """Return data without secrets. It may be cut where `cut` allows."""
+        if not any(prefix in data for prefix in self._prefixes):
+            return data
+        return self._pattern.sub(lambda match: (match.group(1) or b"") + _REDACTED, data)
+
+    def cut(self, data: bytes, max_bytes: int) -> int:
+        """Return the number of bytes that can be redacted without those that follow; 0: none yet.
+
+        That are whole lines, since no secret contains a line break; or in a line that is longer than `max_bytes`, what
+        cannot be part of a secret that continues.
+        """
+        window = data[:max_bytes]
+        lines = max(window.rfind(b"\n"), window.rfind(b"\r")) + 1
+        if lines > 0 or len(window) < max_bytes:
+            return lines
+        end = max_bytes - _LONGEST_SECRET
+        for match in self._pattern.finditer(window):
+            if match.start() < end < match.end():
+                return match.start()
+        return end
+
+
+class _UploadState(BaseModel):
+    """`raw_bytes` of the log are stored as `redacted_bytes`; the chunk being uploaded has `chunk_bytes`."""
 
     model_config = ConfigDict(frozen=True)
 
-    raw: int = 0
-    kept: int = 0
-    next_raw: int = 0
+    raw_bytes: int = 0
+    redacted_bytes: int = 0
+    chunk_bytes: int = 0
 
 
-class LogFollower:
-    """Follows the log of one run, in a thread of its own, until it is told to leave."""
+class LogUpload:
+    """Uploads the log of one run in a thread."""
 
     def __init__(
-        self, runners: Runners, store: StoreDoor, claim: RunAssignment, folder: Path, redactor: Redactor
+        self,
+        executor: Executor,
+        runners: Runners,
+        store: StoreClient,
+        assignment: RunAssignment,
+        directory: Path,
+        redactor: Redactor,
     ) -> None:
-        self._runners = runners.with_patience(_PATIENCE_S, self._wait)
+        self._executor = executor
+        self._runners = runners.with_patience(_RETRY_S, self._wait)
         self._store = store
-        self._claim = claim
-        self._folder = folder
+        self._assignment = assignment
+        self._path = directory / LOG_UPLOAD
         self._redactor = redactor
-        self._is_whole = threading.Event()
-        self._leave = threading.Event()
-        self._thread = threading.Thread(target=self._follow, name="log", daemon=True)
-        self._sent = _read(folder / LOG_STATE)
+        self._is_complete = threading.Event()
+        self._is_closed = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._state = _read_state(self._path)
 
-    def start(self) -> None:
-        """Begin, or go on where an earlier runner was."""
+    def start(self, job: Job) -> None:
+        """Start the upload, or continue that of an earlier runner."""
+        self._thread = threading.Thread(target=self._upload, args=(job,), name="log", daemon=True)
         self._thread.start()
 
-    def is_whole(self) -> None:
-        """Nothing comes any more: send the rest."""
-        self._is_whole.set()
+    def finish(self) -> None:
+        """Upload the rest: the job has ended."""
+        self._is_complete.set()
 
-    def leave(self, *, within_s: float = 0.0) -> None:
-        """End it, when all is sent or after some time."""
-        self._is_whole.set()
-        if self._thread.ident is not None:
-            self._thread.join(within_s)
-            self._leave.set()
-            # It may be at a server that does not answer; nobody waits for that.
-            self._thread.join(_LEAVE_S)
+    def close(self) -> None:
+        """End the thread."""
+        self._is_complete.set()
+        self._is_closed.set()
+        if self._thread is not None:
+            # It may wait for a server that does not answer.
+            self._thread.join(_CLOSE_S)
 
-    def _follow(self) -> None:
+    def _upload(self, job: Job) -> None:
         try:
             while True:
                 self._wait(0)
-                is_whole = self._is_whole.is_set()
-                if is_whole and not self._sent.raw:
-                    # What a short run wrote is kept with all that it left, before anybody could look.
+                is_complete = self._is_complete.is_set()
+                if is_complete and not self._state.raw_bytes:
+                    # The log of a short run is stored with its artifacts before anybody can look.
                     self._wait(_EVERY_S)
-                size = self._send_piece(is_whole=is_whole)
-                if not is_whole and size < _PIECE_BYTES // 2:
-                    self._is_whole.wait(_EVERY_S if size else _LOOK_EVERY_S)
-                if is_whole and size == 0:
+                size_bytes = self._upload_chunk(job, is_complete=is_complete)
+                if not is_complete and size_bytes < _CHUNK_BYTES // 2:
+                    self._is_complete.wait(_EVERY_S if size_bytes else _CHECK_EVERY_S)
+                if is_complete and size_bytes == 0:
                     return
-        except (_Left, RunGone):
+        except (_Closed, RunGone):
             return
         except OSError as error:
-            # People then see the log once the run is over.
-            _log.error("the log of the run %s is not followed any more: %s", self._claim.run_id, error)
+            # The log then appears once the run has ended.
+            _log.error("the log of the run %s is not uploaded any more: %s", self._assignment.run_id, error)
 
-    def _send_piece(self, *, is_whole: bool) -> int:
-        """Send what comes next, and return its size; 0 where there is nothing yet."""
-        raw = _read_raw(self._folder / LOG, self._sent.raw, self._sent.next_raw or _PIECE_BYTES)
+    def _upload_chunk(self, job: Job, *, is_complete: bool) -> int:
+        """Upload the next chunk, and return its size; 0 where there is none yet."""
+        state = self._state
+        raw = self._executor.read_log(job, state.raw_bytes, state.chunk_bytes or _CHUNK_BYTES)
         if not raw:
             return 0
-        if not self._sent.next_raw:
-            size = len(raw) if is_whole and len(raw) < _PIECE_BYTES else self._redactor.cut(raw, _PIECE_BYTES)
-            if size == 0:
+        if not state.chunk_bytes:
+            is_last = is_complete and len(raw) < _CHUNK_BYTES
+            size_bytes = len(raw) if is_last else self._redactor.cut(raw, _CHUNK_BYTES)
+            if size_bytes == 0:
                 return 0
-            raw = raw[:size]
-            self._note(self._sent.model_copy(update={"next_raw": size}))
-        piece = self._redactor.clean(raw)
-        self._send(piece)
-        self._note(_Sent(raw=self._sent.raw + len(raw), kept=self._sent.kept + len(piece)))
+            raw = raw[:size_bytes]
+            self._record(state.model_copy(update={"chunk_bytes": size_bytes}))
+        chunk = self._redactor.redact(raw)
+        self._send(chunk)
+        self._record(
+            _UploadState(raw_bytes=state.raw_bytes + len(raw), redacted_bytes=state.redacted_bytes + len(chunk))
+        )
         return len(raw)
 
-    def _send(self, piece: bytes) -> None:
-        offset = self._sent.kept
-        ask = LogChunkCreate(
-            attempt=self._claim.attempt,
+    def _send(self, chunk: bytes) -> None:
+        offset, attempt, run_id = self._state.redacted_bytes, self._assignment.attempt, self._assignment.run_id
+        request = LogChunkCreate(
+            attempt=attempt,
             offset=offset,
-            size_bytes=len(piece),
-            sha256=hashlib.sha256(piece).hexdigest(),
-            crc64nvme=f"{crc64nvme(piece):016x}",
-            md5=hashlib.md5(piece, usedforsecurity=False).hexdigest(),
+            size_bytes=len(chunk),
+            sha256=hashlib.sha256(chunk).hexdigest(),
+            crc64nvme=f"{crc64nvme(chunk):016x}",
+            md5=hashlib.md5(chunk, usedforsecurity=False).hexdigest(),
         )
         while True:
             try:
-                put = self._runners.create_log_chunk(self._claim.run_id, ask)
-                if self._store.put(put.url, put.headers, len(piece), [piece]).answer is Answer.taken:
-                    kept = LogChunkConfirm(attempt=self._claim.attempt, offset=offset, size_bytes=len(piece))
-                    self._runners.confirm_log_chunk(self._claim.run_id, kept)
+                upload = self._runners.create_log_chunk(run_id, request)
+                if self._store.put(upload.url, upload.headers, len(chunk), [chunk]).answer is StoreAnswer.taken:
+                    confirmation = LogChunkConfirm(attempt=attempt, offset=offset, size_bytes=len(chunk))
+                    self._runners.confirm_log_chunk(run_id, confirmation)
                     return
             except RunGone:
                 raise
             except KleinkramError as error:
-                _log.warning("the log of the run %s waits: %s", self._claim.run_id, error)
+                _log.warning("the log of the run %s waits: %s", run_id, error)
             self._wait(_EVERY_S)
 
     def _wait(self, seconds: float) -> None:
-        if self._leave.wait(seconds):
-            raise _Left
+        if self._is_closed.wait(seconds):
+            raise _Closed
 
-    def _note(self, sent: _Sent) -> None:
-        write_whole(self._folder / LOG_STATE, sent.model_dump_json())
-        self._sent = sent
+    def _record(self, state: _UploadState) -> None:
+        write_atomically(self._path, state.model_dump_json())
+        self._state = state
 
 
-class _Left(Exception):
+class _Closed(Exception):
     """The thread is to end."""
 
 
-def write_clean(folder: Path, redactor: Redactor, target: Path) -> int:
-    """Write all that a run that is over wrote, without secrets, to a file; return its size."""
-    size = 0
+def write_redacted_log(executor: Executor, job: Job, redactor: Redactor, target: Path) -> int:
+    """Write the complete log of an ended job, without secrets, to a file; return its size."""
+    size_bytes = 0
     with target.open("wb") as stream:
-        for raw in _pieces(folder / LOG, redactor):
-            size += stream.write(redactor.clean(raw))
-    return size
+        for raw in _chunks(executor, job, redactor):
+            size_bytes += stream.write(redactor.redact(raw))
+    return size_bytes
 
 
-def _pieces(log: Path, redactor: Redactor) -> Iterator[bytes]:
+def _chunks(executor: Executor, job: Job, redactor: Redactor) -> Iterator[bytes]:
     offset = 0
-    while raw := _read_raw(log, offset, _PIECE_BYTES):
-        size = len(raw) if len(raw) < _PIECE_BYTES else redactor.cut(raw, _PIECE_BYTES)
-        yield raw[:size]
-        offset += size
+    while raw := executor.read_log(job, offset, _CHUNK_BYTES):
+        size_bytes = len(raw) if len(raw) < _CHUNK_BYTES else redactor.cut(raw, _CHUNK_BYTES)
+        yield raw[:size_bytes]
+        offset += size_bytes
 
 
-def _read_raw(log: Path, offset: int, size_bytes: int) -> bytes:
+def _read_state(path: Path) -> _UploadState:
     try:
-        with log.open("rb") as stream:
-            stream.seek(offset)
-            return stream.read(size_bytes)
-    except FileNotFoundError:
-        return b""
-
-
-def _read(path: Path) -> _Sent:
-    try:
-        return _Sent.model_validate_json(path.read_bytes())
+        return _UploadState.model_validate_json(path.read_bytes())
     except (FileNotFoundError, ValidationError):
-        return _Sent()
+        return _UploadState()

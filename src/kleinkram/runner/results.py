@@ -1,4 +1,4 @@
-"""What a run left in `/out`, read as what it is: the word of a stranger. No link is followed, nothing is believed."""
+"""Reads the results of a job from `/out`: artifacts, report, events. All of it is untrusted; no link is followed."""
 
 import json
 import os
@@ -22,21 +22,23 @@ from kleinkram.contract.reports import (
     REPORT_FILE,
     Finding,
     Metric,
+    Progress,
     Report,
     ReportEvent,
 )
 from kleinkram.contract.wording import in_plain_words
-from kleinkram.runner.disk import open_inside
+from kleinkram.runner.files import open_beneath
 
 MAX_ARTIFACTS = 100_000
-_MOST_PROBLEMS = 100
-# All that it left is looked at by name, links and folders included: so many, and a stranger cannot keep it at that.
-_MOST_ENTRIES = 10 * MAX_ARTIFACTS
+_MAX_PROBLEMS = 100
+_PROGRESS_BYTES = 2**20
+# The limit of all entries, links and directories included, so that a job cannot keep the runner busy.
+_MAX_ENTRIES = 10 * MAX_ARTIFACTS
 
 
 @dataclass(frozen=True)
 class Artifact:
-    """A file that a run left; `path` is relative to `/out`."""
+    """A file in `/out`; `path` is relative."""
 
     path: str
     size_bytes: int
@@ -44,73 +46,107 @@ class Artifact:
 
 @dataclass
 class Results:
-    """All that a run left and said. `problems` say, in sentences, what of it could not be taken.
+    """The results of a job. `problems` are sentences about what could not be read.
 
-    `broken` says why `report.json` is no report; null where it is one, or there is none.
+    `report_error` says why `report.json` is not a report; None where it is one, or does not exist.
     """
 
     artifacts: list[Artifact] = field(default_factory=list)
     report: Report = field(default_factory=Report)
     problems: list[str] = field(default_factory=list)
-    broken: str | None = None
+    report_error: str | None = None
 
 
-def collect(out: Path) -> Results:
-    """Read what a run that is over left in its folder `out`; nothing, where there is no such folder."""
+class ProgressReader:
+    """Reads the progress of a running job from its events, which may be of any size."""
+
+    def __init__(self, out: Path) -> None:
+        self._out = out
+        self._offset = 0
+        self.progress: Progress | None = None
+
+    def read(self) -> None:
+        """Read the events since the last call; invalid ones are reported at the end of the run."""
+        try:
+            stream = open_beneath(self._out, EVENTS_FILE)
+        except OSError:
+            return
+        if stream is None:
+            return
+        with stream:
+            size = stream.seek(0, os.SEEK_END)
+            # Only the end matters.
+            self._offset = stream.seek(max(self._offset, size - _PROGRESS_BYTES))
+            lines, line_end, _ = stream.read(_PROGRESS_BYTES).rpartition(b"\n")
+            self._offset += len(lines) + len(line_end)
+        for line in reversed(lines.splitlines()):
+            if b'"progress"' in line and len(line) <= MAX_EVENT_BYTES and self._take(line):
+                return
+
+    def _take(self, line: bytes) -> bool:
+        try:
+            progress = ReportEvent.model_validate_json(line).progress
+        except ValidationError:
+            return False
+        self.progress = progress or self.progress
+        return progress is not None
+
+
+def collect_results(out: Path) -> Results:
+    """Read the results of an ended job; none where the directory does not exist."""
     if not out.is_dir():
         return Results()
     problems = _Problems()
     artifacts = list(islice(_artifacts(out, problems), MAX_ARTIFACTS + 1))
     if len(artifacts) > MAX_ARTIFACTS:
-        problems.add_of_all(f"It left more than {MAX_ARTIFACTS} files; only so many are kept.")
+        problems.add_general(f"It left more than {MAX_ARTIFACTS} files; the others were not stored.")
         del artifacts[MAX_ARTIFACTS:]
     artifacts.sort(key=lambda artifact: artifact.path)
-    report, broken = Report(), None
+    report, report_error = Report(), None
     try:
         report = _report(out)
     except _Unreadable as error:
-        broken = str(error)
-    report = _together(_events(out, problems), report, problems)
-    report = _only_artifacts(report, {artifact.path for artifact in artifacts}, problems)
-    return Results(artifacts, report, problems.told(), broken)
+        report_error = str(error)
+    report = _merged(_events(out, problems), report, problems)
+    report = _without_missing_artifacts(report, {artifact.path for artifact in artifacts}, problems)
+    return Results(artifacts, report, problems.sentences(), report_error)
 
 
 class _Unreadable(Exception):
-    """A file is not what it should be; says why."""
+    """A file cannot be read; says why."""
 
 
 class _Problems:
-    """The first problems, as a stranger may make any number of them; the others are only counted.
-
-    What is said of all that was left comes before what is said of each.
-    """
+    """The first problems; the others are only counted, since there may be any number of them."""
 
     def __init__(self) -> None:
-        self._of_all: list[str] = []
+        self._general: list[str] = []
         self._first: list[str] = []
         self._more = 0
 
-    def add_of_all(self, problem: str) -> None:
-        """Note one that is there at most once."""
-        self._of_all.append(problem)
+    def add_general(self, problem: str) -> None:
+        """Add a problem that exists at most once; these come first."""
+        self._general.append(problem)
 
     def add(self, problem: str) -> None:
-        """Note one more."""
-        if len(self._first) < _MOST_PROBLEMS:
+        """Add a problem of a single entry."""
+        if len(self._first) < _MAX_PROBLEMS:
             self._first.append(problem)
         else:
             self._more += 1
 
-    def told(self) -> list[str]:
-        """Return them, and how many more there are."""
+    def sentences(self) -> list[str]:
+        """Return the problems, and how many more there are."""
         more = [f"And {self._more} more."] if self._more else []
-        return self._of_all + self._first + more
+        return self._general + self._first + more
 
 
 def _artifacts(out: Path, problems: _Problems) -> Iterator[Artifact]:
     for number, entry in enumerate(_entries(out, problems)):
-        if number == _MOST_ENTRIES:
-            problems.add_of_all(f"It left more than {_MOST_ENTRIES} files, folders and links: no more were looked at.")
+        if number == _MAX_ENTRIES:
+            problems.add_general(
+                f"It left more than {_MAX_ENTRIES} files, folders and links: the others were not read."
+            )
             return
         path = Path(entry.path).relative_to(out).as_posix()
         try:
@@ -134,39 +170,39 @@ def _artifacts(out: Path, problems: _Problems) -> Iterator[Artifact]:
 
 
 def _entries(out: Path, problems: _Problems) -> Iterator[os.DirEntry[str]]:
-    """Yield all that is below a folder, but for report and events, as it comes: a folder may be of any size."""
-    apart = {str(out / REPORT_FILE), str(out / EVENTS_FILE.partition("/")[0])}
-    waiting = deque([str(out)])
-    while waiting:
-        folder = waiting.popleft()
+    """Yield all entries below a directory of any size, without the report and the events."""
+    excluded = {str(out / REPORT_FILE), str(out / EVENTS_FILE.partition("/")[0])}
+    pending = deque([str(out)])
+    while pending:
+        directory = pending.popleft()
         try:
-            with os.scandir(folder) as entries:
+            with os.scandir(directory) as entries:
                 for entry in entries:
-                    if entry.path in apart:
+                    if entry.path in excluded:
                         continue
                     if entry.is_dir(follow_symlinks=False):
-                        waiting.append(entry.path)
+                        pending.append(entry.path)
                     yield entry
         except OSError as error:
-            problems.add(f"The folder {Path(folder).relative_to(out)} cannot be read: {error.strerror}.")
+            problems.add(f"The folder {Path(directory).relative_to(out)} cannot be read: {error.strerror}.")
 
 
-def _read(out: Path, name: str, most_bytes: int) -> bytes | None:
-    """Return what a file below `out` holds, or None where there is none; links are not followed.
+def _read(out: Path, name: str, max_bytes: int) -> bytes | None:
+    """Return the content of a file below `out`, or None where there is none.
 
     Raises:
-        _Unreadable: it is something else, or too large.
+        _Unreadable: it is no regular file, or too large.
     """
     try:
-        stream = open_inside(out, name)
+        stream = open_beneath(out, name)
     except OSError as error:
         raise _Unreadable(f"{name} cannot be read: {error.strerror or error}.") from error
     if stream is None:
         return None
     with stream:
-        data = stream.read(most_bytes + 1)
-    if len(data) > most_bytes:
-        raise _Unreadable(f"{name} has more than {most_bytes} bytes.")
+        data = stream.read(max_bytes + 1)
+    if len(data) > max_bytes:
+        raise _Unreadable(f"{name} has more than {max_bytes} bytes.")
     return data
 
 
@@ -197,23 +233,23 @@ def _event(line: bytes, number: int, problems: _Problems) -> ReportEvent | None:
         return None
 
 
-def _together(events: list[ReportEvent], report: Report, problems: _Problems) -> Report:
-    """Put what was said while the run lasted before what the report says; the last word on a metric counts."""
+def _merged(events: list[ReportEvent], report: Report, problems: _Problems) -> Report:
+    """Merge the events with the report, which comes last; the last value of a metric counts."""
     findings: list[Finding] = [event.finding for event in events if event.finding] + report.findings
-    said = [event.metric for event in events if event.metric] + report.metrics
-    metrics: dict[tuple[str, str | None], Metric] = {(metric.name, metric.file): metric for metric in said}
-    previews = {each.path: each for each in [event.preview for event in events] + [*report.previews] if each}
-    put_back = {each.to: each for each in [event.put_back for event in events] + [*report.put_back] if each}
+    all_metrics = [event.metric for event in events if event.metric] + report.metrics
+    metrics: dict[tuple[str, str | None], Metric] = {(metric.name, metric.file): metric for metric in all_metrics}
+    previews = {one.path: one for one in [event.preview for event in events] + [*report.previews] if one}
+    put_back = {one.to: one for one in [event.put_back for event in events] + [*report.put_back] if one}
     metadata = {name: value for event in events if event.metadata for name, value in event.metadata.items()}
     metadata |= report.metadata
     try:
         check_values(metadata)
     except ValueError as error:
-        problems.add(f"The metadata that it proposes {error}: left out.")
+        problems.add(f"The proposed metadata {error}: left out.")
         metadata = {}
-    for what, count, most in (("findings", len(findings), MAX_FINDINGS), ("metrics", len(metrics), MAX_METRICS)):
-        if count > most:
-            problems.add(f"It said {count} {what}; the first {most} are kept.")
+    for what, count, limit in (("findings", len(findings), MAX_FINDINGS), ("metrics", len(metrics), MAX_METRICS)):
+        if count > limit:
+            problems.add(f"It reported {count} {what}; only the first {limit} are stored.")
     return Report.model_construct(
         findings=findings[:MAX_FINDINGS],
         metrics=list(metrics.values())[:MAX_METRICS],
@@ -223,14 +259,13 @@ def _together(events: list[ReportEvent], report: Report, problems: _Problems) ->
     )
 
 
-def _only_artifacts(report: Report, paths: set[str], problems: _Problems) -> Report:
-    """Leave out what is said of files that are not there."""
-    spoken_of = [each.path for each in report.previews] + [each.path for each in report.put_back]
-    for path in spoken_of:
+def _without_missing_artifacts(report: Report, paths: set[str], problems: _Problems) -> Report:
+    """Remove the parts of a report that refer to files that do not exist."""
+    for path in [*(preview.path for preview in report.previews), *(artifact.path for artifact in report.put_back)]:
         if path not in paths:
-            problems.add(f"It speaks of the artifact {path}, which it did not leave.")
-    previews = [each for each in report.previews if each.path in paths]
-    put_back = [each for each in report.put_back if each.path in paths]
+            problems.add(f"It reports the artifact {path}, which does not exist.")
+    previews = [preview for preview in report.previews if preview.path in paths]
+    put_back = [artifact for artifact in report.put_back if artifact.path in paths]
     return report.model_copy(update={"previews": previews, "put_back": put_back})
 
 

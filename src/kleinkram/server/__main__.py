@@ -78,7 +78,7 @@ def _check(*, as_json: bool) -> NoReturn:
 
 def _work(settings: Settings) -> None:
     with _loading():
-        from kleinkram.server.metrics_port import MetricsPortUnusable
+        from kleinkram.server.health.metrics_server import MetricsPortUnusable
         from kleinkram.server.worker import run_worker
 
     # Whatever people wait for goes first: uploads, downloads, requests. What reads recordings inherits this.
@@ -95,7 +95,7 @@ def _serve(settings: Settings, arguments: argparse.Namespace) -> None:
         import uvicorn
 
         from kleinkram.server.app import create_app
-        from kleinkram.server.serving import ApiServer
+        from kleinkram.server.http.web_server import ApiServer
 
         app = create_app(settings)
     if arguments.when_told and not sys.stdin.readline():

@@ -11,43 +11,43 @@ import kleinkram
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS
 from kleinkram.server.actions.routes import router as actions
 from kleinkram.server.admin.routes import router as admin
-from kleinkram.server.audit.looking import Looks
+from kleinkram.server.audit.admin_access import Looks
 from kleinkram.server.audit.routes import router as audit
-from kleinkram.server.auth.claiming import offer_claim
-from kleinkram.server.auth.login_routes import login_router, me_router, people_router
-from kleinkram.server.auth.page_routes import router as sign_in_pages
-from kleinkram.server.auth.passwords import Passwords
-from kleinkram.server.auth.providers import open_providers
+from kleinkram.server.auth.authorization_request import open_providers
+from kleinkram.server.auth.bootstrap_admin import log_bootstrap_code
+from kleinkram.server.auth.local_accounts import PasswordHasher
+from kleinkram.server.auth.pages import router as sign_in_pages
+from kleinkram.server.auth.routes import me_router, people_router
 from kleinkram.server.auth.routes import router as auth
-from kleinkram.server.cross_origin import open_to_pages
 from kleinkram.server.db import open_database
-from kleinkram.server.dependencies import asks_who
 from kleinkram.server.events.hub import open_hub
 from kleinkram.server.events.routes import router as events
 from kleinkram.server.files.routes import router as files
 from kleinkram.server.grants.routes import router as grants
 from kleinkram.server.groups.affiliations import ensure_affiliations
 from kleinkram.server.groups.routes import router as groups
+from kleinkram.server.health.metrics_server import serve_metrics
 from kleinkram.server.health.routes import probes
 from kleinkram.server.health.routes import router as service
 from kleinkram.server.home.routes import router as home_summary
-from kleinkram.server.http import Envelope, install_handlers
+from kleinkram.server.http.dependencies import requires_actor
+from kleinkram.server.http.errors import install_error_handlers
+from kleinkram.server.http.middleware import RequestMiddleware
 from kleinkram.server.jobs.queue import queue
-from kleinkram.server.metrics_port import serve_metrics
 from kleinkram.server.missions.routes import router as missions
 from kleinkram.server.overviews.routes import router as overviews
 from kleinkram.server.people.local_owner import let_owner_in
 from kleinkram.server.people.routes import router as people
-from kleinkram.server.probe import probe, record_probe
 from kleinkram.server.projects.routes import router as projects
 from kleinkram.server.recordings.routes import router as recordings
 from kleinkram.server.runners.routes import router as runners
 from kleinkram.server.runs.routes import router as runs
+from kleinkram.server.s3.capabilities import configure_cors, probe, record_capabilities
+from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.search.routes import router as search
 from kleinkram.server.settings import Settings
 from kleinkram.server.shares.page import router as share_page
 from kleinkram.server.shares.routes import router as shares
-from kleinkram.server.storage import open_storage
 from kleinkram.server.tokens.routes import router as tokens
 from kleinkram.server.trash.routes import router as trash
 from kleinkram.server.uploads.routes import router as uploads
@@ -78,7 +78,6 @@ ROUTERS = (
     home_summary,
     admin,
     auth,
-    login_router,
     me_router,
     people_router,
     sign_in_pages,
@@ -109,17 +108,17 @@ def create_app(settings: Settings) -> FastAPI:
             ):
                 abilities = await probe(store)
                 async with database.begin() as db:
-                    await record_probe(db, settings.store_id, abilities)
+                    await record_capabilities(db, settings.store_id, abilities)
                     await ensure_affiliations(db, settings.affiliations)
                     if settings.owner_token_file is None:
-                        await offer_claim(db)
+                        await log_bootstrap_code(db)
                     else:
                         await let_owner_in(db, settings.owner_token_file)
                 app.state.database = database
                 app.state.providers = providers
-                app.state.passwords = Passwords()
-                app.state.storage = store.with_abilities(abilities)
-                app.state.pages_may_send = await open_to_pages(store, settings)
+                app.state.password_hasher = PasswordHasher()
+                app.state.storage = store.with_capabilities(abilities)
+                app.state.pages_may_send = await configure_cors(store, settings)
                 _log.info(
                     "serving",
                     extra={"fields": {"version": kleinkram.__version__, "checksum": abilities.checksum.value}},
@@ -128,11 +127,11 @@ def create_app(settings: Settings) -> FastAPI:
         finally:
             await database.close()
 
-    see_that_all_are_guarded(ROUTERS)
+    require_guards(ROUTERS)
     app = FastAPI(
         title="Kleinkram",
         version=kleinkram.__version__,
-        summary="Keeps every recording a robotics lab makes: organised, proven intact, findable down to the topic.",
+        summary="Keeps every recording a robotics lab makes: organised, verified, findable down to the topic.",
         lifespan=lifespan,
         # A Location would be made from the Host header, which is whatever the asker says.
         redirect_slashes=False,
@@ -143,14 +142,14 @@ def create_app(settings: Settings) -> FastAPI:
     app.state.settings = settings
     app.state.queue = queue
     app.state.looks = Looks()
-    app.add_middleware(Envelope, settings=settings)
-    install_handlers(app)
+    app.add_middleware(RequestMiddleware, settings=settings)
+    install_error_handlers(app)
     for router in ROUTERS:
         app.include_router(router)
     return app
 
 
-def see_that_all_are_guarded(routers: Sequence[APIRouter]) -> None:
+def require_guards(routers: Sequence[APIRouter]) -> None:
     """See that each route asks who comes and has said what it takes, or is one of the few that are for everybody.
 
     Looks at the routers themselves: what an app makes of them is the framework's own affair.
@@ -159,7 +158,7 @@ def see_that_all_are_guarded(routers: Sequence[APIRouter]) -> None:
         RuntimeError: one does neither; names it.
     """
     for route in (route for router in routers for route in router.routes):
-        is_guarded = isinstance(route, APIRoute) and asks_who(route) and route.operation_id in OPERATIONS
+        is_guarded = isinstance(route, APIRoute) and requires_actor(route) and route.operation_id in OPERATIONS
         path = getattr(route, "path", str(route))
         if not is_guarded and path not in OPEN_PAGES:
             raise RuntimeError(f"{path} has no row in access/operations.py, or does not ask who comes")

@@ -27,16 +27,15 @@ from typing_extensions import LiteralString
 
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.recordings import FileRequest, SummaryFailed, summarise_isolated
-from kleinkram.server.cross_origin import open_to_pages
 from kleinkram.server.db import Database, open_database
 from kleinkram.server.environment import SettingsInvalid, load_settings
 from kleinkram.server.health.proxy_check import HEADER, Seen, proof
-from kleinkram.server.jobs.heartbeat import find_workers
+from kleinkram.server.health.worker_heartbeat import find_workers
 from kleinkram.server.logs import quiet_libraries
 from kleinkram.server.migrations import schema_problem
-from kleinkram.server.probe import probe
+from kleinkram.server.s3.capabilities import configure_cors, probe
+from kleinkram.server.s3.storage import Storage, StoreRefused, open_storage
 from kleinkram.server.settings import Settings, plain_dsn
-from kleinkram.server.storage import Storage, StoreRefused, open_storage
 
 T = TypeVar("T")
 _OLDEST_POSTGRES = 150_000
@@ -212,7 +211,7 @@ async def _store(settings: Settings) -> AsyncIterator[Finding]:
             yield _problem("store", f"{error.reason}.", "See docs/running.md, what it needs.")
             return
         yield _ok("store", f"The bucket {settings.s3_bucket} is there.")
-        yield _clock("clock of the store", storage.clock_ahead_s)
+        yield _clock("clock of the store", storage.clock_offset_s)
         for right, attempt in _rights(storage):
             yield await _tried(right, attempt)
         try:
@@ -221,7 +220,7 @@ async def _store(settings: Settings) -> AsyncIterator[Finding]:
             yield _problem("proof by the store", f"{error}", "")
         else:
             yield _ok("proof by the store", f"It verifies {abilities.checksum.value}.")
-        may_send = await open_to_pages(storage, settings)
+        may_send = await configure_cors(storage, settings)
         message = "Pages of this server may send to the store." if may_send else "Browsers cannot upload or preview."
         remedy = "See docs/running.md, browsers." if not may_send else ""
         yield Finding("CORS rules", Level.ok if may_send else Level.warning, message, remedy)
@@ -235,13 +234,13 @@ def _rights(storage: Storage) -> "Iterator[tuple[str, Callable[[], Awaitable[obj
             pass
 
     async def multipart() -> None:
-        await storage.abort_multipart(key, await storage.begin_multipart(key))
+        await storage.abort_multipart(key, await storage.create_multipart(key))
 
-    yield "s3:PutObject", lambda: storage.put_small(key, b"check")
+    yield "s3:PutObject", lambda: storage.put_object(key, b"check")
     yield "s3:GetObject", read
     yield "s3:ListBucket", lambda: storage.sizes(key)
     yield "s3:AbortMultipartUpload", multipart
-    yield "s3:ListBucketMultipartUploads", lambda: storage.open_multiparts(key)
+    yield "s3:ListBucketMultipartUploads", lambda: storage.list_multiparts(key)
     yield "s3:DeleteObject", lambda: storage.delete(key)
 
 

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 from kleinkram.server.db import Database
+from kleinkram.server.s3.storage import Storage
 from kleinkram.server.settings import Settings
-from kleinkram.server.storage import Storage
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,33 @@ store must be asked in between, a flow opens several with `Database.begin`; what
 """
 
 import select
-from collections.abc import AsyncIterator, Iterable, Iterator, Sequence
+from collections.abc import AsyncIterator, Iterable, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from typing import Any
 
 import psycopg
 from psycopg.types.array import ListBinaryDumper
 from pydantic_core import from_json
-from sqlalchemy import ARRAY, ColumnElement, Row, any_, bindparam, event, literal, make_url
+from sqlalchemy import (
+    ARRAY,
+    ColumnClause,
+    ColumnElement,
+    Insert,
+    Row,
+    Select,
+    Table,
+    TableValuedAlias,
+    any_,
+    bindparam,
+    column,
+    event,
+    func,
+    insert,
+    literal,
+    make_url,
+)
+from sqlalchemy import select as sql_select
+from sqlalchemy.dialects import postgresql
 from sqlalchemy.exc import DBAPIError, DisconnectionError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.ext.asyncio import AsyncConnection, AsyncEngine, create_async_engine
@@ -21,13 +40,10 @@ from sqlalchemy.types import UserDefinedType
 
 from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.server.settings import Settings, async_dsn
-from kleinkram.server.turns import NoTurn, Turns
 
 # Above any statement of the API on a large database; a worker may need longer.
 STATEMENT_TIMEOUT_S = 30
 _POOL_TIMEOUT_S = 20
-# Source: PostgreSQL, "Error Codes": connection exceptions, and the server's end, crash or start.
-_CUT_OFF = ("08", "57P01", "57P02", "57P03")
 _NO_ROOM = "its disk is full: whoever runs the server has to make room on it"
 # What a service takes first: an open transaction it must not end.
 Connection = AsyncConnection
@@ -36,10 +52,9 @@ Connection = AsyncConnection
 class Database:
     """The pool of one process."""
 
-    def __init__(self, engine: AsyncEngine, *, connections: int) -> None:
+    def __init__(self, engine: AsyncEngine) -> None:
         self.engine = engine
         self._transactions = engine.execution_options(isolation_level="READ COMMITTED")
-        self._turns = Turns(connections)
 
     @asynccontextmanager
     async def begin(self) -> AsyncIterator[Connection]:
@@ -50,7 +65,7 @@ class Database:
                 (deadlock, statement timeout, shutdown) or has no room: all of it may be tried again.
         """
         with _said_plainly():
-            async with self._turns.taken(within_s=_POOL_TIMEOUT_S), self._transactions.begin() as connection:
+            async with self._transactions.begin() as connection:
                 yield connection
 
     @asynccontextmanager
@@ -63,7 +78,7 @@ class Database:
             DatabaseUnavailable: as for `begin`.
         """
         with _said_plainly():
-            async with self._turns.taken(within_s=_POOL_TIMEOUT_S), self.engine.connect() as connection:
+            async with self.engine.connect() as connection:
                 yield connection
 
     async def close(self) -> None:
@@ -75,7 +90,7 @@ class Database:
 def _said_plainly() -> Iterator[None]:
     try:
         yield
-    except (PoolTimeoutError, NoTurn) as error:
+    except PoolTimeoutError as error:
         raise DatabaseUnavailable from error
     except DBAPIError as error:
         if isinstance(error.orig, psycopg.errors.DiskFull):
@@ -111,7 +126,7 @@ def open_database(settings: Settings, *, statement_timeout_s: float | None = STA
     )
     event.listen(engine.sync_engine, "connect", _write_arrays_as_they_are)
     event.listen(engine.sync_engine, "checkout", _see_that_it_is_quiet)
-    return Database(engine, connections=settings.database_connections)
+    return Database(engine)
 
 
 def _write_arrays_as_they_are(connection: Any, *_: object) -> None:
@@ -131,15 +146,6 @@ def _see_that_it_is_quiet(connection: Any, *_: object) -> None:
     looking.register(connection.driver_connection.pgconn.socket, select.POLLIN)
     if looking.poll(0):
         raise DisconnectionError
-
-
-def was_cut_off(error: DatabaseUnavailable) -> bool:
-    """Say of a failure whether the database was not there, or went away: it may be back within moments."""
-    cause = error.__cause__
-    if not isinstance(cause, DBAPIError) or not isinstance(cause.orig, psycopg.OperationalError):
-        return False
-    state = cause.orig.sqlstate
-    return state is None or state.startswith(_CUT_OFF)
 
 
 class Written(UserDefinedType[str]):
@@ -182,3 +188,29 @@ def violated_constraint(error: DBAPIError) -> str | None:
     """Return the name of the constraint that a statement broke, to say which rule it was."""
     original = error.orig
     return original.diag.constraint_name if isinstance(original, psycopg.Error) else None
+
+
+def unnest_rows(columns: Sequence[ColumnClause[Any]], rows: Sequence[Mapping[str, Any]]) -> TableValuedAlias:
+    """Return rows, keyed by column name, as a table with these columns in order. No column may be an array."""
+    arrays = [literal([row[col.name] for row in rows], ARRAY(col.type)) for col in columns]
+    named = [column(col.name, col.type) for col in columns]
+    return func.unnest(*arrays).table_valued(*named, name="rows").render_derived()
+
+
+def insert_rows(table: Table, rows: Sequence[Mapping[str, Any]]) -> Insert:
+    """Return an INSERT of rows, at least one and all with the same keys.
+
+    One plan and execution for all rows: their columns travel as arrays.
+
+    Columns without a value take the database's default; Python-side defaults do not apply.
+    """
+    return insert(table).from_select([*rows[0]], _select_rows(table, rows), include_defaults=False)
+
+
+def upsert_rows(table: Table, rows: Sequence[Mapping[str, Any]]) -> postgresql.Insert:
+    """Return the same as PostgreSQL's INSERT, to which ON CONFLICT can be added. SQLAlchemy does not cache it."""
+    return postgresql.insert(table).from_select([*rows[0]], _select_rows(table, rows), include_defaults=False)
+
+
+def _select_rows(table: Table, rows: Sequence[Mapping[str, Any]]) -> Select[Any]:
+    return sql_select(unnest_rows([table.c[key] for key in rows[0]], rows))

@@ -24,10 +24,12 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from kleinkram.contract.emails import EmailDomain
 from kleinkram.contract.names import Name, name_key
 from kleinkram.contract.rights import Right
-from kleinkram.server.proxies import Network
 
 Seconds = Annotated[float, Field(gt=0)]
 PerMinute = Annotated[int, Field(ge=0)]
+
+
+Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 
 def _networks(text: object) -> object:
@@ -294,7 +296,7 @@ class Settings(BaseSettings):
         PerMinute, Field(description="Requests for addresses of files to fetch (500 each), likewise.")
     ] = 600
     uploads_per_minute: Annotated[PerMinute, Field(description="Requests that announce files to send, likewise.")] = 600
-    proofs_per_minute: Annotated[PerMinute, Field(description="Files to be read again, likewise.")] = 600
+    verifications_per_minute: Annotated[PerMinute, Field(description="Files to verify again, likewise.")] = 600
     exports_per_minute: Annotated[PerMinute, Field(description="Exports of the record, likewise.")] = 6
     upload_lease_s: Annotated[
         Seconds, Field(description="How long a name stays held after the last part was signed.")
@@ -307,11 +309,11 @@ class Settings(BaseSettings):
     sweep_grace_s: Annotated[
         float, Field(ge=0, description="Between dooming an unreferenced blob and deleting its object.")
     ] = 3600
-    proving_bytes_per_s: Annotated[
-        int, Field(ge=1_048_576, description="How fast one worker process reads new blobs to prove them.")
+    verify_bytes_per_s: Annotated[
+        int, Field(ge=1_048_576, description="How fast one worker process reads new blobs to verify them.")
     ] = 100_000_000
-    prove_again_days: Annotated[
-        int, Field(ge=0, description="After how many days a proven blob is read and compared again; 0: never.")
+    reverify_days: Annotated[
+        int, Field(ge=0, description="After how many days a verified blob is read and compared again; 0: never.")
     ] = 90
     scrub_hours: Annotated[
         float,

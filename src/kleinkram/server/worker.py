@@ -19,20 +19,20 @@ from procrastinate.jobs import Status
 
 import kleinkram
 from kleinkram.server.blobs import jobs as _blob_jobs
-from kleinkram.server.blobs.reading import Readers
+from kleinkram.server.blobs.reader_processes import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Database, open_database
+from kleinkram.server.health.metrics_server import serve_metrics
+from kleinkram.server.health.worker_heartbeat import heartbeat
 from kleinkram.server.jobs.courtesy import Courtesy
 from kleinkram.server.jobs.failing import Attempts, keep_why
-from kleinkram.server.jobs.heartbeat import heartbeat
-from kleinkram.server.jobs.queue import DEFAULT, EXAMINING, GROUPING, PROVING, queue
-from kleinkram.server.metrics_port import serve_metrics
+from kleinkram.server.jobs.queue import DEFAULT, EXAMINING, GROUPING, VERIFICATION, queue
 from kleinkram.server.recordings import jobs as _recording_jobs
 from kleinkram.server.recordings.rests import Rests
 from kleinkram.server.recordings.understanding import Understanding
 from kleinkram.server.runs import jobs as _run_jobs
+from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings, plain_dsn
-from kleinkram.server.storage import open_storage
 from kleinkram.server.uploads import jobs as _upload_jobs
 
 _log = logging.getLogger("kleinkram.worker")
@@ -109,7 +109,7 @@ async def _run_lanes(app: App, settings: Settings, database: Database) -> None:
     is_over = asyncio.Event()
     async with (
         open_storage(settings) as storage,
-        Readers() as readers,
+        ReaderProcesses() as readers,
         heartbeat(database),
         serve_metrics(settings, database),
     ):
@@ -123,7 +123,7 @@ async def _run_lanes(app: App, settings: Settings, database: Database) -> None:
             "rests": Rests(),
             "attempts": attempts,
         }
-        lanes = ((DEFAULT, _AT_ONCE), (PROVING, 1), (EXAMINING, 1), (GROUPING, 1))
+        lanes = ((DEFAULT, _AT_ONCE), (VERIFICATION, 1), (EXAMINING, 1), (GROUPING, 1))
         _log.info("working", extra={"fields": {"version": kleinkram.__version__}})
         tasks = [
             *(

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from kleinkram.runner.machine import memory_bytes
+from kleinkram.runner.executors.local import memory_bytes
 from kleinkram.standalone.binaries import PostgresBinaries
 from kleinkram.standalone.child import CALLER, Command, Identity, namespace_allowed, spawn
 from kleinkram.standalone.errors import DataDirUnusable, PartFailed, VersionMismatch

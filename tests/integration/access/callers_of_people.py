@@ -82,7 +82,7 @@ def _end_session(by: Asker) -> Request:
     session_id = str(uuid.uuid4())
     if by.person_id is not None:
         by.api.sql(
-            "INSERT INTO session (id, person_id, secret_sha256, way, expires_at)"
+            "INSERT INTO session (id, person_id, secret_sha256, method, expires_at)"
             " VALUES (%s, %s, sha256(%s::text::bytea), 'link', now() + interval '1 hour')",
             *(session_id, by.person_id, session_id),
         )
@@ -206,17 +206,19 @@ OF_PEOPLE: dict[str, tuple[Caller, ...]] = {
     ),
     "link_provider": (Caller(post("/auth/providers/none/link", lambda _: {}), About.server, passes="not_found"),),
     "approve_cli_login": (Caller(post("/auth/cli/approve", _loopback), About.server),),
-    "look_at_device_login": (Caller(post("/auth/device/look", _code), About.server, passes="code_gone"),),
+    "get_device_login": (Caller(post("/auth/device/status", _code), About.server, passes="code_gone"),),
     "approve_device_login": (Caller(post("/auth/device/approve", _code), About.server, passes="code_gone"),),
     "deny_device_login": (Caller(post("/auth/device/deny", _code), About.server, passes="code_gone"),),
     "invite_person": (Caller(post("/people/invitations", lambda _: {"email": _new_email()}), About.server),),
     "create_reset_link": (Caller(post("/people/{hermit}/reset"), About.server),),
     "reset_totp": (Caller(delete("/people/{hermit}/totp"), About.server, passes="not_found"),),
-    "prove_password_again": (
-        Caller(post("/auth/password/again", lambda _: {"password": "any"}), About.server, passes="sign_in_failed"),
+    "reauthenticate_by_password": (
+        Caller(
+            post("/auth/password/reauthenticate", lambda _: {"password": "any"}), About.server, passes="sign_in_failed"
+        ),
     ),
-    "begin_provider_sign_in_again": (
-        Caller(post("/auth/providers/none/again", lambda _: {}), About.server, passes="not_found"),
+    "begin_provider_reauthentication": (
+        Caller(post("/auth/providers/none/reauthenticate", lambda _: {}), About.server, passes="not_found"),
     ),
     "begin_totp": (Caller(post("/me/totp"), About.server, passes="forbidden"),),
     "confirm_totp": (Caller(post("/me/totp/confirm", lambda _: {"code": "000000"}), About.server, passes="not_found"),),
@@ -225,13 +227,13 @@ OF_PEOPLE: dict[str, tuple[Caller, ...]] = {
 }
 # For whoever comes, with nothing to see but what they bring: tests/integration/auth say what they answer.
 DOORS = {
-    "list_sign_in_ways",
+    "list_sign_in_methods",
     "sign_in_by_password",
     "sign_in_by_link",
-    "look_at_code",
+    "get_code",
     "accept_invitation",
     "reset_password",
-    "claim_server",
+    "bootstrap_admin",
     "begin_provider_sign_in",
     "end_provider_sign_in",
     "begin_device_login",

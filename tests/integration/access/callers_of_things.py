@@ -76,7 +76,7 @@ OF_THINGS: dict[str, tuple[Caller, ...]] = {
     "get_file": (Caller(get("/files/{file}"), About.file),),
     "download_files": (Caller(post("/files/download", lambda by: {"file_ids": [by.things.file]}), About.file),),
     "list_file_topics": (Caller(get("/files/{file}/topics"), About.file),),
-    "prove_file": (Caller(post("/files/{file}/prove"), About.file),),
+    "verify_file": (Caller(post("/files/{file}/verify"), About.file),),
     "update_file": (Caller(patch("/files/{file}", lambda _: {"labels": []}), About.file),),
     "move_file": (
         Caller(

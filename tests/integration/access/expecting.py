@@ -7,7 +7,7 @@ import enum
 from dataclasses import dataclass
 
 from kleinkram.contract.rights import Scope
-from kleinkram.server.access.operations import Need, On
+from kleinkram.server.access.operations import Permission, ResourceKind
 from tests.integration.access.carriers import Carrier, Kind, Reach
 
 _READ = 1
@@ -68,7 +68,7 @@ class Verdict(enum.Enum):
         return cls.done if 200 <= status < 300 else named.get(status, status)
 
 
-def admitted(need: Need, carrier: Carrier, *, is_change: bool) -> Verdict:
+def admitted(need: Permission, carrier: Carrier, *, is_change: bool) -> Verdict:
     """Return how a request ends before anybody looks at what it is about; `done` where it goes on."""
     if carrier.kind is Kind.nobody or (carrier.kind is Kind.lured and is_change):
         return Verdict.unknown
@@ -88,7 +88,7 @@ def admitted(need: Need, carrier: Carrier, *, is_change: bool) -> Verdict:
         return Verdict.refused
     if need.boundless and carrier.is_limited:
         return Verdict.refused
-    if need.on is On.server and (not carrier.power or carrier.is_limited):
+    if need.on is ResourceKind.server and (not carrier.power or carrier.is_limited):
         return Verdict.refused
     return Verdict.done
 
@@ -116,6 +116,6 @@ def _among_people(carrier: Carrier, about: About) -> int:
     return _OWNER if carrier.power else _OF_MEMBERS.get(about, 0)
 
 
-def needed(need: Need) -> int:
+def needed(need: Permission) -> int:
     """Return the level that an operation takes."""
     return need.right.level if need.right else _READ

@@ -11,7 +11,7 @@ import urllib3
 
 from kleinkram.client import connect
 from kleinkram.client.transfer import Outcome, TransferResult, download, plan_download
-from kleinkram.client.transfer.progress import Unwatched
+from kleinkram.client.transfer.report import SilentObserver
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.rights import Right
@@ -102,7 +102,7 @@ def test_what_was_sent_after_a_right_was_withdrawn_makes_no_file(api: Api) -> No
     assert api.all("/files", {"mission_id": mission_id}) == []
 
 
-class _Midway(Unwatched):
+class _Midway(SilentObserver):
     """Does something once, when the first bytes of a transfer have moved."""
 
     def __init__(self, act: Callable[[], object]) -> None:

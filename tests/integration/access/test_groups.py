@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from kleinkram.contract.rights import GroupKind, Right
-from kleinkram.server.access.belonging import join_by_address
+from kleinkram.server.access.email_groups import join_email_groups
 from kleinkram.server.access.groups import ADMINS_ID
 from kleinkram.server.db import open_database
 from kleinkram.server.groups.affiliations import AffiliationUnusable, ensure_affiliations
@@ -317,7 +317,7 @@ def _run(api: Api, affiliations: list[Affiliation] | None, *, join: tuple[str, s
                 if affiliations is not None:
                     await ensure_affiliations(db, affiliations)
                 if join is not None:
-                    await join_by_address(db, uuid.UUID(join[0]), join[1])
+                    await join_email_groups(db, uuid.UUID(join[0]), join[1])
         finally:
             await database.close()
 

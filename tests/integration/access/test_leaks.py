@@ -12,7 +12,9 @@ from tests.integration.api_server import Answer, Api
 from tests.integration.people import Person
 from tests.integration.upload_client import begin, sha256, upload
 
-_PROVEN = "UPDATE blob SET state = 'proven', proven_at = now(), md5 = decode(repeat('00', 16), 'hex') WHERE sha256 = %s"
+_VERIFIED = (
+    "UPDATE blob SET state = 'verified', verified_at = now(), md5 = decode(repeat('00', 16), 'hex') WHERE sha256 = %s"
+)
 
 
 @pytest.fixture(name="hidden")
@@ -83,7 +85,7 @@ def test_a_name_that_is_taken_out_of_sight_says_that_and_no_more(api: Api, hidde
 def test_a_hash_does_not_tell_whether_somebody_has_those_bytes(api: Api, hidden: Any, member: Person) -> None:
     secret, other = os.urandom(2000), os.urandom(2000)
     upload(api, api.mission(hidden["id"])["id"], "secret.bin", secret)
-    api.sql(_PROVEN, bytes.fromhex(sha256(secret)))
+    api.sql(_VERIFIED, bytes.fromhex(sha256(secret)))
     theirs, mine = api.as_(member.token), _own_mission(api, member)
     decisions = begin(theirs, mine, {"a.bin": secret, "b.bin": other})
     decisions += begin(theirs, mine, {"c.bin": secret, "d.bin": os.urandom(2001)}, hashed=False)

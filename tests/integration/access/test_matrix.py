@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
-from kleinkram.server.access.operations import OPERATIONS, On
+from kleinkram.server.access.operations import OPERATIONS, ResourceKind
 from tests.integration.access import world as worlds
 from tests.integration.access.callers import CALLERS, DOORS
 from tests.integration.access.calling import Caller, Request
@@ -129,5 +129,5 @@ def test_every_operation_is_called() -> None:
     assert sorted(OPERATIONS.keys() - called) == [], how
     assert sorted(called - OPERATIONS.keys()) == [], "these are no operations any more; drop their callers:"
     assert sorted(CALLERS.keys() & DOORS) == []
-    doors = {name for name, need in OPERATIONS.items() if need.guests and need.on is On.nothing}
+    doors = {name for name, need in OPERATIONS.items() if need.guests and need.on is ResourceKind.nothing}
     assert doors == DOORS, "whatever is for whoever comes, and about nothing that is there, is a door, and only that"

@@ -72,7 +72,7 @@ def test_a_stranger_does_nothing_else(api: Api, sample: Sample, stranger: Api, p
         stranger.patch(f"/projects/{public['id']}", {"description": "x"}),
         stranger.post(f"/missions/{mission['id']}/uploads", {"files": [{"path": "a", "size_bytes": 1}]}),
         stranger.delete(f"/files/{file_id}"),
-        stranger.post(f"/files/{file_id}/prove"),
+        stranger.post(f"/files/{file_id}/verify"),
         stranger.get("/audit"),
         stranger.get("/trash"),
         stranger.get("/tokens"),

@@ -28,7 +28,7 @@ def test_an_upload_beyond_the_quota_is_refused_with_numbers_before_it_starts(api
     project, mission = _bounded(api, quota_bytes=1000)
     upload(api, mission["id"], "first", b"x" * 700)
     refused = _begin(api, mission["id"], {"a": 200, "b": 101}).refused(507, "quota_exceeded")
-    assert (refused["unit"], refused["used"], refused["asked"], refused["quota"]) == ("bytes", 700, 301, 1000)
+    assert (refused["unit"], refused["used"], refused["requested"], refused["quota"]) == ("bytes", 700, 301, 1000)
     assert all(number in refused["detail"] for number in ("700", "301", "1000", project["name"]))
     assert api.all(f"/missions/{mission['id']}/uploads") == [], "nothing was begun"
     _begin(api, mission["id"], {"a": 200, "b": 100}).ok()
@@ -40,7 +40,7 @@ def test_files_are_counted_too(api: Api) -> None:
     _, mission = _bounded(api, quota_files=2)
     _begin(api, mission["id"], {"a": 1, "b": 1}).ok()
     refused = _begin(api, mission["id"], {"c": 0}).refused(507, "quota_exceeded")
-    assert (refused["unit"], refused["used"], refused["asked"], refused["quota"]) == ("files", 2, 1, 2)
+    assert (refused["unit"], refused["used"], refused["requested"], refused["quota"]) == ("files", 2, 1, 2)
 
 
 def test_what_is_given_up_gives_its_room_back(api: Api) -> None:
@@ -62,7 +62,7 @@ def test_what_is_resumed_or_there_already_asks_for_no_more(api: Api) -> None:
     (present,) = begin(api, mission["id"], {"a": body})
     assert present["decision"] == "present"
     other = b"y" * 60
-    assert _begin(api, mission["id"], {"a": 60, "b": 60}).refused(507, "quota_exceeded")["asked"] == 60
+    assert _begin(api, mission["id"], {"a": 60, "b": 60}).refused(507, "quota_exceeded")["requested"] == 60
     (linked,) = begin(api, mission["id"], {"b": other[:40]})
     assert linked["decision"] == "send"
 
@@ -105,7 +105,7 @@ def test_moving_into_a_project_takes_room_there(api: Api, sample: Sample) -> Non
     files = [sample.file(mission["id"], name, size_bytes=60) for name in ("a", "b")]
     target, there = _bounded(api, quota_bytes=100)
     moved = api.patch(f"/missions/{mission['id']}", {"project_id": target["id"]}).refused(507, "quota_exceeded")
-    assert (moved["asked"], moved["used"]) == (120, 0)
+    assert (moved["requested"], moved["used"]) == (120, 0)
     api.patch(f"/files/{files[0]}", {"mission_id": there["id"]}).ok()
     api.patch(f"/files/{files[1]}", {"mission_id": there["id"]}).refused(507, "quota_exceeded")
     second = api.mission(target["id"])
@@ -163,6 +163,6 @@ def test_who_may_not_see_the_project_hears_no_numbers_of_it(api: Api, who: str) 
         people.grant(api, ada, Right.create, mission_id=mission["id"])
         secret = ada.token
     refused = _begin(api.as_(secret), mission["id"], {"b": 41}).refused(507, "quota_exceeded")
-    assert refused["asked"] == 41
+    assert refused["requested"] == 41
     assert not {"used", "quota"} & refused.keys()
     assert "are used" not in refused["detail"]

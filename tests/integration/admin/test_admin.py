@@ -38,11 +38,11 @@ def test_storage_is_told_by_state(lab: Api) -> None:
 
 def test_a_failed_job_is_shown_and_put_back(lab: Api) -> None:
     insert = "INSERT INTO procrastinate_jobs (queue_name, task_name, status, args) VALUES"
-    job_id = lab.sql(f"{insert} ('default', 'prove_blob', 'failed', '{{\"ref\": \"x\"}}') RETURNING id")[0][0]
+    job_id = lab.sql(f"{insert} ('default', 'verify_blob', 'failed', '{{\"ref\": \"x\"}}') RETURNING id")[0][0]
     with connect(lab.url, lab.token) as client:
         told = client.admin.jobs()
-        assert [(each.id, each.kind, each.ref) for each in told.failed] == [(job_id, "prove_blob", "x")]
-        assert ("prove_blob", "failed", 1) in [(each.kind, each.state, each.count) for each in told.queue]
+        assert [(each.id, each.kind, each.ref) for each in told.failed] == [(job_id, "verify_blob", "x")]
+        assert ("verify_blob", "failed", 1) in [(each.kind, each.state, each.count) for each in told.queue]
         client.admin.retry_job(job_id)
         assert client.admin.jobs().failed == []
         with pytest.raises(NotFound):

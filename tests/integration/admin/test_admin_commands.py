@@ -39,7 +39,7 @@ def klein(lab: Api, monkeypatch: pytest.MonkeyPatch) -> Klein:
 def _fail_a_job(lab: Api) -> int:
     job_id: int = lab.sql(
         "INSERT INTO procrastinate_jobs (queue_name, task_name, status, attempts, args)"
-        " VALUES ('proving', 'prove_blob', 'failed', 5, '{\"ref\": \"x\"}') RETURNING id"
+        " VALUES ('verification', 'verify_blob', 'failed', 5, '{\"ref\": \"x\"}') RETURNING id"
     )[0][0]
     lab.sql("INSERT INTO job_error VALUES (%s, 'the store is \x1b[31m away') RETURNING job_id", job_id)
     return job_id
@@ -48,7 +48,7 @@ def _fail_a_job(lab: Api) -> int:
 def test_failed_jobs_are_shown_with_why_and_put_back(lab: Api, klein: Klein) -> None:
     job_id = _fail_a_job(lab)
     shown = klein("jobs")
-    assert f"{job_id}  prove_blob" in shown
+    assert f"{job_id}  verify_blob" in shown
     assert "the store is \\x1b[31m away" in shown, "a terminal obeys nothing of it"
     (told,) = json.loads(klein("jobs", "--json"))["failed"]
     assert (told["id"], told["error"]) == (job_id, "the store is \x1b[31m away")

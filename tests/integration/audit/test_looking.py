@@ -1,11 +1,11 @@
-"""Looking by an admin at what they have no right on is noted, and looking at one's own is not."""
+"""Looking by an admin at what they have no right on is noted, and admin_access at one's own is not."""
 
 from typing import Any
 
 import pytest
 
 from kleinkram.contract.rights import Right, Scope
-from kleinkram.server.audit import looking
+from kleinkram.server.audit import admin_access
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
@@ -31,7 +31,7 @@ def test_one_look_an_hour_is_noted_for_each_mission_and_project(own: Api) -> Non
     admin = people.person(own, admin=True)
     asked = own.as_(admin.token)
     for _ in range(2):
-        own.app.state.looks = looking.Looks()  # as in another process
+        own.app.state.looks = admin_access.Looks()  # as in another process
         asked.get(f"/files/{file_id}").ok()
         asked.get(f"/missions/{mission}/recordings").ok()
         asked.get("/files", {"mission_id": mission}).ok()
@@ -41,7 +41,7 @@ def test_one_look_an_hour_is_noted_for_each_mission_and_project(own: Api) -> Non
     (event,) = own.all("/audit", {"operation": "admin.look", "mission_id": mission})
     assert (event["as_admin"], event["project_id"], event["after"]) == (True, project, {"operation": "get_file"})
     own.sql("UPDATE audit_event SET at = at - interval '61 minutes' WHERE operation = 'admin.look'")
-    own.app.state.looks = looking.Looks()
+    own.app.state.looks = admin_access.Looks()
     asked.get(f"/missions/{mission}").ok()
     assert _looks(own, admin)[3:] == [("mission", mission)]
 

@@ -40,7 +40,7 @@ def test_what_is_one_s_own_takes_no_power(api: Api, admin: Person, sample: Sampl
 Act = Callable[[Api, dict[str, str]], Any]
 ACTS: dict[str, tuple[Right, Act]] = {
     "file.download": (Right.read, lambda api, at: api.post("/files/download", {"file_ids": [at["file"]]}).ok()),
-    "file.prove": (Right.read, lambda api, at: api.post(f"/files/{at['file']}/prove").ok(202)),
+    "file.verify": (Right.read, lambda api, at: api.post(f"/files/{at['file']}/verify").ok(202)),
     "mission.create": (Right.create, lambda api, at: api.mission(at["project"])),
     "mission.update": (Right.write, lambda api, at: api.patch(f"/missions/{at['mission']}", {"notes": "x"}).ok()),
     "project.update": (Right.write, lambda api, at: api.patch(f"/projects/{at['project']}", {"description": "x"}).ok()),

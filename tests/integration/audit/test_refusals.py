@@ -11,7 +11,7 @@ from kleinkram.contract.rights import Right
 from kleinkram.server.audit import refusals
 from kleinkram.server.audit.refusals import Refusals
 from kleinkram.server.context import AppContext
-from kleinkram.server.dependencies import CurrentActor, Transaction
+from kleinkram.server.http.dependencies import CurrentActor, Transaction
 from kleinkram.server.people.local_owner import ensure_owner
 from tests.integration import people
 from tests.integration.api_server import Api

@@ -28,7 +28,7 @@ def test_a_sign_in_and_out_are_told_with_their_session(api: Api) -> None:
     sign_in(browser, ada.email)
     began = _latest(api, "session.create")
     assert (began["actor"]["id"], began["session_id"]) == (ada.id, began["noun_id"])
-    assert (began["after"], began["address"]) == ({"way": "password"}, "127.0.0.1")
+    assert (began["after"], began["address"]) == ({"method": "password"}, "127.0.0.1")
     browser.post("/auth/sign-out").ok(204)
     ended = _latest(api, "session.revoke")
     assert (ended["noun_id"], ended["actor"]["id"]) == (began["noun_id"], ada.id)
@@ -49,7 +49,7 @@ def test_the_owner_s_link_and_its_use_are_told(api: Api) -> None:
     made = _latest(api, "link.create")
     assert (made["actor"]["name"], made["token"]["name"]) == ("owner", "local owner")
     Browser(api).post("/auth/link", {"code": link}).ok()
-    assert _latest(api, "session.create")["after"] == {"way": "link"}
+    assert _latest(api, "session.create")["after"] == {"method": "link"}
 
 
 @pytest.mark.parametrize(("act", "told"), [("approve", "login.approve"), ("deny", "login.deny")])

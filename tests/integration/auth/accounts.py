@@ -3,7 +3,7 @@
 import uuid
 from dataclasses import dataclass
 
-from kleinkram.server.dependencies import session_cookie
+from kleinkram.server.http.dependencies import session_cookie
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.auth.browser import Browser

@@ -73,7 +73,7 @@ def _lab(shared: Api, provider: FakeProvider) -> Lab:
     provider.reset()
     # What the process keeps of a provider, it keeps for an hour: each test begins without.
     known = shared.app.state.providers.get("lab")
-    known._discovered = known._keys = None
+    known._discovery = known._keys = None
     return Lab(shared, provider)
 
 

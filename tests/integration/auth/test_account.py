@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from kleinkram import connect
 from kleinkram.cli.main import app
-from kleinkram.contract.errors import LastWayIn, NotFound
+from kleinkram.contract.errors import LastSignInMethod, NotFound
 from kleinkram.contract.rights import Scope
 from kleinkram.server.access.groups import OWNER_ID
 from kleinkram.server.settings import Affiliation
@@ -78,7 +78,7 @@ def test_what_was_unlinked_is_not_linked_again_by_an_address_but_by_who_is_signe
     linked = _link(lab, made.browser, subject, **known_as(made.email))
     _unlink(made.browser, linked).ok(204)
     assert "was unlinked here" in lab.refuses(subject, **known_as(made.email))
-    assert "as somebody else" in lab.refuses(f"other {subject}", **known_as(made.email))
+    assert "belongs to another identity" in lab.refuses(f"other {subject}", **known_as(made.email))
     assert _identities(made.browser) == []
     again = _link(lab, made.browser, subject, **known_as(made.email))
     assert again["id"] == linked["id"]
@@ -94,11 +94,11 @@ def test_the_last_way_in_stays(lab: Lab) -> None:
     browser = lab.sign_in("only", **known_as(any_email()))
     (only,) = _identities(browser)
     assert only["is_last"] is True
-    assert "only way left" in _unlink(browser, only).refused(409, "last_way_in")["detail"]
+    assert "last way to sign in" in _unlink(browser, only).refused(409, "last_sign_in_method")["detail"]
     second = _link(lab, browser, "only's second")
     assert [each["is_last"] for each in _identities(browser)] == [False, False]
     _unlink(browser, only).ok(204)
-    _unlink(browser, second).refused(409, "last_way_in")
+    _unlink(browser, second).refused(409, "last_sign_in_method")
     assert lab.sign_in("only's second").me()["person"]["id"] == browser.me()["person"]["id"]
 
 
@@ -118,7 +118,7 @@ def test_a_password_that_is_not_taken_here_is_no_way_in(start_api: StartApi, lab
     browser = here.sign_in("switched", **known_as(email))
     person_id = browser.me()["person"]["id"]
     here.api.sql("INSERT INTO password (person_id, hash) VALUES (%s, '$argon2id$x') RETURNING person_id", person_id)
-    _unlink(browser, _identities(browser)[0]).refused(409, "last_way_in")
+    _unlink(browser, _identities(browser)[0]).refused(409, "last_sign_in_method")
     assert browser.get("/api/v1/me/account").ok()["has_password"] is False
 
 
@@ -131,7 +131,7 @@ def test_a_provider_that_is_gone_is_no_way_in(lab: Lab) -> None:
     )
     known, gone = _identities(browser)
     assert (gone["provider"], gone["is_last"], known["is_last"]) == (None, False, True)
-    _unlink(browser, known).refused(409, "last_way_in")
+    _unlink(browser, known).refused(409, "last_sign_in_method")
     _unlink(browser, gone).ok(204)
 
 
@@ -153,7 +153,7 @@ def test_nobody_unlinks_what_is_somebody_else_s(lab: Lab) -> None:
     # Nor is it linked to them while it is.
     lab.provider.sign_in_as("theirs")
     begun = other.browser.post("/auth/providers/lab/link", {}).ok()
-    assert "somebody else" in sentence(other.browser.get(lab.provider.authorize(begun["url"])))
+    assert "another person" in sentence(other.browser.get(lab.provider.authorize(begun["url"])))
 
 
 def test_programs_and_the_terminal_do_the_same(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -181,7 +181,7 @@ def test_programs_and_the_terminal_do_the_same(lab: Lab, monkeypatch: pytest.Mon
     with connect(lab.api.url, token) as client:
         assert client.me.account().has_password is False
         assert [each.is_last for each in client.me.identities()] == [True]
-        with pytest.raises(LastWayIn):
+        with pytest.raises(LastSignInMethod):
             client.me.unlink_identity(again["id"])
 
 

@@ -39,9 +39,9 @@ def test_after_a_while_one_signs_in_again_for_it(api: Api, ada: Account, method:
     _age(api, ada)
     refused = ada.browser.call(method, f"/api/v1{path}", body).refused(403, "sign_in_too_old")
     assert "sign in again" in refused["detail"]
-    ada.browser.post("/auth/password/again", {"password": "not it at all"}).refused(401, "sign_in_failed")
+    ada.browser.post("/auth/password/reauthenticate", {"password": "not it at all"}).refused(401, "sign_in_failed")
     assert ada.browser.call(method, f"/api/v1{path}", body).body["code"] == "sign_in_too_old"
-    ada.browser.post("/auth/password/again", {"password": PASSWORD}).ok(204)
+    ada.browser.post("/auth/password/reauthenticate", {"password": PASSWORD}).ok(204)
     answer = ada.browser.call(method, f"/api/v1{path}", body)
     assert (answer.body or {}).get("code") != "sign_in_too_old"
 
@@ -50,7 +50,7 @@ def test_a_password_is_changed_only_after_signing_in_again(api: Api, ada: Accoun
     _age(api, ada)
     change = {"old_password": PASSWORD, "new_password": _NEW}
     ada.browser.post("/auth/password/change", change).refused(403, "sign_in_too_old")
-    ada.browser.post("/auth/password/again", {"password": PASSWORD}).ok(204)
+    ada.browser.post("/auth/password/reauthenticate", {"password": PASSWORD}).ok(204)
     ada.browser.post("/auth/password/change", change).ok(204)
     assert "session.renew" in [event["operation"] for event in api.get("/audit", {"person_id": ada.id}).ok()["items"]]
 
@@ -62,7 +62,7 @@ def test_an_admins_old_sign_in_makes_no_admin_and_resets_nobodys_password_or_sec
     _age(api, ada)
     for method, path in (("POST", "reset"), ("DELETE", "totp"), ("POST", "admin")):
         ada.browser.call(method, f"/api/v1/people/{ada.id}/{path}", None).refused(403, "sign_in_too_old")
-    ada.browser.post("/auth/password/again", {"password": PASSWORD}).ok(204)
+    ada.browser.post("/auth/password/reauthenticate", {"password": PASSWORD}).ok(204)
     ada.browser.post(f"/people/{ada.id}/reset").ok(201)
 
 

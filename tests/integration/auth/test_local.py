@@ -6,8 +6,8 @@ import pytest
 
 from kleinkram.contract.errors import RateLimited
 from kleinkram.contract.rights import Right
-from kleinkram.server import rate_limit
 from kleinkram.server.context import AppContext
+from kleinkram.server.http import rate_limit
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.auth.accounts import PASSWORD, account, any_email, code_of, sign_in
@@ -231,14 +231,14 @@ def test_an_account_that_is_tried_from_everywhere_is_tried_in_turns(
     start_api: StartApi, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(rate_limit, "_WINDOW", rate_limit._WINDOW * 60 * 24 * 365)
-    monkeypatch.setattr(rate_limit, "_TURN", rate_limit._TURN * 1000)
-    monkeypatch.setattr(rate_limit, "_TURNS_AHEAD", 3)
+    monkeypatch.setattr(rate_limit, "_SLOT", rate_limit._SLOT * 1000)
+    monkeypatch.setattr(rate_limit, "_MAX_SLOTS_AHEAD", 3)
     waits: list[float] = []
     email = any_email()
 
     async def ask(context: AppContext) -> None:
         while True:
-            waits.append(await rate_limit.turn_of(context.database, rate_limit.Count("sign-ins", email, 2)))
+            waits.append(await rate_limit.reserve_slot(context.database, rate_limit.Count("sign-ins", email, 2)))
 
     with pytest.raises(RateLimited):
         on_site(start_api(), ask)
@@ -248,8 +248,8 @@ def test_an_account_that_is_tried_from_everywhere_is_tried_in_turns(
 
 def test_without_local_accounts_there_is_no_password_to_sign_in_with(start_api: StartApi) -> None:
     api = start_api(local_accounts=False)
-    ways = Browser(api).get("/api/v1/auth/ways").ok()
-    assert ways == {"password": False, "providers": [], "claim": False}
+    methods = Browser(api).get("/api/v1/auth/methods").ok()
+    assert methods == {"password": False, "providers": [], "bootstrap": False}
     Browser(api).post("/auth/password", {"email": "a@b.example", "password": "x"}).refused(404, "not_found")
     assert 'name="password"' not in Browser(api).get("/sign-in").ok()
     api.post("/people/invitations", {"email": any_email()}).refused(403, "forbidden")
@@ -258,4 +258,4 @@ def test_without_local_accounts_there_is_no_password_to_sign_in_with(start_api: 
 def test_a_session_says_from_where_it_is(api: Api) -> None:
     made = account(api)
     (own,) = made.browser.get("/api/v1/me/sessions").ok()["items"]
-    assert (own["way"], own["address"], own["user_agent"]) == ("password", "127.0.0.1", USER_AGENT)
+    assert (own["method"], own["address"], own["user_agent"]) == ("password", "127.0.0.1", USER_AGENT)

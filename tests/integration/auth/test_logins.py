@@ -101,7 +101,7 @@ def test_a_robot_gets_a_token_once_its_code_was_typed(api: Api, ada: Account) ->
     assert nobody.post("/auth/device/token", asked).refused(400, "sign_in_pending")["interval_s"] == 5
     nobody.post("/auth/device/token", asked).refused(429, "slow_down")
     typed = {"user_code": began["user_code"].lower().replace("-", " ")}
-    looked = ada.browser.post("/auth/device/look", typed).ok()
+    looked = ada.browser.post("/auth/device/status", typed).ok()
     assert (looked["client"], looked["address"]) == ("klein on spot", "127.0.0.1")
     ada.browser.post("/auth/device/approve", typed).ok()
     ada.browser.post("/auth/device/approve", typed).refused(410, "code_gone")
@@ -137,7 +137,7 @@ def test_who_signs_out_everywhere_takes_back_what_was_not_fetched_yet(api: Api) 
 
 def test_unknown_codes_are_over(api: Api, ada: Account) -> None:
     api.as_(None).post("/auth/device/token", {"device_code": "x" * 43}).refused(410, "sign_in_expired")
-    ada.browser.post("/auth/device/look", {"user_code": "BCDFGHJK"}).refused(410, "code_gone")
+    ada.browser.post("/auth/device/status", {"user_code": "BCDFGHJK"}).refused(410, "code_gone")
 
 
 def test_ended_logins_are_forgotten(api: Api, ada: Account) -> None:

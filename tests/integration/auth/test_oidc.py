@@ -78,12 +78,12 @@ def test_a_trusted_address_opens_the_account_that_is_there(lab: Lab) -> None:
 @pytest.mark.parametrize("verified", [False, None, "false", 0])
 def test_an_address_that_is_not_verified_opens_nobody_s_account(lab: Lab, verified: object) -> None:
     made = account(lab.api)
-    said = lab.refuses(f"thief {made.id}", email=made.email, email_verified=verified)
-    assert "does not get an account" in said
-    assert "Link another way" in said
+    message = lab.refuses(f"thief {made.id}", email=made.email, email_verified=verified)
+    assert "does not get an account" in message
+    assert "Link another sign-in method" in message
     nobodys = any_email()
     other = lab.refuses(f"nobody {made.id}", email=nobodys, email_verified=verified)
-    assert other.replace(nobodys, made.email) == said, "it does not tell who has an account"
+    assert other.replace(nobodys, made.email) == message, "it does not tell who has an account"
     assert lab.api.sql("SELECT count(*) FROM identity WHERE person_id = %s", made.id) == [(0,)]
 
 
@@ -96,7 +96,7 @@ def test_an_address_of_a_domain_that_is_not_trusted_opens_nobody_s_account(lab: 
 def test_an_address_that_was_given_to_somebody_else_does_not_open_its_former_owner_s_account(lab: Lab) -> None:
     email = any_email()
     former = lab.sign_in("left the lab", **known_as(email)).me()["person"]["id"]
-    assert "as somebody else" in lab.refuses("came later", **known_as(email))
+    assert "belongs to another identity" in lab.refuses("came later", **known_as(email))
     assert lab.api.sql("SELECT count(*) FROM identity WHERE person_id = %s", former) == [(1,)]
 
 
@@ -116,7 +116,7 @@ def test_an_identity_that_is_somebody_else_s_is_not_linked(lab: Lab) -> None:
     lab.provider.sign_in_as("taken")
     told = made.browser.post("/auth/providers/lab/link", {}).ok()
     answer = made.browser.get(lab.provider.authorize(told["url"]))
-    assert "somebody else" in sentence(answer)
+    assert "another person" in sentence(answer)
 
 
 def test_linking_ends_with_the_session_that_began_it(lab: Lab) -> None:
@@ -138,10 +138,10 @@ def test_who_is_invited_gets_one_where_nobody_else_does(start_api: StartApi, lab
     settings = provider_settings("lab", lab.provider.url, open_to=OpenTo.invited)
     invited = Lab(start_api(oidc_providers=[settings]), lab.provider)
     email = any_email()
-    assert "by invitation" in invited.refuses("guest", **known_as(email))
+    assert "require an invitation" in invited.refuses("guest", **known_as(email))
     invited.api.post("/people/invitations", {"email": email.upper()}).ok(201)
     assert invited.sign_in("guest", **known_as(email)).me()["emails"] == [email]
-    assert "by invitation" in invited.refuses("another", **known_as(any_email()))
+    assert "require an invitation" in invited.refuses("another", **known_as(any_email()))
 
 
 def test_an_invitation_ends_with_the_power_of_whoever_made_it(start_api: StartApi, lab: Lab) -> None:
@@ -150,7 +150,7 @@ def test_an_invitation_ends_with_the_power_of_whoever_made_it(start_api: StartAp
     email, leaving = any_email(), people.person(invited.api, admin=True)
     invited.api.as_(leaving.token).post("/people/invitations", {"email": email}).ok(201)
     invited.api.post(f"/people/{leaving.id}/deactivate").ok()
-    assert "by invitation" in invited.refuses("ghost", **known_as(email))
+    assert "require an invitation" in invited.refuses("ghost", **known_as(email))
 
 
 def test_anybody_may_be_let_in_without_their_address_being_believed(start_api: StartApi, lab: Lab) -> None:
@@ -211,7 +211,7 @@ def _with(**changed: Any) -> Change:
 )
 def test_an_id_token_that_is_not_for_this_sign_in_is_not_believed(lab: Lab, change: Change) -> None:
     lab.provider.change = change
-    assert "could not say who you are" in lab.refuses(**known_as(any_email()))
+    assert "could not confirm who you are" in lab.refuses(**known_as(any_email()))
 
 
 def test_an_id_token_that_somebody_else_signed_is_not_believed(lab: Lab) -> None:
@@ -229,7 +229,7 @@ def test_an_id_token_that_somebody_else_signed_is_not_believed(lab: Lab) -> None
             lab.provider.keys = forged
 
     lab.provider.answer = keys_stay  # type: ignore[method-assign]  # a provider whose token endpoint lies
-    assert "nobody knows who signed" in lab.refuses("signed", **known_as(any_email()))
+    assert "the signature of its ID token is not valid" in lab.refuses("signed", **known_as(any_email()))
 
 
 def test_an_answer_that_is_nested_without_end_is_no_answer(lab: Lab) -> None:
@@ -240,7 +240,7 @@ def test_an_answer_that_is_nested_without_end_is_no_answer(lab: Lab) -> None:
         return (200, b"[" * 100_000) if path == "/token" else real(path, body, headers)
 
     lab.provider.answer = endless  # type: ignore[method-assign]  # a provider whose token endpoint is broken
-    assert "could not be asked who you are" in lab.refuses("deep")
+    assert "The sign-in with The Lab failed" in lab.refuses("deep")
 
 
 def test_new_keys_of_a_provider_are_fetched_when_they_are_needed(lab: Lab) -> None:
@@ -258,10 +258,10 @@ def test_a_way_back_works_once_and_in_the_browser_that_began_it(lab: Lab) -> Non
     browser, other = Browser(lab.api), Browser(lab.api)
     back = lab.provider.authorize(browser.post("/auth/providers/lab", {}).ok()["url"])
     other.post("/auth/providers/lab", {}).ok()
-    assert "not begun in this browser" in sentence(other.get(back))
+    assert "not started in this browser" in sentence(other.get(back))
     assert not other.is_signed_in()
     assert browser.get(back).status == 303
-    assert "not begun in this browser" in sentence(browser.get(back))
+    assert "not started in this browser" in sentence(browser.get(back))
 
 
 def test_two_tabs_of_a_browser_sign_in_side_by_side(lab: Lab) -> None:
@@ -275,9 +275,9 @@ def test_a_wrong_state_or_one_that_is_too_old_is_refused(lab: Lab) -> None:
     lab.provider.sign_in_as("late", **known_as(any_email()))
     browser = Browser(lab.api)
     back = lab.provider.authorize(browser.post("/auth/providers/lab", {}).ok()["url"])
-    assert "not begun" in sentence(browser.get(re.sub("state=[^&]+", "state=wrong", back)))
+    assert "not started" in sentence(browser.get(re.sub("state=[^&]+", "state=wrong", back)))
     lab.api.sql("UPDATE oidc_login SET expires_at = now()")
-    assert "too long ago" in sentence(browser.get(back))
+    assert "has expired" in sentence(browser.get(back))
     assert lab.provider.seen.count("/token") == 0
 
 
@@ -291,11 +291,11 @@ def test_an_answer_of_another_issuer_is_refused(lab: Lab) -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "said"), [("access_denied", "did not agree"), ("<script>alert(1)</script>", "&lt;script&gt;")]
+    ("error", "message"), [("access_denied", "denied access"), ("<script>alert(1)</script>", "&lt;script&gt;")]
 )
-def test_a_refused_consent_is_a_sentence_and_an_event(lab: Lab, error: str, said: str) -> None:
+def test_a_refused_consent_is_a_sentence_and_an_event(lab: Lab, error: str, message: str) -> None:
     lab.provider.error = error
-    assert said in lab.refuses()
+    assert message in lab.refuses()
     assert "The Lab" in latest_refusal(lab.api)["reason"]
 
 
@@ -303,7 +303,7 @@ def test_a_refused_consent_is_a_sentence_and_an_event(lab: Lab, error: str, said
 def test_a_provider_that_dies_on_the_way_is_a_sentence_and_an_event(lab: Lab, dies_at: str) -> None:
     lab.provider.is_dead.add(dies_at)
     lab.provider.tells_in_userinfo = True
-    assert "could not be asked" in lab.refuses(**known_as(any_email()))
+    assert "The sign-in with The Lab failed" in lab.refuses(**known_as(any_email()))
     assert latest_refusal(lab.api) == {"provider": "The Lab", "reason": "it answered with status 503"}
 
 
@@ -326,7 +326,7 @@ def test_the_page_offers_the_provider_beside_the_password(lab: Lab) -> None:
     page = str(Browser(lab.api).get("/sign-in").ok())
     assert "Sign in with The Lab" in page
     assert 'data-form="password"' in page
-    ways = Browser(lab.api).get("/api/v1/auth/ways").ok()
+    ways = Browser(lab.api).get("/api/v1/auth/methods").ok()
     assert ways["providers"] == [{"name": "lab", "title": "The Lab"}]
 
 

@@ -116,7 +116,7 @@ def test_what_takes_a_browser_is_refused_to_tokens(api: Api) -> None:
 
 
 def test_the_pages_carry_nothing_inline_and_let_nobody_frame_them(api: Api) -> None:
-    for page in ("", "/link", "/invitation", "/reset", "/claim", "/device", "/cli"):
+    for page in ("", "/link", "/invitation", "/reset", "/bootstrap", "/device", "/cli"):
         answer = Browser(api).get(f"/sign-in{page}")
         html = answer.ok()
         policy = answer.headers["content-security-policy"]

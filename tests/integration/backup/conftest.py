@@ -21,7 +21,7 @@ LARGE = bytes(range(256)) * 40_000  # more than one part, and than one frame of 
 def lived_in(starting: Starting) -> Iterator[Api]:
     """A site with files, twins, trash, runs, an upload under way, a token and a group."""
     with starting() as start:
-        api = start(prove_again_days=0)
+        api = start(reverify_days=0)
         project = api.project()
         mission = api.mission(project["id"])["id"]
         upload(api, mission, "large.bin", LARGE)

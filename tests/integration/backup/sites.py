@@ -23,8 +23,8 @@ from kleinkram.server.backup.operations import (
     verify,
 )
 from kleinkram.server.backup.rclone import Rclone
+from kleinkram.server.s3.storage import Storage, open_storage
 from kleinkram.server.settings import Settings, plain_dsn
-from kleinkram.server.storage import Storage, open_storage
 from tests.integration.api_server import Api
 from tests.services import RunningPostgres, RunningStore
 
@@ -157,7 +157,7 @@ def write_object(settings: Settings, key: str, body: bytes) -> None:
 
     async def go() -> None:
         async with open_storage(settings) as storage:
-            await storage.put_small(key, body)
+            await storage.put_object(key, body)
 
     asyncio.run(go())
 

@@ -23,10 +23,9 @@ import pytest
 
 from kleinkram.server.backup import database as backup_database
 from kleinkram.server.backup.database import Connection, DatabaseFacts
-from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.settings import Settings, plain_dsn
 from tests.integration.api_server import Api
-from tests.integration.backup.proving import complaints
 from tests.integration.backup.sites import (
     LEFT,
     Sites,
@@ -39,6 +38,7 @@ from tests.integration.backup.sites import (
     rows,
     settings_of,
 )
+from tests.integration.backup.verification import complaints
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
 from tests.integration.upload_client import begin, send, upload, upload_all
@@ -112,7 +112,7 @@ def at_work(api: Api, mission: str, file_ids: list[str]) -> Iterator[dict[str, i
         "half uploads": half_upload,
         "edits": lambda: api.patch(f"/missions/{mission}", {"notes": uuid.uuid4().hex}).ok(),
         "deletions": lambda: api.delete(f"/files/{next(left)}").ok(),
-        "sweeps": lambda: on_site(api, sweep_once),
+        "sweeps": lambda: on_site(api, collect_garbage),
     }
     failures: list[BaseException] = []
 

@@ -24,7 +24,7 @@ from kleinkram.server.backup.errors import (
 from kleinkram.server.backup.operations import _Creation
 from kleinkram.server.backup.rclone import Rclone
 from kleinkram.server.backup.repository import open_repository
-from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.settings import plain_dsn
 from tests.integration.api_server import Api
 from tests.integration.backup.conftest import LARGE
@@ -131,8 +131,8 @@ def test_old_backups_go_with_what_only_they_held(start_api: StartApi, tmp_path: 
     source = settings_of(api)
     first = back_up(source, tmp_path)
     api.delete(f"/files/{gone['id']}").ok()
-    on_site(api, sweep_once)
-    on_site(api, sweep_once)
+    on_site(api, collect_garbage)
+    on_site(api, collect_garbage)
     assert api.sql("SELECT count(*) FROM blob") == [(1,)]
     second = back_up(source, tmp_path)
     assert second.snapshot.objects == 1
@@ -288,10 +288,10 @@ def test_nothing_is_swept_while_a_backup_copies(start_api: StartApi) -> None:
 
     with deletion_lock(plain_dsn(settings_of(api).database_url)) as lock:
         for _ in range(3):
-            on_site(api, sweep_once)
+            on_site(api, collect_garbage)
         lock.confirm()
     assert contents(settings_of(api)) == before
-    on_site(api, sweep_once)
+    on_site(api, collect_garbage)
     assert contents(settings_of(api)) == {}
 
 

@@ -4,7 +4,7 @@ import uuid
 
 import pytest
 
-from kleinkram.server.blobs import service
+from kleinkram.server.blobs import garbage_collection
 from kleinkram.server.context import AppContext
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
@@ -16,7 +16,7 @@ _ORPHANS = 100
 
 async def _doom(context: AppContext) -> int:
     async with context.database.begin() as db:
-        return await service.doom_unreferenced(db, limit=1000)
+        return await garbage_collection.mark_unreferenced(db, limit=1000)
 
 
 def _doomed(api: Api) -> set[str]:
@@ -30,12 +30,12 @@ def test_of_very_many_each_has_its_turn(start_api: StartApi, monkeypatch: pytest
     kept = [sample.file(mission_id, f"{number}.bin") for number in range(5)]
     orphans = {sample.blob() for _ in range(_ORPHANS)}
     # The first and the last ids there are, and those on both sides of where one turn ends.
-    edge = 2**128 // service._ROUNDS
+    edge = 2**128 // garbage_collection._SHARES
     orphans |= {sample.blob(id=str(uuid.UUID(int=number))) for number in (0, edge - 1, edge, 2**128 - 1)}
-    monkeypatch.setattr(service, "_ALL_AT_ONCE", 10)
+    monkeypatch.setattr(garbage_collection, "_MAX_AT_ONCE", 10)
     counts = []
-    for turn in range(service._ROUNDS):
-        monkeypatch.setattr(service, "_turn", lambda turn=turn: turn)
+    for turn in range(garbage_collection._SHARES):
+        monkeypatch.setattr(garbage_collection, "_current_share", lambda turn=turn: turn)
         counts.append(on_site(api, _doom))
     assert _doomed(api) == orphans
     assert sum(counts) == len(orphans)
@@ -48,4 +48,4 @@ def test_of_few_all_are_looked_at(start_api: StartApi) -> None:
     orphans = {Sample(api).blob() for _ in range(10)}
     assert on_site(api, _doom) == len(orphans)
     assert _doomed(api) == orphans
-    assert 0 <= service._turn() < service._ROUNDS
+    assert 0 <= garbage_collection._current_share() < garbage_collection._SHARES

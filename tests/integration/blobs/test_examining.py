@@ -1,4 +1,4 @@
-"""What happens to bytes after they came: summaries, proofs, damage, and their end."""
+"""What happens to bytes after they came: summaries, verifications, damage, and their end."""
 
 import os
 from collections.abc import Callable
@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from kleinkram.recordings.sample import generate_bag, generate_mcap
-from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.blobs.queries import SMALL_BYTES
 from tests.integration import upload_client
 from tests.integration.api_server import Api
@@ -30,7 +30,7 @@ def _blob(api: Api, file_id: str) -> tuple[str, str]:
 
 
 @pytest.mark.parametrize(("name", "generate"), [("run.mcap", generate_mcap), ("run.bag", generate_bag)])
-def test_a_recording_is_summarised_and_proven(
+def test_a_recording_is_summarised_and_verified(
     api: Api, mission_id: str, tmp_path: Any, name: str, generate: Generate
 ) -> None:
     generate(tmp_path / name, size_bytes=2_000_000, seed=3)
@@ -39,7 +39,7 @@ def test_a_recording_is_summarised_and_proven(
     assert api.get(f"/missions/{mission_id}").ok()["pending_file_count"] == 1
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
-    assert (read["state"], read["content"], read["content_reason"]) == ("proven", "indexed", None)
+    assert (read["state"], read["content"], read["content_reason"]) == ("verified", "indexed", None)
     assert read["md5"] == upload_client.checksum("md5", body)
     topics = api.all(f"/files/{file['id']}/topics")
     assert sum(topic["count"] for topic in topics) == read["message_count"] > 0
@@ -61,17 +61,17 @@ def test_many_small_files_are_examined_by_few_jobs(start_api: Any, tmp_path: Any
     bodies = {f"{number}.bin": os.urandom(100) for number in range(20)}
     files = upload_all(api, mission_id, {**bodies, "run.mcap": recording, "bad.bin": b"bad", "gone.bin": b"gone"})
     (_, bad), (_, gone) = (_blob(api, files[path]["id"]) for path in ("bad.bin", "gone.bin"))
-    on_site(api, lambda site: site.storage.put_small(bad, b"dab"))
+    on_site(api, lambda site: site.storage.put_object(bad, b"dab"))
     on_site(api, lambda site: site.storage.delete(gone))
     waiting = "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'examine_blob' AND status = 'todo'"
     assert api.sql(waiting) == [(23,)]
     ran = run_jobs(api)
     assert 3 <= ran.count("examine_blob") <= 12, "what is damaged is told by a job of its own, as far as it is one"
-    assert "prove_blob" not in ran
+    assert "verify_blob" not in ran
     found = {each["path"]: each for each in api.all("/files", {"mission_id": mission_id})}
     states = {path: (each["state"], each["content"]) for path, each in found.items()}
-    damaged = {"bad.bin": ("corrupt", "error"), "gone.bin": ("lost", "error"), "run.mcap": ("proven", "indexed")}
-    assert states == dict.fromkeys(bodies, ("proven", "opaque")) | damaged
+    damaged = {"bad.bin": ("corrupt", "error"), "gone.bin": ("lost", "error"), "run.mcap": ("verified", "indexed")}
+    assert states == dict.fromkeys(bodies, ("verified", "opaque")) | damaged
     assert found["run.mcap"]["depth"] == "scan"
     topics = api.all(f"/files/{files['run.mcap']['id']}/topics")
     assert sum(topic["count"] for topic in topics) == found["run.mcap"]["message_count"] > 0
@@ -110,7 +110,7 @@ def test_a_lying_extension_is_opaque_and_safe(api: Api, mission_id: str) -> None
     file = upload(api, mission_id, "holiday.bag", b"\xff\xd8\xff\xe0" + os.urandom(1000))
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
-    assert (read["state"], read["content"]) == ("proven", "opaque")
+    assert (read["state"], read["content"]) == ("verified", "opaque")
     assert [problem["code"] for problem in read["problems"]] == ["extension-lies"]
 
 
@@ -119,8 +119,8 @@ def test_an_altered_object_is_corrupt_and_can_be_mended(api: Api, mission_id: st
     file = upload(api, mission_id, "run.bin", body)
     run_jobs(api)
     _, key = _blob(api, file["id"])
-    on_site(api, lambda site: site.storage.put_small(key, body[:-1] + bytes([body[-1] ^ 1])))
-    api.post(f"/files/{file['id']}/prove").ok(202)
+    on_site(api, lambda site: site.storage.put_object(key, body[:-1] + bytes([body[-1] ^ 1])))
+    api.post(f"/files/{file['id']}/verify").ok(202)
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
     assert read["state"] == "corrupt"
@@ -154,11 +154,11 @@ def test_deleted_files_leave_the_store_only_when_nothing_refers_to_their_bytes(a
     for file in (first, second):
         assert on_site(api, lambda site: site.storage.find(key)) is not None
         api.delete(f"/files/{file['id']}").ok()
-        on_site(api, sweep_once)  # still in the trash: nothing goes
+        on_site(api, collect_garbage)  # still in the trash: nothing goes
         assert on_site(api, lambda site: site.storage.find(key)) is not None
         api.sql("UPDATE file SET deleted_at = now() - interval '31 days' WHERE id = %s", file["id"])
-        on_site(api, sweep_once)
-        on_site(api, sweep_once)
+        on_site(api, collect_garbage)
+        on_site(api, collect_garbage)
     assert on_site(api, lambda site: site.storage.find(key)) is None
     assert api.sql("SELECT count(*) FROM blob WHERE key = %s", key) == [(0,)]
     assert api.events(first["id"])[0]["operation"] == "file.sweep"
@@ -172,7 +172,7 @@ def test_a_project_leaves_the_trash_with_all_that_is_in_it(api: Api) -> None:
     api.delete(f"/projects/{project['id']}").ok()
     api.sql("UPDATE project SET deleted_at = now() - interval '31 days' WHERE id = %s", project["id"])
     for _ in range(3):
-        on_site(api, sweep_once)
+        on_site(api, collect_garbage)
     assert api.sql("SELECT count(*) FROM project WHERE id = %s", project["id"]) == [(0,)]
     assert api.sql("SELECT count(*) FROM mission WHERE id = %s", mission_id) == [(0,)]
 
@@ -185,23 +185,23 @@ def test_a_doomed_blob_is_not_linked(api: Api, mission_id: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("size_bytes", "wanted"), [(30, {"examine_blob"}), (SMALL_BYTES, {"prove_blob", "summarise_blob"})]
+    ("size_bytes", "wanted"), [(30, {"examine_blob"}), (SMALL_BYTES, {"verify_blob", "summarise_blob"})]
 )
 def test_blobs_and_missions_whose_jobs_were_given_up_are_taken_up_again(
     api: Api, mission_id: str, size_bytes: int, wanted: set[str]
 ) -> None:
     file = upload(api, mission_id, "run.bag", b"#ROSBAG V2.0\n" + os.urandom(size_bytes))
     api.sql("DELETE FROM procrastinate_jobs")
-    on_site(api, sweep_once)
+    on_site(api, collect_garbage)
     assert api.sql("SELECT count(*) FROM procrastinate_jobs WHERE task_name <> 'group_recordings'") == [(0,)], (
         "too early"
     )
     api.sql("UPDATE blob SET created_at = now() - interval '1 hour' WHERE id = %s", _blob(api, file["id"])[0])
-    on_site(api, sweep_once)
-    on_site(api, sweep_once)  # a second round asks for nothing twice
+    on_site(api, collect_garbage)
+    on_site(api, collect_garbage)  # a second round asks for nothing twice
     jobs = api.sql("SELECT task_name, args ->> 'ref' FROM procrastinate_jobs WHERE status = 'todo'")
     assert {job for job, _ in jobs} == {"group_recordings", *wanted}
     assert len(jobs) == len(set(jobs))
     run_jobs(api)
-    assert api.get(f"/files/{file['id']}").ok()["state"] == "proven"
+    assert api.get(f"/files/{file['id']}").ok()["state"] == "verified"
     assert api.get(f"/missions/{mission_id}").ok()["recordings_current"] is True

@@ -9,8 +9,8 @@ import pytest
 
 from kleinkram.recordings import FailureKind, FileRequest, SummaryFailed, request_bytes
 from kleinkram.recordings.sample import generate_mcap
-from kleinkram.server.blobs import reading
-from kleinkram.server.blobs.reading import Readers
+from kleinkram.server.blobs import reader_processes
+from kleinkram.server.blobs.reader_processes import ReaderProcesses
 
 _ADA, _BOB = uuid.uuid4(), uuid.uuid4()
 
@@ -22,22 +22,24 @@ def _recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def _with_readers(work: Callable[[Readers], Awaitable[None]]) -> None:
+def _with_readers(work: Callable[[ReaderProcesses], Awaitable[None]]) -> None:
     async def run() -> None:
-        async with Readers() as readers:
+        async with ReaderProcesses() as readers:
             await work(readers)
 
     asyncio.run(run())
 
 
-def _pids(readers: Readers) -> set[int]:
+def _pids(readers: ReaderProcesses) -> set[int]:
     return {reader.process.pid for reader in readers._idle}
 
 
 def test_files_of_one_person_share_a_child_and_others_do_not(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reading, "_IDLE_S", 60)  # on a busy machine the next child may take longer to start than that
+    monkeypatch.setattr(
+        reader_processes, "_IDLE_S", 60
+    )  # on a busy machine the next child may take longer to start than that
 
-    async def work(readers: Readers) -> None:
+    async def work(readers: ReaderProcesses) -> None:
         request = request_bytes(FileRequest(str(recording)))
         for owner in (_ADA, _ADA, _BOB):
             summary = await readers.summary(request, owner=owner, timeout_s=20)
@@ -48,7 +50,7 @@ def test_files_of_one_person_share_a_child_and_others_do_not(recording: Path, mo
 
 
 def test_a_child_that_died_is_not_used_again(recording: Path) -> None:
-    async def work(readers: Readers) -> None:
+    async def work(readers: ReaderProcesses) -> None:
         request = request_bytes(FileRequest(str(recording)))
         await readers.summary(request, owner=_ADA, timeout_s=20)
         readers._idle[0].process.kill()
@@ -61,7 +63,7 @@ def test_a_child_that_died_is_not_used_again(recording: Path) -> None:
 
 
 def test_a_child_that_takes_too_long_is_ended(recording: Path) -> None:
-    async def work(readers: Readers) -> None:
+    async def work(readers: ReaderProcesses) -> None:
         request = request_bytes(FileRequest(str(recording)))
         with pytest.raises(SummaryFailed) as failure:
             await readers.summary(request, owner=_ADA, timeout_s=0.001)
@@ -72,10 +74,10 @@ def test_a_child_that_takes_too_long_is_ended(recording: Path) -> None:
 
 
 def test_leaving_waits_for_a_child_that_is_just_retired(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reading, "_IDLE_S", 0)
+    monkeypatch.setattr(reader_processes, "_IDLE_S", 0)
 
     async def run() -> None:
-        async with Readers() as readers:
+        async with ReaderProcesses() as readers:
             await readers.summary(request_bytes(FileRequest(str(recording))), owner=_ADA, timeout_s=20)
             (reader,) = readers._idle
             for _ in range(5):
@@ -87,7 +89,7 @@ def test_leaving_waits_for_a_child_that_is_just_retired(recording: Path, monkeyp
 
 
 def test_a_file_that_is_not_there_says_so(recording: Path, tmp_path: Path) -> None:
-    async def work(readers: Readers) -> None:
+    async def work(readers: ReaderProcesses) -> None:
         missing = request_bytes(FileRequest(str(tmp_path / "none.bag")))
         with pytest.raises(SummaryFailed) as failure:
             await readers.summary(missing, owner=_ADA, timeout_s=20)

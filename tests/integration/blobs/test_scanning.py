@@ -1,4 +1,4 @@
-"""Proving reads every byte anyway: a recording is scanned on the way, and says the same here as on a robot."""
+"""Verifying reads every byte anyway: a recording is scanned on the way, and says the same here as on a robot."""
 
 import sqlite3
 import sys
@@ -10,11 +10,11 @@ import pytest
 import zstandard
 
 from kleinkram.recordings import CountingSource, FileSource, Lost
-from kleinkram.recordings.forward import from_file
-from kleinkram.recordings.mcap.index import read_footer
+from kleinkram.recordings.formats.mcap.index import read_index
 from kleinkram.recordings.sample import generate_mcap
+from kleinkram.recordings.sources import file_reader
 from kleinkram.recordings.summary import scan
-from kleinkram.server.blobs import reading
+from kleinkram.server.blobs import reader_processes
 from kleinkram.server.settings import Settings
 from tests.integration.api_server import Api
 from tests.integration.corpus import Corpus
@@ -35,18 +35,18 @@ def _key(api: Api, file_id: str) -> str:
     return str(api.sql("SELECT b.key FROM blob b JOIN file f ON f.blob_id = b.id WHERE f.id = %s", file_id)[0][0])
 
 
-def test_a_flipped_byte_is_found_by_the_proof(api: Api, mission_id: str, tmp_path: Path) -> None:
+def test_verification_finds_a_flipped_byte(api: Api, mission_id: str, tmp_path: Path) -> None:
     """The file's own index is whole, so that only reading everything sees it."""
     truth = generate_mcap(tmp_path / "run.mcap", size_bytes=3_000_000, seed=11)
     body = bytearray(truth.path.read_bytes())
     body[len(body) // 2] ^= 0xFF
     truth.path.write_bytes(body)
     with FileSource(truth.path) as source:
-        assert read_footer(CountingSource(source))
+        assert read_index(CountingSource(source)).statistics
     file = upload(api, mission_id, "run.mcap", bytes(body))
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
-    assert (read["state"], read["content"], read["depth"]) == ("proven", "recovered", "scan")
+    assert (read["state"], read["content"], read["depth"]) == ("verified", "recovered", "scan")
     assert "chunk" in read["content_reason"]
     assert read["lost"]["messages"] == truth.message_count - read["message_count"] > 0
     assert read["lost"]["chunks"] == 1
@@ -67,14 +67,14 @@ def test_a_recording_without_index_that_is_too_large_to_be_read_at_once(
     db.close()
     assert database.stat().st_size > _MOST_AT_ONCE
     file = upload(api, mission_id, "run_0.db3", database.read_bytes())
-    api.sql("UPDATE procrastinate_jobs SET scheduled_at = now() + interval '1 h' WHERE task_name = 'prove_blob'")
+    api.sql("UPDATE procrastinate_jobs SET scheduled_at = now() + interval '1 h' WHERE task_name = 'verify_blob'")
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
     assert (read["state"], read["content"], read["depth"]) == ("stored", "pending", "summary")
     assert api.get(f"/missions/{mission_id}").ok()["pending_file_count"] == 1, "whoever waits, waits for the scan"
-    waiting = "SELECT priority FROM procrastinate_jobs WHERE task_name = 'prove_blob' AND status = 'todo'"
+    waiting = "SELECT priority FROM procrastinate_jobs WHERE task_name = 'verify_blob' AND status = 'todo'"
     assert api.sql(waiting) == [(10,)], "before those that nobody waits for"
-    api.sql("UPDATE procrastinate_jobs SET scheduled_at = NULL WHERE task_name = 'prove_blob'")
+    api.sql("UPDATE procrastinate_jobs SET scheduled_at = NULL WHERE task_name = 'verify_blob'")
     run_jobs(api)
     assert api.get(f"/missions/{mission_id}").ok()["pending_file_count"] == 0
     read = api.get(f"/files/{file['id']}").ok()
@@ -82,23 +82,23 @@ def test_a_recording_without_index_that_is_too_large_to_be_read_at_once(
     assert read["message_count"] == 65
 
 
-def test_what_is_no_recording_is_proven_all_the_same(api: Api, mission_id: str) -> None:
+def test_a_file_that_is_no_recording_is_verified(api: Api, mission_id: str) -> None:
     file = upload(api, mission_id, "notes.bin", b"\x01\x02 nothing that we know " * 50_000)
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
-    assert (read["state"], read["content"]) == ("proven", "opaque")
+    assert (read["state"], read["content"]) == ("verified", "opaque")
 
 
-def test_a_reader_that_dies_leaves_the_proof(
+def test_a_reader_that_dies_does_not_stop_the_verification(
     api: Api, mission_id: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     dying = "import sys; sys.stdin.buffer.readline(); sys.exit('no luck today')"
-    monkeypatch.setattr(reading, "CHILD_COMMAND", (sys.executable, "-c", dying))
+    monkeypatch.setattr(reader_processes, "CHILD_COMMAND", (sys.executable, "-c", dying))
     generate_mcap(tmp_path / "run.mcap", size_bytes=2_000_000, seed=12)
     file = upload(api, mission_id, "run.mcap", (tmp_path / "run.mcap").read_bytes())
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
-    assert (read["state"], read["content"]) == ("proven", "error")
+    assert (read["state"], read["content"]) == ("verified", "error")
     assert "no luck today" in read["content_reason"]
 
 
@@ -117,10 +117,10 @@ def test_a_reader_that_answers_before_it_was_given_everything_is_not_believed(
     generate_mcap(tmp_path / "run.mcap", size_bytes=2_000_000, seed=14)
     file = upload(api, mission_id, "run.mcap", (tmp_path / "run.mcap").read_bytes())
     api.sql("DELETE FROM procrastinate_jobs WHERE task_name = 'summarise_blob'")
-    monkeypatch.setattr(reading, "CHILD_COMMAND", (sys.executable, "-c", _ANSWERS_EARLY))
+    monkeypatch.setattr(reader_processes, "CHILD_COMMAND", (sys.executable, "-c", _ANSWERS_EARLY))
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
-    assert (read["state"], read["content"], read["message_count"]) == ("proven", "error", None)
+    assert (read["state"], read["content"], read["message_count"]) == ("verified", "error", None)
 
 
 def test_a_store_that_breaks_off_gives_no_summary_of_half_a_file(api: Api, mission_id: str, tmp_path: Path) -> None:
@@ -146,7 +146,7 @@ def test_a_store_that_breaks_off_gives_no_summary_of_half_a_file(api: Api, missi
     api.sql("UPDATE procrastinate_jobs SET scheduled_at = now()")
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
-    assert (read["state"], read["content"], read["depth"]) == ("proven", "indexed", "scan")
+    assert (read["state"], read["content"], read["depth"]) == ("verified", "indexed", "scan")
     assert read["message_count"] == truth.message_count
 
 
@@ -158,7 +158,7 @@ def test_bytes_of_another_number_are_no_recording_to_read(
     file = upload(api, mission_id, "run.mcap", body)
     key = _key(api, file["id"])
     api.sql("DELETE FROM procrastinate_jobs WHERE task_name = 'summarise_blob'")
-    on_site(api, lambda site: site.storage.put_small(key, body[:-9] if altered == "shorter" else body + b"more\n"))
+    on_site(api, lambda site: site.storage.put_object(key, body[:-9] if altered == "shorter" else body + b"more\n"))
     began_at = time.monotonic()
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
@@ -175,9 +175,9 @@ def test_every_real_recording_says_the_same_on_the_server(corpus: Corpus) -> Non
         topics.setdefault(topic["file_id"], set()).add((topic["name"], topic["message_type"], topic["count"]))
     assert listed.keys() == corpus.files.keys()
     for name, read in listed.items():
-        with from_file(corpus.folder / name) as forward:
+        with file_reader(corpus.folder / name) as forward:
             here = scan(forward)
-        assert read["state"] == "proven", name
+        assert read["state"] == "verified", name
         assert (read["content"], read["message_count"]) == (here.content.value, here.message_count), name
         assert (read["start_ns"], read["end_ns"]) == (here.start_ns, here.end_ns), name
         assert (read["lost"] and Lost(**read["lost"])) == here.lost, name

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from kleinkram.contract.errors import StoreUnavailable
-from kleinkram.server.blobs import scrubbing, scrubs
-from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.blobs import scrub
+from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.context import AppContext
-from kleinkram.server.storage import Storage
+from kleinkram.server.s3.storage import Storage
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site, run_jobs
@@ -32,7 +32,7 @@ def _key(api: Api, file_id: str) -> str:
 
 def _scrub(api: Api, **wanted: Any) -> Any:
     scrub_id = uuid.UUID(api.post("/admin/scrub", wanted).ok(202)["id"])
-    on_site(api, lambda context: scrubbing.scrub_store(context, scrub_id))
+    on_site(api, lambda context: scrub.scrub_store(context, scrub_id))
     return api.get("/admin/scrub").ok()["last"]
 
 
@@ -43,7 +43,7 @@ def _counts(last: Any) -> tuple[int, int, int]:
 
 
 def _put(api: Api, key: str, body: bytes) -> None:
-    on_site(api, lambda context: context.storage.put_small(key, body))
+    on_site(api, lambda context: context.storage.put_object(key, body))
 
 
 def _remove(api: Api, key: str) -> None:
@@ -54,27 +54,27 @@ def _read(api: Api, file: Any) -> Any:
     return api.get(f"/files/{file['id']}").ok()
 
 
-def _proven(api: Api, mission_id: str, number: int = 4) -> list[tuple[Any, bytes]]:
+def _verified(api: Api, mission_id: str, number: int = 4) -> list[tuple[Any, bytes]]:
     bodies = {f"{place}.bin": os.urandom(3000) for place in range(number)}
     files = upload_all(api, mission_id, bodies)
-    api.sql("UPDATE blob SET state = 'proven', md5 = %s, proven_at = now() WHERE state = 'stored'", bytes(16))
+    api.sql("UPDATE blob SET state = 'verified', md5 = %s, verified_at = now() WHERE state = 'stored'", bytes(16))
     api.sql("DELETE FROM procrastinate_jobs")
     return [(files[path], body) for path, body in bodies.items()]
 
 
 def test_where_all_is_well_nothing_is_marked(api: Api, mission_id: str) -> None:
-    files = _proven(api, mission_id)
+    files = _verified(api, mission_id)
     begun = begin(api, mission_id, {"under way.bin": b"abc"})[0]["upload"]
     send(api, begun, b"abc")  # an object, and no blob yet
     last = _scrub(api)
     assert _counts(last) == (0, 0, 0)
     assert last["unknown"] == 0
     assert last["compared"] >= len(files)
-    assert {_read(api, file)["state"] for file, _ in files} == {"proven"}
+    assert {_read(api, file)["state"] for file, _ in files} == {"verified"}
 
 
 def test_what_vanished_is_lost_and_mended_by_uploading_again(api: Api, mission_id: str) -> None:
-    (file, body), *_ = _proven(api, mission_id)
+    (file, body), *_ = _verified(api, mission_id)
     _remove(api, _key(api, file["id"]))
     assert _counts(_scrub(api)) == (1, 0, 0)
     read = _read(api, file)
@@ -85,13 +85,13 @@ def test_what_vanished_is_lost_and_mended_by_uploading_again(api: Api, mission_i
     assert _read(api, file)["damaged_at"] == read["damaged_at"]
     mended = upload(api, mission_id, file["path"], body)
     run_jobs(api)
-    assert (mended["id"], _read(api, file)["state"], _read(api, file)["damaged_at"]) == (file["id"], "proven", None)
+    assert (mended["id"], _read(api, file)["state"], _read(api, file)["damaged_at"]) == (file["id"], "verified", None)
     link = api.post("/files/download", {"file_ids": [file["id"]]}).ok()["items"][0]
     assert fetch(link["url"]) == (200, body)
 
 
 def test_what_was_cut_off_is_corrupt_and_says_how(api: Api, mission_id: str) -> None:
-    (file, body), *_ = _proven(api, mission_id)
+    (file, body), *_ = _verified(api, mission_id)
     _put(api, _key(api, file["id"]), body[:1000])
     assert _counts(_scrub(api)) == (0, 1, 0)
     read = _read(api, file)
@@ -99,8 +99,8 @@ def test_what_was_cut_off_is_corrupt_and_says_how(api: Api, mission_id: str) -> 
 
 
 @pytest.mark.parametrize("was", ["lost", "corrupt"])
-def test_what_is_there_again_is_proven_and_says_so(api: Api, mission_id: str, was: str) -> None:
-    (file, body), *_ = _proven(api, mission_id)
+def test_a_file_that_reappears_is_verified_again(api: Api, mission_id: str, was: str) -> None:
+    (file, body), *_ = _verified(api, mission_id)
     key = _key(api, file["id"])
     _remove(api, key) if was == "lost" else _put(api, key, b"another")
     _scrub(api)
@@ -109,54 +109,54 @@ def test_what_is_there_again_is_proven_and_says_so(api: Api, mission_id: str, wa
     assert _counts(_scrub(api)) == (0, 0, int(was == "lost"))
     run_jobs(api)
     read = _read(api, file)
-    assert (read["state"], read["state_reason"], read["damaged_at"]) == ("proven", None, None)
+    assert (read["state"], read["state_reason"], read["damaged_at"]) == ("verified", None, None)
     event = api.events(file["id"])[0]
     assert (event["operation"], event["before"]) == ("file.heal", {"state": was})
 
 
-def test_what_was_altered_is_found_when_its_proof_is_old(api: Api, mission_id: str) -> None:
-    (file, body), (other, _), *_ = _proven(api, mission_id)
+def test_the_next_verification_finds_altered_bytes(api: Api, mission_id: str) -> None:
+    (file, body), (other, _), *_ = _verified(api, mission_id)
     _put(api, _key(api, file["id"]), body[:-1] + bytes([body[-1] ^ 1]))
     _scrub(api)
-    assert _read(api, file)["state"] == "proven", "a list shows sizes alone"
-    before = _read(api, other)["proven_at"]
-    on_site(api, sweep_once)
+    assert _read(api, file)["state"] == "verified", "a list shows sizes alone"
+    before = _read(api, other)["verified_at"]
+    on_site(api, collect_garbage)
     assert api.sql(_AT_LEISURE) == [], "nothing is old enough"
     old = [api.sql("SELECT blob_id FROM file WHERE id = %s", each["id"])[0][0] for each in (file, other)]
-    api.sql("UPDATE blob SET proven_at = now() - interval '91 days' WHERE id = ANY(%s)", old)
-    on_site(api, sweep_once)
+    api.sql("UPDATE blob SET verified_at = now() - interval '91 days' WHERE id = ANY(%s)", old)
+    on_site(api, collect_garbage)
     assert {row[0] for row in api.sql(_AT_LEISURE)} == {str(each) for each in old}
     run_jobs(api)
     assert _read(api, file)["state"] == "corrupt"
-    assert _read(api, other)["proven_at"] > before
+    assert _read(api, other)["verified_at"] > before
 
 
-def test_old_proofs_are_made_anew_oldest_first_and_few_at_a_time(
+def test_old_verifications_are_repeated_oldest_first_in_batches(
     api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    files = [file for file, _ in _proven(api, mission_id)]
+    files = [file for file, _ in _verified(api, mission_id)]
     for days, file in enumerate(files, 200):
         api.sql(
-            "UPDATE blob SET proven_at = now() - make_interval(days => %s)"
+            "UPDATE blob SET verified_at = now() - make_interval(days => %s)"
             " WHERE id = (SELECT blob_id FROM file WHERE id = %s)",
             *(days, file["id"]),
         )
-    monkeypatch.setattr("kleinkram.server.blobs.jobs._OLD_PROOFS", 2)
-    on_site(api, sweep_once)
-    on_site(api, sweep_once)
+    monkeypatch.setattr("kleinkram.server.blobs.jobs._MAX_REVERIFIED", 2)
+    on_site(api, collect_garbage)
+    on_site(api, collect_garbage)
     waiting = {row[0] for row in api.sql(_AT_LEISURE)}
     oldest = {str(api.sql("SELECT blob_id FROM file WHERE id = %s", file["id"])[0][0]) for file in files[-2:]}
     assert waiting == oldest
-    api.post(f"/files/{files[-1]['id']}/prove").ok(202)
+    api.post(f"/files/{files[-1]['id']}/verify").ok(202)
     assert api.sql("SELECT max(priority) FROM procrastinate_jobs") == [(10,)], "asked for, it is done soon"
-    api.sql("UPDATE blob SET proven_at = now() WHERE state = 'proven'")
+    api.sql("UPDATE blob SET verified_at = now() WHERE state = 'verified'")
 
 
 @pytest.mark.parametrize("how", ["empty", pytest.param("another", marks=pytest.mark.slow)])
 def test_another_store_marks_nothing_until_somebody_says_so(start_api: StartApi, how: str) -> None:
     api = start_api()
     mission_id = str(api.mission(api.project()["id"])["id"])
-    files = _proven(api, mission_id, 12)
+    files = _verified(api, mission_id, 12)
     keys = list(on_site(api, lambda context: context.storage.sizes("")))
     for key in keys if how == "empty" else keys[1:]:
         _remove(api, key)
@@ -164,7 +164,7 @@ def test_another_store_marks_nothing_until_somebody_says_so(start_api: StartApi,
     assert (last["lost"], last["compared"]) == (0, 12)
     assert "KLEINKRAM_S3_BUCKET" in last["stopped"]
     assert f"{12 if how == 'empty' else 11} are not in the list" in last["stopped"]
-    assert {_read(api, file)["state"] for file, _ in files} == {"proven"}
+    assert {_read(api, file)["state"] for file, _ in files} == {"verified"}
     assert "scrub_stopped" in {each["need"] for each in api.get("/home").ok()["attention"]}
     wait_until(lambda: "kleinkram_scrub_stopped 1.0" in api.metrics())
     last = _scrub(api, believe=True)
@@ -183,8 +183,8 @@ def test_an_object_without_a_row_is_counted_and_left(start_api: StartApi) -> Non
 def test_what_comes_and_what_goes_meanwhile_is_not_lost(
     api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (going, _), *_ = _proven(api, mission_id)
-    listed = Storage.pages
+    (going, _), *_ = _verified(api, mission_id)
+    listed = Storage.size_pages
     came: list[Any] = []
 
     async def pages(self: Storage, prefix: str = "") -> AsyncIterator[dict[str, int]]:
@@ -196,16 +196,16 @@ def test_what_comes_and_what_goes_meanwhile_is_not_lost(
             api.delete(f"/files/{going['id']}").ok()
             api.sql("UPDATE file SET deleted_at = now() - interval '31 days' WHERE id = %s", going["id"])
 
-    monkeypatch.setattr(Storage, "pages", pages)
+    monkeypatch.setattr(Storage, "size_pages", pages)
 
     async def scrub_beside_a_sweep(context: AppContext) -> None:
         async with context.database.begin() as db:
-            await scrubs.begin_due_scrub(db, context.settings.model_copy(update={"scrub_hours": 1e-9}))
-            row = await scrubs.last_scrub(db, context.settings.store_id)
+            await scrub.begin_due_scrub(db, context.settings.model_copy(update={"scrub_hours": 1e-9}))
+            row = await scrub.last_scrub(db, context.settings.store_id)
         assert row is not None
-        await scrubbing.scrub_store(context, row.id)
-        await sweep_once(context)
-        await sweep_once(context)
+        await scrub.scrub_store(context, row.id)
+        await collect_garbage(context)
+        await collect_garbage(context)
 
     on_site(api, scrub_beside_a_sweep)
     last = api.get("/admin/scrub").ok()["last"]
@@ -215,33 +215,33 @@ def test_what_comes_and_what_goes_meanwhile_is_not_lost(
 
 
 def test_a_list_that_ends_half_way_judges_nothing(api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    files = _proven(api, mission_id)
+    files = _verified(api, mission_id)
     _remove(api, _key(api, files[0][0]["id"]))
 
     async def pages(_self: Storage, _prefix: str = "") -> AsyncIterator[dict[str, int]]:
         yield {}
         raise StoreUnavailable(reason="it went away")
 
-    async def scrub(context: AppContext) -> None:
+    async def begin_and_scrub(context: AppContext) -> None:
         async with context.database.begin() as db:
-            await scrubs.begin_due_scrub(db, context.settings.model_copy(update={"scrub_hours": 1e-9}))
-            row = await scrubs.last_scrub(db, context.settings.store_id)
+            await scrub.begin_due_scrub(db, context.settings.model_copy(update={"scrub_hours": 1e-9}))
+            row = await scrub.last_scrub(db, context.settings.store_id)
         assert row is not None
-        monkeypatch.setattr(Storage, "pages", pages)
+        monkeypatch.setattr(Storage, "size_pages", pages)
         with pytest.raises(StoreUnavailable):
-            await scrubbing.scrub_store(context, row.id)
+            await scrub.scrub_store(context, row.id)
         monkeypatch.undo()
 
-    on_site(api, scrub)
-    assert {_read(api, file)["state"] for file, _ in files} == {"proven"}
+    on_site(api, begin_and_scrub)
+    assert {_read(api, file)["state"] for file, _ in files} == {"verified"}
     run_jobs(api)  # the job that waited all the while begins anew
     assert _counts(api.get("/admin/scrub").ok()["last"]) == (1, 0, 0)
 
 
 def test_many_are_compared_page_by_page(api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    files = _proven(api, mission_id, 23)
-    monkeypatch.setattr(scrubbing, "_BATCH", 2)
-    listed = Storage.pages
+    files = _verified(api, mission_id, 23)
+    monkeypatch.setattr(scrub, "_BATCH", 2)
+    listed = Storage.size_pages
 
     async def small_pages(self: Storage, prefix: str = "") -> AsyncIterator[dict[str, int]]:
         async for page in listed(self, prefix):
@@ -249,7 +249,7 @@ def test_many_are_compared_page_by_page(api: Api, mission_id: str, monkeypatch: 
             for start in range(0, len(keys), 5):
                 yield {key: page[key] for key in keys[start : start + 5]}
 
-    monkeypatch.setattr(Storage, "pages", small_pages)
+    monkeypatch.setattr(Storage, "size_pages", small_pages)
     gone = [files[place][0] for place in (0, 11, 22)]
     for file in gone:
         _remove(api, _key(api, file["id"]))
@@ -265,12 +265,12 @@ def test_one_at_a_time_and_each_when_it_is_due(start_api: StartApi) -> None:
     assert forceful["id"] != first["id"]
     run_jobs(api)
     assert api.get("/admin/scrub").ok()["last"]["id"] == forceful["id"]
-    assert "took its place" in api.sql("SELECT stopped FROM scrub WHERE id = %s", first["id"])[0][0]
+    assert "and replaced it" in api.sql("SELECT stopped FROM scrub WHERE id = %s", first["id"])[0][0]
 
     def due(hours: float) -> int:
         async def look(context: AppContext) -> None:
             async with context.database.begin() as db:
-                await scrubs.begin_due_scrub(db, context.settings.model_copy(update={"scrub_hours": hours}))
+                await scrub.begin_due_scrub(db, context.settings.model_copy(update={"scrub_hours": hours}))
 
         on_site(api, look)
         return int(api.sql("SELECT count(*) FROM scrub")[0][0])

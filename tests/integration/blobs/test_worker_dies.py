@@ -22,8 +22,8 @@ from tests.integration.upload_client import upload, wait_until
 
 @pytest.fixture(name="api", scope="module")
 def _api(start_api: Any) -> Api:
-    # Slow: long enough to die in the middle of proving.
-    api: Api = start_api(proving_bytes_per_s=1_048_576)
+    # Slow: long enough to die in the middle of verifying.
+    api: Api = start_api(verify_bytes_per_s=1_048_576)
     return api
 
 
@@ -49,13 +49,13 @@ def _worker(settings: Settings, **changes: str) -> Iterator["subprocess.Popen[by
 
 
 def test_a_job_whose_worker_died_is_done_by_the_next(api: Api, tmp_path: Path) -> None:
-    """In the middle of proving a recording, while a child scans along."""
+    """In the middle of verifying a recording, while a child scans along."""
     truth = generate_mcap(tmp_path / "run.mcap", size_bytes=16 << 20, seed=21)
     mission_id = api.mission(api.project()["id"])["id"]
     file = upload(api, mission_id, "run.mcap", truth.path.read_bytes())
     settings: Settings = api.app.state.settings
-    doing = "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'prove_blob' AND status = 'doing'"
-    with _worker(settings, KLEINKRAM_PROVING_BYTES_PER_S="1048576") as worker:
+    doing = "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'verify_blob' AND status = 'doing'"
+    with _worker(settings, KLEINKRAM_VERIFY_BYTES_PER_S="1048576") as worker:
         begun = lambda: api.sql(doing) == [(1,)] and api.get(f"/files/{file['id']}").ok()["depth"] == "summary"  # noqa: E731
         wait_until(begun, limit_s=60)
         readers = psutil.Process(worker.pid).children()
@@ -71,8 +71,8 @@ def test_a_job_whose_worker_died_is_done_by_the_next(api: Api, tmp_path: Path) -
         " ON CONFLICT DO NOTHING"
     )
     api.sql("UPDATE procrastinate_workers SET last_heartbeat = now() - interval '1 hour'")
-    with _worker(settings, KLEINKRAM_PROVING_BYTES_PER_S="1000000000"):
-        wait_until(lambda: api.get(f"/files/{file['id']}").ok()["state"] == "proven", limit_s=60)
+    with _worker(settings, KLEINKRAM_VERIFY_BYTES_PER_S="1000000000"):
+        wait_until(lambda: api.get(f"/files/{file['id']}").ok()["state"] == "verified", limit_s=60)
         read = api.get(f"/files/{file['id']}").ok()
         assert (read["content"], read["depth"], read["message_count"]) == ("indexed", "scan", truth.message_count)
         stuck = "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'sweep' AND status = 'doing'"
@@ -90,7 +90,7 @@ def test_a_recording_whose_reader_died_half_way_is_read_by_the_next(api: Api, re
     def hold(asked: ProxiedRequest) -> None:
         if asked.method != "GET":
             return
-        if "range" not in asked.headers:  # proving reads the content too: it does not come to that
+        if "range" not in asked.headers:  # verifying reads the content too: it does not come to that
             may_go_on.wait(60)
         elif not asked.headers["range"].startswith("bytes=0-"):
             reading.set()

@@ -32,7 +32,7 @@ def _marked(api: Api, ears: Ears, mission_id: str) -> None:
     ears.hear(noun="upload", id=upload_id, change="removed")
 
 
-def test_a_file_is_heard_of_from_its_announcement_to_its_summary_and_proof(lab: Api) -> None:
+def test_events_follow_a_file_from_announcement_to_summary_and_verification(lab: Api) -> None:
     project = lab.project()
     mission = lab.mission(project["id"])
     member = people.person(lab)
@@ -167,7 +167,7 @@ def test_a_place_that_is_none_of_ours_is_not_said_back(lab: Api) -> None:
 
 
 def test_who_listens_too_slowly_is_told_to_fetch_all(lab: Api, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hubs, "MOST_WAITING", 3)
+    monkeypatch.setattr(hubs, "MAX_PENDING", 3)
     mission = lab.mission(lab.project()["id"])
     written = f'["thing", "changed", "\' || gen_random_uuid() || \'", null, "{mission["id"]}", null]'
     with listening(lab) as ears:
@@ -177,7 +177,7 @@ def test_who_listens_too_slowly_is_told_to_fetch_all(lab: Api, monkeypatch: pyte
 
 
 def test_one_account_gets_so_many_streams(lab: Api, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hubs, "MOST_STREAMS", 2)
+    monkeypatch.setattr(hubs, "MAX_STREAMS_PER_PERSON", 2)
     member, other = people.person(lab), people.person(lab)
     with listening(lab.as_(member.token)), ExitStack() as second:
         second.enter_context(listening(lab.as_(member.token)))

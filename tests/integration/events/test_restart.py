@@ -48,7 +48,7 @@ def test_a_program_that_follows_goes_on_after_a_restart(
 
         follower = threading.Thread(target=follow, name="follower")
         follower.start()
-        wait_until(lambda: len(api.app.state.hub._listeners) == 1)
+        wait_until(lambda: len(api.app.state.hub._streams) == 1)
         made = api.mission(project["id"])
         wait_until(lambda: any(isinstance(each, Change) and str(each.id) == made["id"] for each in heard))
         port = urlsplit(api.url).port or 0

@@ -6,7 +6,7 @@ import uuid
 import pytest
 import urllib3
 
-from kleinkram.server.storage import open_storage
+from kleinkram.server.s3.storage import open_storage
 from tests.integration.api_server import Api
 from tests.integration.sample import Sample
 from tests.integration.upload_client import begin, complete, put, sign
@@ -21,7 +21,7 @@ def _mission(api: Api) -> str:
 def _stored(api: Api, key: str, body: bytes) -> None:
     async def put() -> None:
         async with open_storage(api.app.state.settings) as storage:
-            await storage.put_small(key, body)
+            await storage.put_object(key, body)
 
     asyncio.run(put())
 
@@ -41,7 +41,7 @@ def test_links_lead_to_the_bytes_in_the_order_asked(api: Api, sample: Sample, mi
 
 
 def test_headers_that_an_uploader_sends_do_not_come_back(api: Api, mission: str) -> None:
-    # A browser unpacks what the store calls packed, and would save other bytes than those that were proven; a proxy
+    # A browser unpacks what the store calls packed, and would save other bytes than those that were verified; a proxy
     # keeps what it calls public.
     body = b"these bytes are not packed at all"
     (decision,) = begin(api, mission, {"a.mcap": body})

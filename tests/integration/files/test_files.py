@@ -44,7 +44,7 @@ def test_what_is_unknown_is_not_found(api: Api) -> None:
         api.patch(f"/files/{unknown}", {"path": "x"}),
         api.delete(f"/files/{unknown}"),
         api.get(f"/files/{unknown}/topics"),
-        api.post(f"/files/{unknown}/prove"),
+        api.post(f"/files/{unknown}/verify"),
         api.post("/files/download", {"file_ids": [unknown]}),
     ):
         assert answer.refused(404, "not_found")["ref"] == unknown
@@ -168,11 +168,11 @@ def test_what_is_deleted_while_it_moves_is_deleted_where_it_went(api: Api, sampl
     assert revisions == {source["id"]: 1, target["id"]: 2}
 
 
-def test_who_had_a_file_proven_again_is_noted(api: Api, sample: Sample, mission: str) -> None:
+def test_the_audit_log_names_who_requested_a_verification(api: Api, sample: Sample, mission: str) -> None:
     file_id = sample.file(mission, "a.mcap")
-    api.post(f"/files/{file_id}/prove").ok(202)
+    api.post(f"/files/{file_id}/verify").ok(202)
     (event,) = api.events(file_id)
-    assert (event["operation"], event["noun_name"], event["actor"]["name"]) == ("file.prove", "a.mcap", "owner")
+    assert (event["operation"], event["noun_name"], event["actor"]["name"]) == ("file.verify", "a.mcap", "owner")
 
 
 @pytest.mark.parametrize("noun", ["project", "mission", "file"])
@@ -205,10 +205,10 @@ def test_topics_of_a_file_come_by_name_in_pages(api: Api, sample: Sample, missio
     assert {row["rate_hz"] for row in rows if row["message_type"] is None} == {1.5}
 
 
-def test_asking_for_proof_enqueues_it(api: Api, sample: Sample, mission: str) -> None:
+def test_requesting_a_verification_enqueues_it(api: Api, sample: Sample, mission: str) -> None:
     blob_id = sample.blob()
     file_id = sample.link(mission, "a.mcap", blob_id)
-    assert api.post(f"/files/{file_id}/prove").ok(202)["id"] == file_id
+    assert api.post(f"/files/{file_id}/verify").ok(202)["id"] == file_id
     found = api.sql("SELECT count(*) FROM procrastinate_jobs WHERE args ->> 'ref' = %s", blob_id)
     assert found == [(1,)]
 

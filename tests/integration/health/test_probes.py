@@ -7,8 +7,7 @@ import pytest
 import urllib3
 
 from kleinkram.contract.errors import StoreUnavailable
-from kleinkram.server import metrics_port
-from kleinkram.server.health import readiness, routes
+from kleinkram.server.health import metrics_server, readiness, routes
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.upload_client import wait_until
@@ -75,7 +74,7 @@ def test_a_store_that_does_not_answer_holds_up_nobody(start_api: StartApi, monke
 
 
 def test_measures_are_whole_whoever_else_reads_them(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(metrics_port, "_HOLDS_S", 3600)
+    monkeypatch.setattr(metrics_server, "_HOLDS_S", 3600)
     api = start_api()
     with api.statements() as statements, ThreadPoolExecutor(8) as pool:
         texts = list(pool.map(lambda _: api.metrics(), range(24)))

@@ -8,27 +8,27 @@ import pytest
 
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.uploads import ChecksumKind
-from kleinkram.server.probe import probe
+from kleinkram.server.s3.capabilities import probe
+from kleinkram.server.s3.storage import StoreCapabilities, open_storage
 from kleinkram.server.settings import Settings
-from kleinkram.server.storage import Abilities, open_storage
 from tests.integration.api_server import Api
 from tests.integration.fault_proxy import Lost, ProxiedRequest, Reply, Rule, standing_before
 from tests.services import RunningStore
 
 # More than a probe asks.
 _QUESTIONS = 24
-_TRUTH = Abilities(ChecksumKind.crc64nvme, writes_once=True)
+_TRUTH = StoreCapabilities(ChecksumKind.crc64nvme, writes_once=True)
 
 
-def _probes(api: Api, store: RunningStore, rules: list[Rule]) -> list[Abilities | BaseException]:
+def _probes(api: Api, store: RunningStore, rules: list[Rule]) -> list[StoreCapabilities | BaseException]:
     """Probe the store once for each rule, at the same time, each through a middleman of its own."""
     settings: Settings = api.app.state.settings
 
-    async def one(url: str) -> Abilities:
+    async def one(url: str) -> StoreCapabilities:
         async with open_storage(settings.model_copy(update={"s3_internal_url": url})) as storage:
             return await probe(storage)
 
-    async def run(urls: list[str]) -> list[Abilities | BaseException]:
+    async def run(urls: list[str]) -> list[StoreCapabilities | BaseException]:
         return await asyncio.gather(*map(one, urls), return_exceptions=True)
 
     with ExitStack() as stack:

@@ -83,7 +83,7 @@ def test_admins_hear_of_the_whole_server(lab: Api) -> None:
         home, store = client.home.get(), client.home.storage().store
     needs = {each.need.value: each.count for each in home.attention}
     assert needs["jobs_failed"] == 1
-    assert needs["proofs_late"] >= 1
+    assert needs["verifications_overdue"] >= 1
     assert store is not None
     assert store.used_bytes >= 11
     assert store.free_bytes is None, "where the store's disk is not this machine's"

@@ -11,8 +11,8 @@ from urllib.parse import urlsplit
 import psutil
 import pytest
 
-from kleinkram.server import serving
-from kleinkram.server.serving import LimitedHttp, OpenConnections
+from kleinkram.server.http import web_server
+from kleinkram.server.http.web_server import LimitedHttp, OpenConnections
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 
@@ -50,7 +50,7 @@ def test_a_head_that_is_allowed_is_read_as_often_as_one_likes(api: Api) -> None:
 
 @pytest.mark.parametrize("begun", [b"", b"GET /health/live HTTP/1.1\r\nHost:"])
 def test_a_head_that_never_ends_is_not_waited_for(api: Api, begun: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serving, "_HEAD_WITHIN_S", 0.2)
+    monkeypatch.setattr(web_server, "_HEAD_TIMEOUT_S", 0.2)
     with _connect(api) as connection:
         connection.sendall(begun)
         assert connection.recv(100) == b""
@@ -106,15 +106,15 @@ def test_trailers_are_not_headers(api: Api) -> None:
 
 
 def test_a_body_that_comes_too_slowly_is_not_waited_for(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serving, "_BODY_WITHIN_S", 0.2)
+    monkeypatch.setattr(web_server, "_BODY_TIMEOUT_S", 0.2)
     with _connect(api) as connection:
         connection.sendall(_BEGUN_BODY)
         assert connection.recv(100).startswith(b"HTTP/1.1 408 ")
 
 
 def test_a_body_that_keeps_pace_may_take_longer(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serving, "_BODY_WITHIN_S", 0.3)
-    monkeypatch.setattr(serving, "_BODY_BYTES_PER_S", 40_000)
+    monkeypatch.setattr(web_server, "_BODY_TIMEOUT_S", 0.3)
+    monkeypatch.setattr(web_server, "_BODY_BYTES_PER_S", 40_000)
     with _connect(api) as connection:
         connection.sendall(_BEGUN_BODY)
         began = time.monotonic()
@@ -125,7 +125,7 @@ def test_a_body_that_keeps_pace_may_take_longer(api: Api, monkeypatch: pytest.Mo
 
 
 def test_the_rest_of_a_refused_body_is_not_waited_for(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serving, "_LINGER_S", 0.2)
+    monkeypatch.setattr(web_server, "_LINGER_S", 0.2)
     too_large = _BEGUN_BODY.replace(b"60000", b"600000000")
     with _connect(api) as connection:
         connection.sendall(too_large)
@@ -135,7 +135,7 @@ def test_the_rest_of_a_refused_body_is_not_waited_for(api: Api, monkeypatch: pyt
 
 
 def test_empty_lines_keep_no_connection_open(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serving, "_HEAD_WITHIN_S", 2.0)
+    monkeypatch.setattr(web_server, "_HEAD_TIMEOUT_S", 2.0)
     with _connect(api) as connection:
         connection.sendall(_LIVE)
         assert connection.recv(10_000).startswith(b"HTTP/1.1 200 ")
@@ -194,7 +194,7 @@ def _count(connections: OpenConnections, peer: str, *, most: int) -> int:
 
 
 def test_connections_are_counted_by_address() -> None:
-    connections = OpenConnections(per_address=3, in_all=100, unlimited=[ipaddress.ip_network("10.0.0.0/8")])
+    connections = OpenConnections(per_address=3, total=100, unlimited=[ipaddress.ip_network("10.0.0.0/8")])
     assert _count(connections, "192.0.2.1", most=5) == 3
     assert _count(connections, "::ffff:192.0.2.1", most=5) == 0, "the same address, written as IPv6"
     assert _count(connections, "192.0.2.2", most=5) == 3
@@ -205,12 +205,12 @@ def test_connections_are_counted_by_address() -> None:
 
 
 def test_there_is_a_limit_of_all_connections() -> None:
-    connections = OpenConnections(per_address=3, in_all=5)
+    connections = OpenConnections(per_address=3, total=5)
     assert [_count(connections, f"192.0.2.{number}", most=3) for number in range(3)] == [3, 2, 0]
 
 
 def test_a_closed_connection_is_counted_no_longer() -> None:
-    connections = OpenConnections(per_address=1, in_all=1)
+    connections = OpenConnections(per_address=1, total=1)
     one = cast("LimitedHttp", _Connection())
     for _ in range(3):
         assert connections.add(one, "192.0.2.1")
@@ -221,7 +221,7 @@ def test_the_soft_limit_of_open_files_is_raised() -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     try:
         resource.setrlimit(resource.RLIMIT_NOFILE, (min(soft, 1024), hard))
-        assert serving.raise_open_files_limit() == hard
+        assert web_server.raise_open_files_limit() == hard
         assert resource.getrlimit(resource.RLIMIT_NOFILE) == (hard, hard)
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))

@@ -12,15 +12,15 @@ from kleinkram.client._http import Api as ClientApi
 from kleinkram.client.config import Endpoint, EndpointSource
 from kleinkram.contract.errors import NotFound, RateLimited
 from kleinkram.contract.files import DownloadLinks, DownloadRequest
-from kleinkram.server import rate_limit
 from kleinkram.server.context import AppContext
-from kleinkram.server.rate_limit import Count, forget_counts, limit
+from kleinkram.server.http import rate_limit
+from kleinkram.server.http.rate_limit import Count, delete_expired_counts, enforce_limits
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
 
-_KINDS = ("searches", "downloads", "uploads", "proofs", "exports")
+_KINDS = ("searches", "downloads", "uploads", "verifications", "exports")
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def _fresh(api: Api) -> Api:
         ("GET", "/missions?query=x", None, "searches"),
         ("GET", "/projects?text=x", None, "searches"),
         ("POST", "/files/download", {"file_ids": ["00000000-0000-4000-8000-000000000000"]}, "downloads"),
-        ("POST", "/files/00000000-0000-4000-8000-000000000000/prove", None, "proofs"),
+        ("POST", "/files/00000000-0000-4000-8000-000000000000/verify", None, "verifications"),
         ("GET", "/audit/export?until=2000-01-01", None, "exports"),
     ],
 )
@@ -54,7 +54,7 @@ def test_what_is_expensive_is_limited(strict: Api, method: str, path: str, body:
         assert api.call(method, path, body).status in {200, 404}
     answer = api.call(method, path, body)
     problem = answer.refused(429, "rate_limited")
-    assert (problem["what"], problem["most"], problem["per_s"]) == (what, 3, 60)
+    assert (problem["what"], problem["limit"], problem["window_s"]) == (what, 3, 60)
     assert int(answer.headers["retry-after"]) == problem["retry_after_s"] > 0
     assert f"at most 3 {what} in 60 s" in problem["detail"]
 
@@ -111,7 +111,9 @@ def test_those_who_ask_at_once_are_all_counted(strict: Api) -> None:
 
 def test_what_is_kept_says_nothing_of_who_asked(strict: Api) -> None:
     async def count(context: AppContext) -> None:
-        await limit(context.database, Count("sign-ins", "anna@lab.example", 5), Count("sign-ins", "10.0.0.1", 5))
+        await enforce_limits(
+            context.database, Count("sign-ins", "anna@lab.example", 5), Count("sign-ins", "10.0.0.1", 5)
+        )
 
     on_site(strict, count)
     keys = [key for (key,) in strict.sql("SELECT key FROM rate_count WHERE key LIKE %s", "sign-ins:%")]
@@ -122,7 +124,7 @@ def test_what_is_kept_says_nothing_of_who_asked(strict: Api) -> None:
 def test_without_a_limit_nothing_is_counted(strict: Api) -> None:
     async def count(context: AppContext) -> None:
         for _ in range(100):
-            await limit(context.database, Count("x", "y", 0))
+            await enforce_limits(context.database, Count("x", "y", 0))
 
     on_site(strict, count)
     assert strict.sql("SELECT count(*) FROM rate_count WHERE key LIKE %s", "x:%") == [(0,)]
@@ -139,7 +141,7 @@ def test_a_window_ends_and_is_forgotten(start_api: StartApi, monkeypatch: pytest
 
     async def forget(context: AppContext) -> None:
         async with context.database.begin() as db:
-            await forget_counts(db)
+            await delete_expired_counts(db)
 
     api.get("/stats").ok()
     on_site(api, forget)

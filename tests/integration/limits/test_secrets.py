@@ -13,7 +13,7 @@ from sqlalchemy import text
 
 from kleinkram.server.access.actor import find_actor
 from kleinkram.server.context import AppContext
-from kleinkram.server.dependencies import Transaction
+from kleinkram.server.http.dependencies import Transaction
 from kleinkram.server.logs import JsonLines, quiet_libraries
 from kleinkram.server.settings import Settings
 from tests.integration.api_server import Answer, Api

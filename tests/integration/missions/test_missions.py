@@ -128,7 +128,7 @@ def test_counts_files_bytes_and_messages(api: Api, sample: Sample) -> None:
     made = api.mission(api.project()["id"])
     sample.file(made["id"], "a.mcap", size_bytes=10, message_count=5)
     sample.file(made["id"], "b.mcap", size_bytes=20, content="pending", summarised_at=None)
-    # Too large to be summarised: the proof will read it, unless the bytes turn out to be damaged.
+    # Too large to be summarised: the verification will read it, unless the bytes turn out to be damaged.
     sample.file(made["id"], "d.db3", size_bytes=1, content="pending")
     sample.file(made["id"], "e.db3", size_bytes=1, content="pending", state="lost")
     gone = sample.file(made["id"], "c.mcap", size_bytes=40, message_count=9)

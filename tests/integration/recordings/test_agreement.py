@@ -10,8 +10,7 @@ import pytest
 
 from kleinkram.client import Client, connect
 from kleinkram.contract.files import RecordingRead
-from kleinkram.recordings import Content
-from kleinkram.recordings.reading import NotARecording
+from kleinkram.recordings import Content, NotARecording
 from tests.conftest import MakeCase
 from tests.integration.api_server import Api
 from tests.integration.corpus import Corpus
@@ -52,7 +51,7 @@ def read_from_server(client: Client, recording: RecordingRead) -> Reading | None
 def found_on_server(api: Api, mission_id: str, folder: Path) -> Mapping[str, list[str]]:
     """Return where the readers of the recordings of a mission disagree, those on the server among them."""
     local = {accounts.name: accounts for accounts in accounts_of(folder)}
-    found: dict[str, list[str]] = {}
+    actual: dict[str, list[str]] = {}
     with connect(api.url, api.token) as client:
         recordings = {recording.name: recording for recording in client.recordings.list(uuid.UUID(mission_id))}
         assert recordings.keys() == local.keys()
@@ -60,9 +59,9 @@ def found_on_server(api: Api, mission_id: str, folder: Path) -> Mapping[str, lis
             accounts: Accounts = replace(
                 local[name], far=read_from_server(client, recording), server=account_on_server(api, recording)
             )
-            if told := disagreements(accounts):
-                found[name] = told
-    return found
+            if named := disagreements(accounts):
+                actual[name] = named
+    return actual
 
 
 @pytest.mark.slow

@@ -39,39 +39,39 @@ def _api(start_api: Any) -> Api:
 
 
 def _problems(problems: Any) -> list[tuple[str, str, str]]:
-    told = [(each["code"], each["where"], each["message"]) for each in problems]
-    return [each for each in told if each[0].startswith(_OF_THE_WHOLE)]
+    named = [(item["code"], item["where"], item["message"]) for item in problems]
+    return [item for item in named if item[0].startswith(_OF_THE_WHOLE)]
 
 
 @pytest.mark.slow
 def test_every_real_recording_of_several_files_says_the_same(corpus: Corpus) -> None:
-    told = {each["name"]: each for each in corpus.api.all(f"/missions/{corpus.mission_id}/recordings")}
-    here = {each.path: each for each in inspect_paths([corpus.folder], depth=Depth.scan)}
+    named = {item["name"]: item for item in corpus.api.all(f"/missions/{corpus.mission_id}/recordings")}
+    here = {item.path: item for item in inspect_paths([corpus.folder], depth=Depth.scan)}
     several = {
-        path.removeprefix(f"{corpus.folder}/"): each
-        for path, each in here.items()
-        if each.kind is InspectionKind.recording
+        path.removeprefix(f"{corpus.folder}/"): item
+        for path, item in here.items()
+        if item.kind is InspectionKind.recording
     }
-    assert {name for name, each in told.items() if each["kind"] != "single"} == several.keys()
+    assert {name for name, item in named.items() if item["kind"] != "single"} == several.keys()
     assert several.keys() >= {*_NOT_HEALTHY, "ros2-db3/file_zstd_split"}
     for name, inspection in several.items():
-        _same(told[name], inspection, corpus.folder)
-        codes = {code for code, _, _ in _problems(told[name]["problems"])}
+        _same(named[name], inspection, corpus.folder)
+        codes = {code for code, _, _ in _problems(named[name]["problems"])}
         assert codes == _NOT_HEALTHY.get(name, set()), name
 
 
-def _same(told: Mapping[str, Any], here: Inspection, folder: Path) -> None:
+def _same(named: Mapping[str, Any], here: Inspection, folder: Path) -> None:
     summary = here.summary
-    members = [path for path in told["paths"] if not path.endswith("metadata.yaml")]
+    members = [path for path in named["paths"] if not path.endswith("metadata.yaml")]
     assert sorted(members) == sorted(path.removeprefix(f"{folder}/") for path in here.members)
-    assert (told["content"], told["content_reason"]) == (summary.content.value, summary.reason), here.path
-    assert (told["message_count"], told["start_ns"], told["end_ns"]) == (
+    assert (named["content"], named["content_reason"]) == (summary.content.value, summary.reason), here.path
+    assert (named["message_count"], named["start_ns"], named["end_ns"]) == (
         summary.message_count,
         summary.start_ns,
         summary.end_ns,
     ), here.path
-    assert (told["lost"] and told["lost"]["messages"]) == (summary.lost and summary.lost.messages), here.path
-    assert _problems(told["problems"]) == _problems(vars(each) for each in summary.problems), here.path
+    assert (named["lost"] and named["lost"]["messages"]) == (summary.lost and summary.lost.messages), here.path
+    assert _problems(named["problems"]) == _problems(vars(item) for item in summary.problems), here.path
 
 
 def test_deriving_takes_as_many_queries_for_many_recordings_as_for_one(api: Api, mission_id: str) -> None:
@@ -81,18 +81,18 @@ def test_deriving_takes_as_many_queries_for_many_recordings_as_for_one(api: Api,
 
     async def derive(context: AppContext) -> list[Derived]:
         seen: list[str] = []
-        event.listen(context.database.engine.sync_engine, "before_cursor_execute", lambda *told: seen.append(told[2]))
+        event.listen(context.database.engine.sync_engine, "before_cursor_execute", lambda *named: seen.append(named[2]))
         async with context.database.begin() as db:
-            found = await deriving.derive(db, await deriving.live_files(db, uuid.UUID(mission_id)), {})
+            actual = await deriving.derive(db, await deriving.live_files(db, uuid.UUID(mission_id)), {})
         counts.append(len(seen))
-        return found
+        return actual
 
     for number in range(1, 4):
         for part in range(2):
             name = f"run{number}_{part}.mcap"
             sample.file(mission_id, name, topics=[topic], message_count=5, start_ns=part, end_ns=part + 1)
-        found = on_site(api, derive)
-        assert [each.values["message_count"] for each in found] == [10] * number
+        actual = on_site(api, derive)
+        assert [item.values["message_count"] for item in actual] == [10] * number
     assert counts == [2, 2, 2]
 
 
@@ -156,7 +156,7 @@ def test_a_mission_rests_as_long_as_it_took_some_times_over() -> None:
     assert rests.left(slow).total_seconds() > 0, "who took long rests to the end"
 
 
-def test_a_metadata_that_is_not_looked_at_is_told(api: Api, mission_id: str) -> None:
+def test_unread_metadata_is_reported(api: Api, mission_id: str) -> None:
     large = b"rosbag2_bagfile_information:\n  relative_file_paths: [run_0.mcap]\n" + b"#" * 300_000
     upload_all(api, mission_id, {"run/metadata.yaml": large, "run/run_0.mcap": b"\x89MCAP0\r\n" + large[:50]})
     run_jobs(api)
@@ -184,7 +184,7 @@ def test_a_metadata_is_read_by_a_child_alone(api: Api, mission_id: str, monkeypa
     assert (recording["missing"], recording["surplus"]) == (["run_0.mcap"], ["run_1.mcap"])
 
 
-def test_a_metadata_that_takes_too_long_to_read_is_told(
+def test_metadata_that_takes_too_long_to_read_is_reported(
     api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(understanding, "_LIMIT_S", 0.001)

@@ -97,7 +97,7 @@ def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[Store]:
     server.server_close()
 
 
-def test_reads_exactly_what_was_asked(store: Store) -> None:
+def test_reads_exactly_the_requested_bytes(store: Store) -> None:
     source = store.source()
     assert source.read(300, 700) == DATA[300:1000]
     assert source.read(len(DATA) - 1, 1) == DATA[-1:]
@@ -145,7 +145,7 @@ def test_one_connection_serves_all_reads_of_a_thread(store: Store) -> None:
     assert (store.requests, store.connections) == (20, 1)
 
 
-def test_a_kept_connection_that_was_dropped_is_not_used_again(store: Store) -> None:
+def test_a_dropped_idle_connection_is_not_used_again(store: Store) -> None:
     source = store.source()
     store.mishaps = ["hangs up"]
     assert source.read(0, 100) == DATA[:100]
@@ -181,7 +181,7 @@ def test_short_ranges_say_what_is_wrong(store: Store, mishaps: list[str], says: 
         list(store.source().read_short((offset, 100) for offset in range(0, 5_000, 100)))
 
 
-def test_what_was_asked_ahead_and_not_taken_is_let_go(store: Store) -> None:
+def test_unused_requests_ahead_are_abandoned(store: Store) -> None:
     source = store.source()
     for data in source.read_short((offset, 100) for offset in range(0, 5_000, 100)):
         assert data == DATA[:100]
@@ -189,7 +189,7 @@ def test_what_was_asked_ahead_and_not_taken_is_let_go(store: Store) -> None:
     assert source.read(4_000, 100) == DATA[4_000:4_100]
 
 
-def test_more_than_the_file_is_never_asked_for(store: Store) -> None:
+def test_ranges_end_with_the_file(store: Store) -> None:
     for offset, length in ((0, len(DATA) + 1), (-1, 10), (0, 17 * 2**20)):
         with pytest.raises(SourceError):
             store.source().read(offset, length)

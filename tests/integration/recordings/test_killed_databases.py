@@ -20,15 +20,15 @@ def _files(folder: Path) -> dict[str, bytes]:
 def _state(api: Api, mission_id: str) -> tuple[str, int | None, list[str]]:
     """What the server says of the recording: content, messages, and the problems of its file."""
     (recording,) = api.all(f"/missions/{mission_id}/recordings")
-    file = next(each for each in api.all("/files", {"mission_id": mission_id}) if each["path"].endswith(".db3"))
+    file = next(item for item in api.all("/files", {"mission_id": mission_id}) if item["path"].endswith(".db3"))
     problems = api.get(f"/files/{file['id']}").ok()["problems"]
-    return recording["content"], recording["message_count"], [each["code"] for each in problems]
+    return recording["content"], recording["message_count"], [item["code"] for item in problems]
 
 
-def _told_here(folder: Path) -> tuple[str, int | None, list[str]]:
-    (found,) = inspect_paths([folder])
-    summary = found.summary
-    return summary.content.value, summary.message_count, [each.code for each in summary.problems]
+def _codes_here(folder: Path) -> tuple[str, int | None, list[str]]:
+    (actual,) = inspect_paths([folder])
+    summary = actual.summary
+    return summary.content.value, summary.message_count, [item.code for item in summary.problems]
 
 
 @pytest.mark.parametrize(("case", "messages"), [("02A", 20), ("03A", 25)])
@@ -38,7 +38,7 @@ def test_messages_in_the_log_are_read_as_they_are_here(
     folder = make_case(case)
     upload_all(api, mission_id, _files(folder))
     run_jobs(api)
-    assert _state(api, mission_id) == ("recovered", messages, ["wal-not-merged"]) == _told_here(folder)
+    assert _state(api, mission_id) == ("recovered", messages, ["wal-not-merged"]) == _codes_here(folder)
 
 
 @pytest.mark.parametrize("first", ["-wal", ".db3"])
@@ -53,10 +53,10 @@ def test_the_order_of_arrival_does_not_matter(start_api: StartApi, make_case: Ma
     (recording,) = api.all(f"/missions/{mission_id}/recordings")
     with connect(api.url, api.token) as client, client.recordings.open(recording["id"]) as opened:
         assert sum(1 for _ in opened.raw_messages()) == 25
-        assert [each.code for each in opened.problems] == ["wal-not-merged"]
+        assert [item.code for item in opened.problems] == ["wal-not-merged"]
 
 
-def test_a_log_beside_a_copy_in_another_mission_does_not_change_what_is_said_of_the_first(
+def test_a_log_beside_a_copy_in_another_mission_does_not_change_the_first(
     start_api: StartApi, make_case: MakeCase
 ) -> None:
     """Both missions hold one blob; whoever may read the first must not be able to change what others see of it."""

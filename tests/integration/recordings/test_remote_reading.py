@@ -9,9 +9,8 @@ import pytest
 from kleinkram.client import Client, connect
 from kleinkram.client._remote import RemoteFiles
 from kleinkram.contract.errors import NotFound
-from kleinkram.recordings import SourceError
+from kleinkram.recordings import RawMessage, Recording, SourceError
 from kleinkram.recordings.http_source import HttpSource
-from kleinkram.recordings.reading import RawMessage, Recording
 from kleinkram.recordings.sample import generate_db3, generate_mcap
 from tests.integration.api_server import Api
 from tests.integration.sample import Sample
@@ -38,8 +37,8 @@ def _local(path: Path, *, start: int | None = None, end: int | None = None) -> l
         return list(recording.raw_messages(start=start, end=end))
 
 
-def _same(found: list[RawMessage], expected: list[RawMessage]) -> bool:
-    return [tuple(message[:5]) for message in found] == [tuple(message[:5]) for message in expected]
+def _same(actual: list[RawMessage], expected: list[RawMessage]) -> bool:
+    return [tuple(message[:5]) for message in actual] == [tuple(message[:5]) for message in expected]
 
 
 def test_a_file_on_the_server_reads_as_it_does_locally(api: Api, client: Client, drive: Path) -> None:
@@ -61,8 +60,8 @@ def test_one_second_of_one_topic_fetches_little(api: Api, client: Client, drive:
     assert recording.start_ns is not None
     assert source.bytes_read < 100_000
     start = recording.start_ns + 5 * 10**9
-    found = list(recording.raw_messages("/gps/fix", start=start, end=start + 10**9))
-    assert _same(found, [m for m in _local(drive, start=start, end=start + 10**9) if m.topic == "/gps/fix"])
+    actual = list(recording.raw_messages("/gps/fix", start=start, end=start + 10**9))
+    assert _same(actual, [m for m in _local(drive, start=start, end=start + 10**9) if m.topic == "/gps/fix"])
     assert source.bytes_read < _SIZE / 4
     remote.close()
 
@@ -86,17 +85,17 @@ def test_a_rosbag2_recording_is_opened_with_its_metadata(
 def test_an_address_that_is_refused_is_made_anew(api: Api, client: Client, drive: Path) -> None:
     mission = api.mission(api.project()["id"])["id"]
     file_id = uuid.UUID(upload(api, mission, "drive.mcap", drive.read_bytes())["id"])
-    asked: list[uuid.UUID] = []
+    requested: list[uuid.UUID] = []
 
     def sign() -> str:
-        asked.append(file_id)
+        requested.append(file_id)
         return client.files.links([file_id]).items[0].url
 
     bad = sign().replace("X-Amz-Signature=", "X-Amz-Signature=0")
     source = HttpSource(bad, size_bytes=drive.stat().st_size, name="drive.mcap", renew=sign)
     with Recording.open(source) as recording:
         assert _same(list(recording.raw_messages()), _local(drive))
-    assert len(asked) == 2
+    assert len(requested) == 2
     hopeless = HttpSource(bad, size_bytes=drive.stat().st_size, name="drive.mcap", renew=lambda: bad)
     with pytest.raises(SourceError, match="403"):
         Recording.open(hopeless)

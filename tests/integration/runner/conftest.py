@@ -15,9 +15,9 @@ from typing import TypeVar
 import pytest
 
 from kleinkram.contract.actions import Network, Resources
-from kleinkram.runner.docker.executor import DockerExecutor
-from kleinkram.runner.process.executor import ProcessExecutor
-from kleinkram.runner.work import Door, Ending, Executor, Work
+from kleinkram.runner.executors.base import Ending, Executor, Job, PortForward, wait_for_end
+from kleinkram.runner.executors.docker import DockerExecutor
+from kleinkram.runner.executors.process import ProcessExecutor
 from tests.integration.runner import engines, podmen
 from tests.integration.runner.engines import Dockerd
 from tests.integration.runner.podmen import Podman
@@ -40,41 +40,41 @@ class Bench:
     python: str = sys.executable
     machine: str = "127.0.0.1"
     engine: Dockerd | None = None
-    made: list[Work] = field(default_factory=list)
+    made: list[Job] = field(default_factory=list)
 
-    def work(
+    def job(
         self,
         text: str | Sequence[str],
         *,
         network: Network | None = None,
-        doors: Sequence[Door] = (),
+        port_forwards: Sequence[PortForward] = (),
         **resources: int,
-    ) -> Work:
+    ) -> Job:
         """Return a run that is not started yet; without network, where the executor can keep it from one."""
         usual = Network.none if Network.none in self.executor.abilities.networks else Network.open
         folder = self.folder / f"run-{len(self.made)}"
         (folder / "in").mkdir(parents=True)
-        work = Work(
+        job = Job(
             key=f"{folder.name}-{uuid.uuid4().hex}",
-            folder=folder,
+            directory=folder,
             command=[self.python, "-c", text] if isinstance(text, str) else list(text),
             image=self.image,
             resources=Resources.model_validate({"memory_bytes": 500_000_000, "time_s": 30, **resources}),
             network=network or usual,
-            doors=tuple(doors),
+            port_forwards=tuple(port_forwards),
         )
-        self.made.append(work)
-        return work
+        self.made.append(job)
+        return job
 
-    def run(self, text: str | Sequence[str], **resources: int) -> tuple[Work, Ending]:
+    def run(self, text: str | Sequence[str], **resources: int) -> tuple[Job, Ending]:
         """Start a run and wait for its end."""
-        work = self.work(text, network=None, doors=(), **resources)
-        self.executor.start(work)
-        return work, self.end_of(work)
+        job = self.job(text, network=None, port_forwards=(), **resources)
+        self.executor.submit(job)
+        return job, self.end_of(job)
 
-    def end_of(self, work: Work) -> Ending:
+    def end_of(self, job: Job) -> Ending:
         """Wait for the end of a run."""
-        ending = self.executor.wait(work, timeout_s=40)
+        ending = wait_for_end(self.executor, job, timeout_s=40)
         assert ending is not None, "it goes on"
         return ending
 
@@ -83,9 +83,9 @@ class Bench:
         return dataclasses.replace(self, image=image)
 
 
-def log_of(work: Work) -> str:
+def log_of(job: Job) -> str:
     """Return what a run wrote."""
-    path = work.folder / "log"
+    path = job.directory / "log"
     return path.read_text() if path.exists() else ""
 
 
@@ -125,7 +125,7 @@ def bench_of(executor: str, request: pytest.FixtureRequest, folder: Path) -> Ben
         return Bench(ProcessExecutor(), folder, ProcessExecutor)
     engine: Dockerd = request.getfixturevalue(executor)
     made = DockerExecutor(engine.engine)
-    image = made.prepare(engines.IMAGE).reference
+    image = made.prepare_image(engines.IMAGE).reference
     return Bench(made, folder, lambda: DockerExecutor(engine.engine), image, "python3", engine.gateway, engine)
 
 
@@ -133,8 +133,8 @@ def lent(executor: str, request: pytest.FixtureRequest, folder: Path) -> Iterato
     """Yield somewhere to run things by an executor, and forget them afterwards."""
     made = bench_of(executor, request, folder)
     yield made
-    for work in made.made:
-        made.executor.remove(work)
+    for job in made.made:
+        made.executor.remove(job)
 
 
 # What is tried by Podman, too, each time that Docker is: of the rest, Podman's turn is with the long rounds.

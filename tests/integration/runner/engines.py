@@ -20,8 +20,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from kleinkram.runner.docker.engine import Engine, EngineAway
-from kleinkram.runner.docker.gate import SHELL
+from kleinkram.runner.executors.docker_client import DockerClient, EngineUnavailable
+from kleinkram.runner.executors.docker_container import SHELL
 from tests.requirements import path_of
 
 IMAGE = "kleinkram.test/python"
@@ -69,8 +69,8 @@ class Dockerd:
         return self.folder / "docker.sock"
 
     @property
-    def engine(self) -> Engine:
-        return Engine(self.socket)
+    def engine(self) -> DockerClient:
+        return DockerClient(self.socket)
 
     def start(self) -> None:
         """Start it, again after `kill`, and wait until it answers."""
@@ -114,8 +114,8 @@ class Dockerd:
 
     def _answers(self) -> bool:
         try:
-            self.engine.facts()
-        except EngineAway:
+            self.engine.info()
+        except EngineUnavailable:
             return False
         return True
 
@@ -127,7 +127,7 @@ class Dockerd:
 
     def end(self) -> None:
         """Remove all containers and end it, with all that it has mounted."""
-        for name, _ in self.engine.labelled("kleinkram.run"):
+        for name, _ in self.engine.list_labelled("kleinkram.run"):
             self.engine.remove(name)
         for each in (self.process, self.containerd):
             assert each is not None

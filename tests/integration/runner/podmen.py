@@ -78,7 +78,7 @@ class Podman(Dockerd):
 
     def go_down(self) -> None:
         """End all at once, as the machine does that goes down: what is not on a disk is gone."""
-        found = [self.engine.find(name) for name, _ in self.engine.labelled("kleinkram.run")]
+        found = [self.engine.find_container(name) for name, _ in self.engine.list_labelled("kleinkram.run")]
         self.kill()
         assert self.containerd is not None
         mine = _mounts_of(self.containerd.pid)

@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-import os
 import re
-import signal
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner.docker.executor import DockerExecutor
-from kleinkram.runner.docker.images import Pull
-from kleinkram.runner.work import CannotStart, Door, Work
+from kleinkram.runner.executors.base import CannotStart, Job, PortForward, wait_for_end
+from kleinkram.runner.executors.docker import DockerExecutor
+from kleinkram.runner.executors.docker_images import Pull
 from tests.integration.runner import engines
 from tests.integration.runner.conftest import Bench, lent, log_of
 from tests.integration.runner.engines import Dockerd, Registry
-from tests.integration.runner.test_executors import KNOCKS, answers, until_said
+from tests.integration.runner.test_executors import KNOCKS, answers, ending_of_start, until_said
 
 pytestmark = pytest.mark.slow
 BOTH = pytest.mark.parametrize("bench", ["docker", "podman"], indirect=True)
@@ -61,7 +60,7 @@ def small(engine: Dockerd, name: str, word: str) -> str:
 
 def refusal(executor: DockerExecutor, image: str) -> tuple[EndReason, str]:
     with pytest.raises(CannotStart) as caught:
-        executor.prepare(image)
+        executor.prepare_image(image)
     return caught.value.ending.reason, caught.value.ending.message
 
 
@@ -75,7 +74,7 @@ def test_an_image_that_is_not_there(bench: Bench, engine: Dockerd) -> None:
     reason, message = refusal(DockerExecutor(engine.engine, pull=Pull.never), "lab/nonsense:1")
     assert (reason, "lab/nonsense:1" in message) == (EndReason.image_unavailable, True)
     with pytest.raises(CannotStart, match="not on this runner"):
-        bench.executor.start(bench.with_image("lab/nonsense:1").work("pass"))
+        bench.executor.submit(bench.with_image("lab/nonsense:1").job("pass"))
 
 
 def test_an_image_for_another_machine(bench: Bench, engine: Dockerd) -> None:
@@ -86,9 +85,8 @@ def test_an_image_for_another_machine(bench: Bench, engine: Dockerd) -> None:
 
 def test_a_program_for_another_machine(bench: Bench, engine: Dockerd) -> None:
     image = engine.load("lab/odd:1", root=engines.root_of({"odd": b"\x7fELF but not really"}))
-    with pytest.raises(CannotStart, match="/odd") as caught:
-        bench.executor.start(bench.with_image(image).work(["/odd"]))
-    assert caught.value.ending.reason is EndReason.command_not_found
+    ending = ending_of_start(bench, bench.with_image(image).job(["/odd"]))
+    assert (ending.reason, "/odd" in ending.message) == (EndReason.command_not_found, True)
 
 
 def test_images_come_from_registries_and_a_digest_stays_what_it_is(
@@ -99,7 +97,7 @@ def test_images_come_from_registries_and_a_digest_stays_what_it_is(
     engine.docker("push", name)
     engine.docker("image", "rm", name)
     executor = DockerExecutor(engine.engine, allowed=[f"{registry.place}/lab"])
-    pinned = executor.prepare(name)
+    pinned = executor.prepare_image(name)
     assert pinned.reference == first
     assert re.fullmatch("sha256:[0-9a-f]{64}", pinned.digest)
 
@@ -108,14 +106,14 @@ def test_images_come_from_registries_and_a_digest_stays_what_it_is(
     engine.docker("image", "rm", name)
     engine.docker("image", "rm", first)
     exact = f"{registry.place}/lab/slam:1@{pinned.digest}"
-    assert executor.prepare(exact).reference == first
-    assert executor.prepare(exact).digest == pinned.digest
-    assert executor.prepare(name).reference == second
+    assert executor.prepare_image(exact).reference == first
+    assert executor.prepare_image(exact).digest == pinned.digest
+    assert executor.prepare_image(name).reference == second
 
     reason, message = refusal(executor, f"{registry.place}/labor/slam")
     assert (reason, "may not use" in message) == (EndReason.image_unavailable, True)
     registry.end()
-    assert executor.prepare(name).reference == second
+    assert executor.prepare_image(name).reference == second
     reason, message = refusal(DockerExecutor(engine.engine, pull=Pull.always), name)
     assert (reason, registry.place in message) == (EndReason.image_unavailable, True)
 
@@ -123,9 +121,9 @@ def test_images_come_from_registries_and_a_digest_stays_what_it_is(
 def test_one_built_here_is_known_by_its_id(bench: Bench, engine: Dockerd) -> None:
     built = small(engine, "lab/built:1", "built")
     executor = DockerExecutor(engine.engine)
-    made = executor.prepare("lab/built:1")
-    assert made.reference == executor.prepare(f"lab/built:1@{built}").reference == built
-    assert executor.prepare(f"lab/built:1@{made.digest}") == made
+    made = executor.prepare_image("lab/built:1")
+    assert made.reference == executor.prepare_image(f"lab/built:1@{built}").reference == built
+    assert executor.prepare_image(f"lab/built:1@{made.digest}") == made
 
 
 def test_the_images_own_command_and_volumes(bench: Bench, engine: Dockerd) -> None:
@@ -133,9 +131,9 @@ def test_the_images_own_command_and_volumes(bench: Bench, engine: Dockerd) -> No
     told = [f'CMD ["python3", "-c", "{text}"]', "VOLUME /data", "WORKDIR /var/lab", "ENV WORD=said", "USER 0:0"]
     image = engine.load("lab/own:1", *told, root=engines.python_root())
     own = bench.with_image(image)
-    work, ending = own.run([])
-    assert (ending.reason, log_of(work)) == (EndReason.done, "/var/lab said\n")
-    assert (work.folder / "tmp" / ".volume-0" / "x").read_text() == "1"
+    job, ending = own.run([])
+    assert (ending.reason, log_of(job)) == (EndReason.done, "/var/lab said\n")
+    assert (job.directory / "tmp" / ".volume-0" / "x").read_text() == "1"
     assert engine.docker("volume", "ls", "--quiet") == ""
 
 
@@ -149,7 +147,7 @@ def test_a_run_is_nobody_and_may_nothing(bench: Bench) -> None:
     )
     (one, _), (two, _) = bench.run(text), bench.run("pass")
     assert log_of(one) == f"{'0' * 16} {'0' * 16} 1 2\nTrue True\n"
-    assert (one.folder / "out").stat().st_uid != (two.folder / "out").stat().st_uid
+    assert (one.directory / "out").stat().st_uid != (two.directory / "out").stat().st_uid
 
 
 @BOTH
@@ -158,119 +156,135 @@ def test_processes_are_counted(bench: Bench) -> None:
         "import os, time\nn = 0\ntry:\n    while n < 5000:\n"
         "        if os.fork() == 0: time.sleep(60)\n        n += 1\nexcept OSError: print(n)"
     )
-    work, ending = bench.run(text)
+    job, ending = bench.run(text)
     assert ending.reason is EndReason.done
-    assert 500 < int(log_of(work)) < 1024
+    assert 500 < int(log_of(job)) < 1024
 
 
 @BOTH
 def test_what_is_written_beside_is_not(bench: Bench) -> None:
-    work, _ = bench.run(
+    job, _ = bench.run(
         "import os\n"
         "os.symlink('/etc/shadow', '/out/link')\n"
         "for path in ('/out/../../x', '/out/../x', '/var/x'):\n"
         "    try: open(path, 'w')\n"
         "    except OSError as error: print(error.errno)"
     )
-    outside, through, beside = log_of(work).split()
+    outside, through, beside = log_of(job).split()
     # Podman makes the folder, for what it mounts below.
     assert (outside, through) == ("30", "30")
     assert beside in {"2", "30"}
-    assert (work.folder / "out" / "link").is_symlink()
-    assert sorted(each.name for each in (work.folder / "out").iterdir()) == ["link"]
+    assert (job.directory / "out" / "link").is_symlink()
+    assert sorted(each.name for each in (job.directory / "out").iterdir()) == ["link"]
 
 
 RUNNER = """
-import json, os, signal, sys
+import sys, time
 from pathlib import Path
 from kleinkram.contract.actions import Network, Resources
-from kleinkram.runner.docker.engine import Engine
-from kleinkram.runner.docker.executor import DockerExecutor
-from kleinkram.runner.work import Work
+from kleinkram.runner.executors.docker_client import DockerClient
+from kleinkram.runner.executors.docker import DockerExecutor
+from kleinkram.runner.executors.base import Job
 socket, folder, key, image, text = sys.argv[1:]
-work = Work(key, Path(folder), ["python3", "-c", text], image, Resources(), Network.none)
-DockerExecutor(Engine(Path(socket))).start(work)
-os.kill(os.getpid(), signal.SIGKILL)
+job = Job(key, Path(folder), ["python3", "-c", text], image, Resources(), Network.none)
+executor = DockerExecutor(DockerClient(Path(socket)))
+if executor.poll(job) is not None:
+    executor.submit(job)
+while executor.poll(job) is None:
+    time.sleep(0.05)
+
 """
+
+
+@contextmanager
+def another_runner(bench: Bench, engine: Dockerd, job: Job, text: str) -> Iterator[None]:
+    """Have another process submit or find the job and watch it; it is killed at the end."""
+    words = [str(engine.socket), str(job.directory), job.key, str(job.image), text]
+    process = subprocess.Popen([sys.executable, "-c", RUNNER, *words])
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
+def until_logged(job: Job, words: str) -> None:
+    until = time.monotonic() + 20
+    while words not in log_of(job):
+        assert time.monotonic() < until, f"the log never had {words!r}"
+        time.sleep(0.02)
 
 
 @BOTH
 def test_a_runner_is_killed_and_another_one_finds_its_run(bench: Bench, engine: Dockerd) -> None:
-    work = bench.work(COUNTS)
-    words = [str(engine.socket), str(work.folder), work.key, str(work.image), COUNTS]
-    killed = subprocess.run([sys.executable, "-c", RUNNER, *words], check=False, timeout=60)
-    assert killed.returncode == -signal.SIGKILL
-    until_said(bench, COUNTS, "line 20\n")
-    assert bench.executor.wait(work, timeout_s=0.1) is None
-    bench.executor.stop(work)
-    assert bench.end_of(work).reason is EndReason.cancelled
-    assert is_numbered(log_of(work))
-
-
-def kill_warden(work: Work) -> None:
-    os.kill(int(re.findall(r'"pid": (\d+)', (work.folder / "warden.json").read_text())[0]), signal.SIGKILL)
+    job = bench.job(COUNTS)
+    with another_runner(bench, engine, job, COUNTS):
+        until_logged(job, "line 20\n")
+    assert wait_for_end(bench.executor, job, timeout_s=0.1) is None
+    until_said(bench, COUNTS, "line 60\n")
+    bench.executor.cancel(job)
+    assert bench.end_of(job).reason is EndReason.cancelled
+    assert is_numbered(log_of(job))
 
 
 @BOTH
-def test_a_warden_is_killed_and_nothing_is_lost_or_said_twice(bench: Bench) -> None:
+def test_runners_are_killed_and_no_line_of_the_log_is_missing_or_there_twice(bench: Bench, engine: Dockerd) -> None:
     text = COUNTS.replace("10_000", "300").replace(
         "print(", "print(f'error {n}', file=__import__('sys').stderr); print("
     )
-    work = bench.work(text, time_s=8)
-    bench.executor.start(work)
+    job = bench.job(text, time_s=20)
     for n in (20, 120):
-        until_said(bench, text, f"line {n}\n")
-        kill_warden(work)
-        assert bench.executor.wait(work, timeout_s=0.5) is None
-    ending = bench.end_of(work)
+        with another_runner(bench, engine, job, text):
+            until_logged(job, f"line {n}\n")
+    ending = bench.end_of(job)
     assert (ending.reason, ending.exit_code) == (EndReason.done, 0)
-    lines = log_of(work).splitlines()
+    lines = log_of(job).splitlines()
     for word in ("line", "error"):
         assert [each for each in lines if each.startswith(word)] == [f"{word} {n}" for n in range(300)]
 
 
-def test_a_runs_time_is_counted_while_nobody_watches(bench: Bench) -> None:
-    work = bench.work(COUNTS, time_s=6)
-    bench.executor.start(work)
-    until_said(bench, COUNTS, "line 1\n")
-    kill_warden(work)
+def test_the_time_limit_counts_while_no_runner_watches(bench: Bench, engine: Dockerd) -> None:
+    job = bench.job(COUNTS, time_s=6)
+    with another_runner(bench, engine, job, COUNTS):
+        until_logged(job, "line 1\n")
     time.sleep(6)
     began = time.monotonic()
-    assert bench.end_of(work).reason is EndReason.time
+    assert bench.end_of(job).reason is EndReason.time
     assert time.monotonic() - began < 5, "counted anew"
 
 
-def test_doors_are_made_again_by_the_next_warden(bench: Bench) -> None:
+def test_the_next_runner_opens_the_port_forwards_again(bench: Bench) -> None:
     with socket.create_server(("127.0.0.1", 0)) as api:
         answers(api, b"api:")
         text = KNOCKS + "import time\nwhile True: print(knock('lab.example', 443), flush=True); time.sleep(0.05)"
-        work = bench.work(text, network=Network.api, doors=[Door("lab.example", 443, *api.getsockname())])
-        bench.executor.start(work)
+        job = bench.job(text, network=Network.api, port_forwards=[PortForward("lab.example", 443, *api.getsockname())])
+        bench.executor.submit(job)
         until_said(bench, text, "api:\n")
-        kill_warden(work)
-        until_gone = time.monotonic() + 10
-        assert bench.executor.wait(work, timeout_s=1) is None
-        before = log_of(work).count("api:")
-        while log_of(work).count("api:") < before + 3:
-            assert time.monotonic() < until_gone
+        assert isinstance(bench.executor, DockerExecutor)
+        bench.executor._monitors.pop(job.key).close()  # as if the runner were killed
+        assert wait_for_end(bench.executor, job, timeout_s=1) is None
+        before = log_of(job).count("api:")
+        until = time.monotonic() + 10
+        while log_of(job).count("api:") < before + 3:
+            assert time.monotonic() < until
             time.sleep(0.05)
 
 
 def test_a_container_that_somebody_removes_is_lost(bench: Bench, engine: Dockerd) -> None:
-    work = bench.work(COUNTS)
-    bench.executor.start(work)
-    engine.docker("rm", "--force", f"kleinkram-{work.key}")
-    assert bench.end_of(work).reason is EndReason.lost
+    job = bench.job(COUNTS)
+    bench.executor.submit(job)
+    engine.docker("rm", "--force", f"kleinkram-{job.key}")
+    assert bench.end_of(job).reason is EndReason.lost
 
 
 def test_leftovers_are_swept_but_not_anothers(bench: Bench, engine: Dockerd) -> None:
-    works = [bench.work(COUNTS) for _ in range(3)]
+    jobs = [bench.job(COUNTS) for _ in range(3)]
     mine, other = (DockerExecutor(engine.engine, runner=each) for each in ("mine", "other"))
-    for executor, work in zip((mine, mine, other), works, strict=True):
-        executor.start(work)
+    for executor, job in zip((mine, mine, other), jobs, strict=True):
+        executor.submit(job)
     again = DockerExecutor(engine.engine, runner="mine")
-    again.sweep({works[0].key})
+    again.remove_others({jobs[0].key})
     names = engine.docker("ps", "--all", "--format", "{{.Names}}").split()
-    assert [f"kleinkram-{each.key}" in names for each in works] == [True, False, True]
-    for executor, work in zip((mine, mine, other), works, strict=True):
-        executor.remove(work)
+    assert [f"kleinkram-{each.key}" in names for each in jobs] == [True, False, True]
+    for executor, job in zip((mine, mine, other), jobs, strict=True):
+        executor.remove(job)

@@ -7,11 +7,12 @@ from pathlib import Path
 import pytest
 
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner.docker.executor import DockerExecutor
+from kleinkram.runner.executors.base import wait_for_end
+from kleinkram.runner.executors.docker import DockerExecutor
 from tests.integration.runner import engines, podmen
 from tests.integration.runner.conftest import Bench, log_of
 from tests.integration.runner.engines import Dockerd
-from tests.integration.runner.test_docker import COUNTS, is_numbered, kill_warden
+from tests.integration.runner.test_docker import COUNTS, another_runner, is_numbered, until_logged
 from tests.integration.runner.test_executors import until_said
 from tests.requirements import need
 
@@ -28,37 +29,37 @@ def test_dockerd_is_killed(tmp_path: Path) -> None:
         mortal = bench_on(docker, tmp_path)
         executor = mortal.executor
 
-        lasting = mortal.work(COUNTS)
-        executor.start(lasting)
+        lasting = mortal.job(COUNTS)
+        executor.submit(lasting)
         until_said(mortal, COUNTS, "line 20\n")
         docker.kill()
-        assert executor.wait(lasting, timeout_s=0.5) is None
+        assert wait_for_end(executor, lasting, timeout_s=0.5) is None
         docker.start()
         until_said(mortal, COUNTS, "line 200\n")
-        executor.stop(lasting)
+        executor.cancel(lasting)
         assert mortal.end_of(lasting).reason is EndReason.cancelled
         lines = log_of(lasting).splitlines()
         assert len(set(lines)) == len(lines)
 
-        cut = mortal.work(COUNTS)
-        executor.start(cut)
+        cut = mortal.job(COUNTS)
+        executor.submit(cut)
         until_said(mortal, COUNTS, "line 20\n")
         docker.kill()
-        executor.stop(cut)
+        executor.cancel(cut)
         docker.options = ()
         docker.start()
         assert mortal.end_of(cut).reason is EndReason.cancelled
 
-        lost = mortal.work(COUNTS)
-        executor.start(lost)
+        lost = mortal.job(COUNTS)
+        executor.submit(lost)
         until_said(mortal, COUNTS, "line 20\n")
         docker.kill()
         docker.start()
         assert mortal.end_of(lost).reason is EndReason.lost
-        for work in mortal.made:
-            executor.remove(work)
+        for job in mortal.made:
+            executor.remove(job)
         assert mortal.image is not None
-        assert executor.prepare(mortal.image).reference == mortal.image
+        assert executor.prepare_image(mortal.image).reference == mortal.image
 
 
 @pytest.mark.soak
@@ -68,20 +69,20 @@ def test_podmans_service_is_killed_and_runs_go_on(tmp_path: Path) -> None:
         bench = bench_on(podman, tmp_path)
         text = COUNTS.replace("10_000", "300")
 
-        over, cut = bench.work(text), bench.work(COUNTS)
-        for work in (cut, over):
-            bench.executor.start(work)
+        over, cut = bench.job(text), bench.job(COUNTS)
+        for job in (cut, over):
+            bench.executor.submit(job)
         until_said(bench, text, "line 20\n")
         podman.kill()
-        assert bench.executor.wait(over, timeout_s=0.5) is None
-        bench.executor.stop(cut)
+        assert wait_for_end(bench.executor, over, timeout_s=0.5) is None
+        bench.executor.cancel(cut)
         podman.start()
         assert bench.end_of(over).reason is EndReason.done
         assert log_of(over).splitlines() == [f"line {n}" for n in range(300)]
         assert bench.end_of(cut).reason is EndReason.cancelled
         assert is_numbered(log_of(cut))
-        for work in bench.made:
-            bench.executor.remove(work)
+        for job in bench.made:
+            bench.executor.remove(job)
 
 
 @pytest.mark.soak
@@ -89,12 +90,11 @@ def test_the_machine_goes_down_with_podman_and_its_runs(tmp_path: Path) -> None:
     need(*podmen.PROGRAMS)
     with podmen.podman("none", "127.0.0.1") as podman:
         bench = bench_on(podman, tmp_path)
-        work = bench.work(COUNTS)
-        bench.executor.start(work)
-        until_said(bench, COUNTS, "line 20\n")
-        kill_warden(work)
+        job = bench.job(COUNTS)
+        with another_runner(bench, podman, job, COUNTS):
+            until_logged(job, "line 20\n")
         podman.go_down()
         podman.start()
-        assert bench.end_of(work).reason is EndReason.lost
-        assert is_numbered(log_of(work))
-        bench.executor.remove(work)
+        assert bench.end_of(job).reason is EndReason.lost
+        assert is_numbered(log_of(job))
+        bench.executor.remove(job)

@@ -16,8 +16,9 @@ import pytest
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import Isolation
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner import ward, wardens
-from kleinkram.runner.work import GRACE_S, CannotStart, Door
+from kleinkram.runner.executors import docker, local
+from kleinkram.runner.executors.base import CannotStart, Ending, Job, PortForward, wait_for_end
+from kleinkram.runner.executors.limits import GRACE_S, boot_time_s
 from tests.integration.runner.conftest import EVERYWHERE, Bench, log_of
 from tests.requirements import missing
 
@@ -31,55 +32,65 @@ def isolated(bench: Bench) -> Bench:
     return bench
 
 
+def ending_of_start(bench: Bench, job: Job) -> Ending:
+    """Return how a job ended that cannot be started, whether its executor notices that at once or later."""
+    try:
+        bench.executor.submit(job)
+    except CannotStart as error:
+        return error.ending
+    return bench.end_of(job)
+
+
 def until_said(bench: Bench, text: str, words: str) -> None:
     until = time.monotonic() + 20
     while words not in log_of(bench.made[-1]):
+        bench.executor.poll(bench.made[-1])
         assert time.monotonic() < until, f"never said {words!r}: {text}"
         time.sleep(0.02)
 
 
 @EVERYWHERE
 def test_reads_in_and_leaves_out(isolated: Bench) -> None:
-    work = isolated.work(
+    job = isolated.job(
         "import os, pathlib\n"
         "pathlib.Path('/out/copy').write_text(pathlib.Path('/in/drive.txt').read_text())\n"
         "pathlib.Path('/tmp/scratch').write_text('x')\n"
         "print('to stdout'); os.write(2, b'to stderr')"
     )
-    (work.folder / "in" / "drive.txt").write_text("bytes of a drive")
-    isolated.executor.start(work)
-    ending = isolated.end_of(work)
+    (job.directory / "in" / "drive.txt").write_text("bytes of a drive")
+    isolated.executor.submit(job)
+    ending = isolated.end_of(job)
     assert (ending.reason, ending.exit_code) == (EndReason.done, 0)
-    assert (work.folder / "out" / "copy").read_text() == "bytes of a drive"
+    assert (job.directory / "out" / "copy").read_text() == "bytes of a drive"
     # The last words of each, though no line ends with them.
-    assert all(words in log_of(work) for words in ("to stdout", "to stderr"))
+    assert all(words in log_of(job) for words in ("to stdout", "to stderr"))
 
 
 @pytest.mark.parametrize(
     "path", ["/in/drive.txt", "/in/other", "/usr/other", "/etc/other", "/other", "/proc/sys/vm/swappiness"]
 )
 def test_nothing_else_can_be_written(isolated: Bench, path: str) -> None:
-    work = isolated.work(f"open({path!r}, 'a').write('1')")
-    (work.folder / "in" / "drive.txt").write_text("bytes of a drive")
-    isolated.executor.start(work)
-    ending = isolated.end_of(work)
+    job = isolated.job(f"open({path!r}, 'a').write('1')")
+    (job.directory / "in" / "drive.txt").write_text("bytes of a drive")
+    isolated.executor.submit(job)
+    ending = isolated.end_of(job)
     assert (ending.reason, ending.exit_code) == (EndReason.exit_code, 1)
-    assert re.search("Read-only|Permission|denied", log_of(work))
-    assert (work.folder / "in" / "drive.txt").read_text() == "bytes of a drive"
+    assert re.search("Read-only|Permission|denied", log_of(job))
+    assert (job.directory / "in" / "drive.txt").read_text() == "bytes of a drive"
 
 
 @EVERYWHERE
 def test_nothing_of_the_machine_is_seen(isolated: Bench) -> None:
     secret = isolated.folder / "credentials.json"
     secret.write_text("a token")
-    work, ending = isolated.run(
+    job, ending = isolated.run(
         "import os, pathlib\n"
         f"print(pathlib.Path({str(secret)!r}).exists(), pathlib.Path({str(isolated.folder)!r}).exists())\n"
         "print(sorted(os.environ))\n"
         "print(max(int(name) for name in os.listdir('/proc') if name.isdigit()))"
     )
     assert ending.reason is EndReason.done
-    seen, environment, processes = log_of(work).splitlines()
+    seen, environment, processes = log_of(job).splitlines()
     assert seen == "False False"
     assert set(re.findall(r"\w+", environment)) <= {
         "HOME",
@@ -100,13 +111,13 @@ def test_nothing_of_the_machine_is_seen(isolated: Bench) -> None:
 def test_without_network_nothing_answers(isolated: Bench) -> None:
     with socket.create_server(("0.0.0.0", 0)) as decoy:
         port = decoy.getsockname()[1]
-        work, ending = isolated.run(
+        job, ending = isolated.run(
             "import socket\n"
             f"for host in ('127.0.0.1', {isolated.machine!r}, {socket.gethostname()!r}, '192.0.2.1'):\n"
             f"    try: socket.create_connection((host, {port}), 1)\n"
             "    except OSError as error: print('none')\n"
         )
-        assert (ending.reason, log_of(work).split()) == (EndReason.done, ["none"] * 4)
+        assert (ending.reason, log_of(job).split()) == (EndReason.done, ["none"] * 4)
         decoy.settimeout(0)
         with pytest.raises(BlockingIOError):
             decoy.accept()
@@ -115,9 +126,9 @@ def test_without_network_nothing_answers(isolated: Bench) -> None:
 def test_an_open_network_is_the_machines(bench: Bench) -> None:
     with socket.create_server((bench.machine, 0)) as there:
         address = there.getsockname()
-        work = bench.work(f"import socket; socket.create_connection({address}, 5)", network=Network.open)
-        bench.executor.start(work)
-        assert bench.end_of(work).reason is EndReason.done
+        job = bench.job(f"import socket; socket.create_connection({address}, 5)", network=Network.open)
+        bench.executor.submit(job)
+        assert bench.end_of(job).reason is EndReason.done
 
 
 @pytest.mark.parametrize("code", [1, 3, 255])
@@ -136,9 +147,8 @@ def test_a_crash_is_told(bench: Bench) -> None:
 
 @EVERYWHERE
 def test_a_command_that_is_not_there(bench: Bench) -> None:
-    with pytest.raises(CannotStart, match="/usr/bin/nonsense") as caught:
-        bench.executor.start(bench.work(["/usr/bin/nonsense"]))
-    assert caught.value.ending.reason is EndReason.command_not_found
+    ending = ending_of_start(bench, bench.job(["/usr/bin/nonsense"]))
+    assert (ending.reason, "/usr/bin/nonsense" in ending.message) == (EndReason.command_not_found, True)
 
 
 @pytest.mark.slow
@@ -237,12 +247,12 @@ def test_a_fork_bomb_stays_inside(isolated: Bench) -> None:
 @pytest.mark.slow
 def test_cancelled_though_it_will_not_hear(bench: Bench) -> None:
     text = "import signal, time; signal.signal(15, signal.SIG_IGN); print('ready', flush=True); time.sleep(60)"
-    work = bench.work(text)
-    bench.executor.start(work)
+    job = bench.job(text)
+    bench.executor.submit(job)
     until_said(bench, text, "ready")
     began = time.monotonic()
-    bench.executor.stop(work)
-    assert bench.end_of(work).reason is EndReason.cancelled
+    bench.executor.cancel(job)
+    assert bench.end_of(job).reason is EndReason.cancelled
     assert time.monotonic() - began < GRACE_S + 7
 
 
@@ -253,51 +263,52 @@ def test_a_run_may_tidy_up_when_it_is_cancelled(bench: Bench) -> None:
         "def end(*_): print('tidied', flush=True); sys.exit(0)\n"
         "signal.signal(signal.SIGTERM, end); print('ready', flush=True); time.sleep(60)"
     )
-    work = bench.work(text)
-    bench.executor.start(work)
+    job = bench.job(text)
+    bench.executor.submit(job)
     until_said(bench, text, "ready")
-    bench.executor.stop(work)
-    assert bench.end_of(work).reason is EndReason.cancelled
-    assert "tidied" in log_of(work)
-    bench.executor.stop(work)
+    bench.executor.cancel(job)
+    assert bench.end_of(job).reason is EndReason.cancelled
+    assert "tidied" in log_of(job)
+    bench.executor.cancel(job)
 
 
 @pytest.mark.slow
 def test_endless_output_is_cut(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(wardens, "LOG_BYTES", 1_000_000)
-    work, ending = bench.run("while True: print('y' * 1000)", time_s=2)
+    for module in (local, docker):
+        monkeypatch.setattr(module, "LOG_BYTES", 1_000_000)
+    job, ending = bench.run("while True: print('y' * 1000)", time_s=2)
     assert ending.reason is EndReason.time
-    assert 1_000_000 <= (work.folder / "log").stat().st_size < 1_001_000
-    assert "the log is full" in log_of(work)
+    assert 1_000_000 <= (job.directory / "log").stat().st_size < 1_001_000
+    assert "the log is full" in log_of(job)
 
 
 @pytest.mark.slow
 def test_no_line_is_lost(bench: Bench) -> None:
-    work, ending = bench.run("for n in range(200_000): print(f'line {n} of a log')")
+    job, ending = bench.run("for n in range(200_000): print(f'line {n} of a log')")
     assert ending.reason is EndReason.done
-    assert log_of(work).splitlines() == [f"line {n} of a log" for n in range(200_000)]
+    assert log_of(job).splitlines() == [f"line {n} of a log" for n in range(200_000)]
 
 
 @pytest.mark.slow
 def test_what_a_run_leaves_running_ends_with_it(isolated: Bench) -> None:
-    work, ending = isolated.run(
+    job, ending = isolated.run(
         "import os, time\n"
         "if os.fork() == 0:\n    os.setsid()\n    time.sleep(1)\n    open('/out/late', 'w').write('x')\n"
     )
     assert ending.reason is EndReason.done
     time.sleep(1.2)
-    assert not (work.folder / "out" / "late").exists()
+    assert not (job.directory / "out" / "late").exists()
 
 
 @pytest.mark.slow
 def test_found_again_by_another_runner(bench: Bench) -> None:
-    work = bench.work(LASTING)
-    bench.executor.start(work)
+    job = bench.job(LASTING)
+    bench.executor.submit(job)
     until_said(bench, LASTING, "ready")
     other = bench.again()
-    assert other.wait(work, timeout_s=0.1) is None
-    other.stop(work)
-    ending = other.wait(work, timeout_s=10)
+    assert wait_for_end(other, job, timeout_s=0.1) is None
+    other.cancel(job)
+    ending = wait_for_end(other, job, timeout_s=10)
     assert ending is not None
     assert ending.reason is EndReason.cancelled
 
@@ -305,24 +316,24 @@ def test_found_again_by_another_runner(bench: Bench) -> None:
 @pytest.mark.slow
 def test_usage_is_told(bench: Bench) -> None:
     text = "held = bytearray(b'x' * 60_000_000)\nn = sum(i * i for i in range(1_000_000))\nprint('ready', flush=True)\n"
-    work = bench.work(text + "import time; time.sleep(0.5)")
-    bench.executor.start(work)
-    assert bench.end_of(work).reason is EndReason.done
-    used = bench.executor.usage(work)
+    job = bench.job(text + "import time; time.sleep(0.5)")
+    bench.executor.submit(job)
+    assert bench.end_of(job).reason is EndReason.done
+    used = bench.executor.usage(job)
     assert used is not None
     assert used.peak_memory_bytes > 60_000_000
     assert used.cpu_s > 0.05
 
 
 @pytest.mark.parametrize("bench", ["process"], indirect=True)
-def test_killed_with_its_warden_it_is_lost_and_nothing_is_left(isolated: Bench) -> None:
-    work = isolated.work(LASTING)
-    isolated.executor.start(work)
+def test_a_job_dies_with_its_supervisor_and_is_lost(isolated: Bench) -> None:
+    job = isolated.job(LASTING)
+    isolated.executor.submit(job)
     until_said(isolated, LASTING, "ready")
-    warden = int(re.findall(r'"pid": (\d+)', (work.folder / "warden.json").read_text())[0])
-    left = [int(pid) for pid in Path(f"/proc/{warden}/task/{warden}/children").read_text().split()]
-    os.kill(warden, signal.SIGKILL)
-    assert isolated.end_of(work).reason is EndReason.lost
+    supervisor = int((job.directory / "supervisor").read_text())
+    left = [int(pid) for pid in Path(f"/proc/{supervisor}/task/{supervisor}/children").read_text().split()]
+    os.kill(supervisor, signal.SIGKILL)
+    assert isolated.end_of(job).reason is EndReason.lost
     until = time.monotonic() + 5
     while any(
         Path(f"/proc/{pid}").exists() and "Z" not in Path(f"/proc/{pid}/stat").read_text().split()[2] for pid in left
@@ -334,10 +345,10 @@ def test_killed_with_its_warden_it_is_lost_and_nothing_is_left(isolated: Bench) 
 @pytest.mark.parametrize("bench", ["process"], indirect=True)
 def test_no_image_without_an_engine(bench: Bench) -> None:
     with pytest.raises(CannotStart, match="no image") as caught:
-        bench.executor.start(bench.with_image("lab/slam:1").work(LASTING))
+        bench.executor.submit(bench.with_image("lab/slam:1").job(LASTING))
     assert caught.value.ending.reason is EndReason.not_possible
     with pytest.raises(CannotStart, match="no image"):
-        bench.executor.prepare("lab/slam:1")
+        bench.executor.prepare_image("lab/slam:1")
 
 
 def answers(server: socket.socket, words: bytes) -> None:
@@ -374,26 +385,26 @@ def test_with_doors_the_api_and_the_store_answer_and_nothing_else(isolated: Benc
         api, store, decoy = (stack.enter_context(socket.create_server(("0.0.0.0", 0))) for _ in range(3))
         answers(api, b"api:")
         answers(store, b"store:")
-        doors = [
-            Door("kleinkram.lab.example", 443, "127.0.0.1", api.getsockname()[1]),
-            Door("store.lab.example", 443, "127.0.0.1", store.getsockname()[1]),
-            Door("192.168.77.7", 9000, "127.0.0.1", store.getsockname()[1]),
-            Door("127.0.0.1", 8000, "127.0.0.1", api.getsockname()[1]),
+        forwards = [
+            PortForward("kleinkram.lab.example", 443, "127.0.0.1", api.getsockname()[1]),
+            PortForward("store.lab.example", 443, "127.0.0.1", store.getsockname()[1]),
+            PortForward("192.168.77.7", 9000, "127.0.0.1", store.getsockname()[1]),
+            PortForward("127.0.0.1", 8000, "127.0.0.1", api.getsockname()[1]),
         ]
         ports = [each.getsockname()[1] for each in (api, store, decoy)]
         refused = [(host, port) for host in ("127.0.0.1", isolated.machine, "127.1.0.1") for port in ports]
         refused += [("store.lab.example", 80), ("192.168.77.7", 443), ("127.0.0.1", 443), ("192.0.2.1", 443)]
-        work = isolated.work(
+        job = isolated.job(
             KNOCKS
-            + f"for host, port in {[(each.host, each.port) for each in doors]}: print(knock(host, port, b'hi'))\n"
+            + f"for host, port in {[(each.host, each.port) for each in forwards]}: print(knock(host, port, b'hi'))\n"
             f"print({{knock(host, port) for host, port in {refused}}})\n"
             "print(len(knock('store.lab.example', 443, bytes(3_000_000))))",
             network=Network.api,
-            doors=doors,
+            port_forwards=forwards,
         )
-        isolated.executor.start(work)
-        assert isolated.end_of(work).reason is EndReason.done
-        assert log_of(work).splitlines() == ["api:hi", "store:hi", "store:hi", "api:hi", "{'none'}", "3000006"]
+        isolated.executor.submit(job)
+        assert isolated.end_of(job).reason is EndReason.done
+        assert log_of(job).splitlines() == ["api:hi", "store:hi", "store:hi", "api:hi", "{'none'}", "3000006"]
         decoy.settimeout(0)
         with pytest.raises(BlockingIOError):
             decoy.accept()
@@ -402,25 +413,25 @@ def test_with_doors_the_api_and_the_store_answer_and_nothing_else(isolated: Benc
 def test_what_a_door_leads_to_may_be_away(isolated: Bench) -> None:
     with socket.create_server(("127.0.0.1", 0)) as gone:
         port = gone.getsockname()[1]
-    door = Door("kleinkram.lab.example", 443, "127.0.0.1", port)
+    forward = PortForward("kleinkram.lab.example", 443, "127.0.0.1", port)
     text = KNOCKS + "print(knock('kleinkram.lab.example', 443) in ('', 'none'))"
-    work = isolated.work(text, network=Network.api, doors=[door])
-    isolated.executor.start(work)
-    assert isolated.end_of(work).reason is EndReason.done
-    assert log_of(work) == "True\n"
+    job = isolated.job(text, network=Network.api, port_forwards=[forward])
+    isolated.executor.submit(job)
+    assert isolated.end_of(job).reason is EndReason.done
+    assert log_of(job) == "True\n"
 
 
 def test_a_door_that_cannot_be_made(isolated: Bench) -> None:
-    work = isolated.work("pass", network=Network.api, doors=[Door("2001:db8::1", 443, "127.0.0.1", 1)])
+    job = isolated.job("pass", network=Network.api, port_forwards=[PortForward("2001:db8::1", 443, "127.0.0.1", 1)])
     with pytest.raises(CannotStart, match="IPv6") as caught:
-        isolated.executor.start(work)
+        isolated.executor.submit(job)
     assert caught.value.ending.reason is EndReason.not_possible
 
 
 def test_a_run_that_nobody_holds_any_more_is_ended(bench: Bench) -> None:
-    work = bench.work(LASTING)
-    (work.folder / ward.HELD).write_text(str(ward.now_s() + 1.5))
-    bench.executor.start(work)
-    ending = bench.end_of(work)
+    job = bench.job(LASTING)
+    bench.executor.set_lease(job, boot_time_s() + 1.5, create=True)
+    bench.executor.submit(job)
+    ending = bench.end_of(job)
     assert ending.reason is EndReason.lost
-    assert "another runner may have it" in ending.message
+    assert "another runner may run it again" in ending.message

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner.docker.executor import DockerExecutor
+from kleinkram.runner.executors.docker import DockerExecutor
 from tests.integration.runner.conftest import Bench, log_of
 from tests.integration.runner.test_docker import COUNTS
 
@@ -16,8 +16,8 @@ pytestmark = [pytest.mark.soak, pytest.mark.parametrize("bench", ["podman"], ind
 def test_what_is_written_to_its_memory_counts_as_the_runs(bench: Bench, folder: str) -> None:
     text = f"open('{folder}/one', 'w').close(); print('made', flush=True)\n"
     text += f"with open('{folder}/large', 'wb') as large:\n    while True: large.write(bytes(1_000_000))"
-    work, ending = bench.run(text, memory_bytes=100_000_000)
-    assert (ending.reason, log_of(work)) == (EndReason.memory, "made\n")
+    job, ending = bench.run(text, memory_bytes=100_000_000)
+    assert (ending.reason, log_of(job)) == (EndReason.memory, "made\n")
 
 
 def test_it_gives_no_gpus(bench: Bench) -> None:
@@ -27,10 +27,10 @@ def test_it_gives_no_gpus(bench: Bench) -> None:
 @pytest.mark.parametrize(("words", "reason"), [(["kill"], EndReason.lost), (["stop", "-t", "3"], EndReason.signal)])
 def test_ended_by_hand(bench: Bench, words: list[str], reason: EndReason) -> None:
     assert bench.engine is not None
-    work = bench.work(COUNTS)
-    bench.executor.start(work)
-    bench.engine.docker(*words, f"kleinkram-{work.key}")
-    assert bench.end_of(work).reason is reason
+    job = bench.job(COUNTS)
+    bench.executor.submit(job)
+    bench.engine.docker(*words, f"kleinkram-{job.key}")
+    assert bench.end_of(job).reason is reason
 
 
 def test_it_may_remember_nothing(bench: Bench) -> None:

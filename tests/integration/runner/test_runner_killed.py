@@ -2,105 +2,95 @@
 
 from __future__ import annotations
 
-import contextlib
+import os
 import shutil
-import time
-from pathlib import Path
-from typing import IO
+import subprocess
+import sys
 
 import pytest
 
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner import attempts, ward, wardens
-from kleinkram.runner.work import Work
+from kleinkram.runner import state_directory
+from kleinkram.runner.executors import process_supervisor
+from kleinkram.runner.executors.base import wait_for_end
+from kleinkram.runner.executors.docker import DockerExecutor
 from tests.integration.runner.conftest import EVERYWHERE, Bench, log_of
 from tests.integration.runner.test_executors import LASTING, until_said
 
 
-def wardens_of(work: Work) -> list[str]:
-    """Return the command lines of the wardens of a run that have not ended."""
-    found = []
-    for each in Path("/proc").glob("[0-9]*/cmdline"):
-        with contextlib.suppress(OSError):
-            words = each.read_bytes().decode().split("\0")
-            if str(work.folder) in words and any("warden" in word for word in words):
-                found.append(f"{each.parent.name}: {' '.join(words)}")
-    return found
-
-
 class Killed(BaseException):
-    """What ends a runner in the middle of a line."""
+    """Ends a runner in the middle of a line."""
 
 
-@EVERYWHERE
-def test_a_runner_killed_before_it_noted_its_warden_leaves_no_run_behind(
+PROCESS_ONLY = pytest.mark.parametrize("bench", ["process"], indirect=True)
+
+
+@PROCESS_ONLY
+def test_a_runner_killed_before_it_recorded_the_pid_finds_the_job_again(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The next one starts the run anew in the same folder: two of them there would spoil each other's results."""
-    work = bench.work("print('once')")
+    """The next one may not start it again in the same directory: two of them would spoil each other's results."""
+    job = bench.job("print('once')")
 
-    def die_late(*_: object) -> None:
-        until = time.monotonic() + 1
-        while not (work.folder / "ending.json").exists() and time.monotonic() < until:
-            time.sleep(0.02)
+    def die(*_: object) -> None:
         raise Killed
 
     with monkeypatch.context() as patched:
-        patched.setattr(ward, "write_whole", die_late)
+        patched.setattr(process_supervisor, "write_pid", die)
         with pytest.raises(Killed):
-            bench.executor.start(work)
-    until = time.monotonic() + 20
-    while left := wardens_of(work):
-        assert time.monotonic() < until, f"a warden that nobody knows goes on: {left}"
-        time.sleep(0.05)
-    assert not (work.folder / "ending.json").exists()
+            bench.executor.submit(job)
+    ending = wait_for_end(bench.again(), job, timeout_s=40)
+    assert ending is not None
+    assert (ending.reason, log_of(job)) == (EndReason.done, "once\n")
+
+
+@PROCESS_ONLY
+def test_a_supervisor_whose_job_was_removed_meanwhile_does_nothing(bench: Bench) -> None:
+    job = bench.job("print('once')")
+    (job.directory / "supervisor").touch()
+    lock = os.open(job.directory / "supervisor", os.O_RDWR)
+    subprocess.run(
+        [sys.executable, "-m", process_supervisor.__name__, str(job.directory), str(lock)], pass_fds=[lock], check=True
+    )
+    os.close(lock)
+    ending = bench.executor.poll(job)
+    assert ending is not None
+    assert (ending.reason, log_of(job)) == (EndReason.lost, "")
+
+
+@EVERYWHERE
+def test_a_runner_killed_right_after_it_submitted_a_job_finds_it_again(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = bench.job("print('once')")
+    bench.executor.submit(job)
     next_one = bench.again()
-    ending = next_one.wait(work, timeout_s=40)
-    if ending is not None and ending.reason is EndReason.lost:  # of a container, the next warden has begun it
-        next_one.start(work)
-        ending = next_one.wait(work, timeout_s=40)
+    if isinstance(bench.executor, DockerExecutor):
+        bench.executor._monitors.pop(job.key).close()
+    ending = wait_for_end(next_one, job, timeout_s=40)
     assert ending is not None
-    assert (ending.reason, log_of(work)) == (EndReason.done, "once\n")
-
-
-@EVERYWHERE
-def test_a_runner_killed_before_it_heard_that_a_run_began_finds_it_again(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    work = bench.work("print('once')")
-    set_going = wardens.Wardens._set_going
-
-    def die(wardens: wardens.Wardens, work: Work, telling: IO[bytes]) -> None:
-        set_going(wardens, work, telling)
-        raise Killed
-
-    with monkeypatch.context() as patched:
-        patched.setattr(wardens.Wardens, "_set_going", die)
-        with pytest.raises(Killed):
-            bench.executor.start(work)
-    ending = bench.again().wait(work, timeout_s=40)
-    assert ending is not None
-    assert (ending.reason, log_of(work)) == (EndReason.done, "once\n")
+    assert (ending.reason, log_of(job)) == (EndReason.done, "once\n")
 
 
 @EVERYWHERE
 def test_what_was_removed_is_lost_and_may_be_started_again(bench: Bench) -> None:
     """As by Ctrl-C: the next runner begins anew, with the log of before, which is in the store already."""
-    work = bench.work(LASTING)
-    bench.executor.start(work)
+    job = bench.job(LASTING)
+    bench.executor.submit(job)
     until_said(bench, LASTING, "ready")
-    bench.executor.remove(work)
+    bench.executor.remove(job)
     next_one = bench.again()
-    ending = next_one.wait(work, timeout_s=0)
+    ending = wait_for_end(next_one, job, timeout_s=0)
     assert ending is not None
     assert ending.reason is EndReason.lost
-    for path in work.folder.iterdir():
-        if path.name not in attempts._KEPT:
+    for path in job.directory.iterdir():
+        if path.name not in state_directory._PRESERVED:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
-    (work.folder / "in").mkdir()
-    next_one.start(work)
+    (job.directory / "in").mkdir()
+    next_one.submit(job)
+    bench.executor = next_one
     until_said(bench, LASTING, "ready\nready")
-    next_one.stop(work)
-    ending = next_one.wait(work, timeout_s=40)
+    next_one.cancel(job)
+    ending = wait_for_end(next_one, job, timeout_s=40)
     assert ending is not None
     assert ending.reason is EndReason.cancelled

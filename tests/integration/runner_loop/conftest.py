@@ -13,20 +13,17 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.runner.__main__ import Arguments
-from kleinkram.runner.choosing import ExecutorChoice
-from kleinkram.runner.home import Home
-from kleinkram.runner.machine import Share
-from kleinkram.runner.process.executor import ProcessExecutor
-from kleinkram.runner.runner import Runner, RunnerOptions
-from kleinkram.runner.token import TOKEN_VARIABLE
-from kleinkram.runner.work import Executor
+from kleinkram.runner.__main__ import TOKEN_VARIABLE, Arguments, ExecutorChoice
+from kleinkram.runner.executors.local import LocalExecutor, Machine, MachineShare
+from kleinkram.runner.executors.process import ProcessExecutor
+from kleinkram.runner.loop import Runner, RunnerOptions
+from kleinkram.runner.state_directory import StateDirectory
 from tests.integration.runner.engines import Dockerd
 from tests.integration.runner_loop.fake_http import RUNNER_TOKEN
 from tests.integration.runner_loop.fake_runs import FakeRun
 from tests.integration.runner_loop.fake_server import FakeServer
 
-_SHARE = Share(cores=2, memory_bytes=10**9, disk_bytes=10**9, cache_bytes=10**9)
+_SHARE = MachineShare(cores=2, memory_bytes=10**9, disk_bytes=10**9, cache_bytes=10**9)
 
 
 def wait_until(condition: Callable[[], object], *, timeout_s: float = 20) -> None:
@@ -46,11 +43,13 @@ class Runners:
     _threads: list[tuple[Runner, threading.Thread]] = field(default_factory=list)
     _processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
-    def start(self, executor: Executor | None = None, share: Share = _SHARE) -> Runner:
+    def start(self, executor: LocalExecutor | None = None, share: MachineShare = _SHARE) -> Runner:
         """Start a runner in this process."""
         self.folder.mkdir(exist_ok=True)
-        options = RunnerOptions(self.server.url, RUNNER_TOKEN, "a-runner", share=share)
-        runner = Runner(options, Home(self.folder), executor or ProcessExecutor())
+        executor = executor or ProcessExecutor()
+        executor._machine = Machine(self.folder, share)
+        options = RunnerOptions(self.server.url, RUNNER_TOKEN, "a-runner")
+        runner = Runner(options, StateDirectory(self.folder), executor)
         thread = threading.Thread(target=runner.run)
         thread.start()
         self._threads.append((runner, thread))
@@ -88,7 +87,7 @@ class Runners:
         self.server.wake()
         for runner, thread in self._threads:
             thread.join(10)
-            runner.leave(kill=True)
+            runner.close(kill=True)
         for process in self._processes:
             if process.poll() is None:
                 self.kill(process, signal.SIGINT)

@@ -7,7 +7,8 @@ import time
 from http.server import BaseHTTPRequestHandler
 from typing import TYPE_CHECKING, Any
 
-from kleinkram.contract.errors import KleinkramError, to_problem
+from kleinkram.contract.errors import KleinkramError
+from kleinkram.contract.problems import to_problem
 
 if TYPE_CHECKING:
     from tests.integration.runner_loop.fake_server import FakeServer

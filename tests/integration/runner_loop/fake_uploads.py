@@ -5,18 +5,19 @@ from __future__ import annotations
 import hashlib
 import uuid
 
-from kleinkram.contract.errors import UploadGone, to_problem
+from kleinkram.contract.errors import UploadGone
+from kleinkram.contract.problems import to_problem
 from kleinkram.contract.runners import LOG_PATH, ArtifactUploadsCreate
 from kleinkram.contract.uploads import (
     ChecksumKind,
     Completed,
-    HeldPart,
     NotCompleted,
     PartsSign,
     Present,
     Send,
     SignedPart,
     SignedParts,
+    StoredPart,
     UploadDecision,
     UploadDecisions,
     UploadOutcome,
@@ -61,7 +62,7 @@ class FakeUploads:
                 state=UploadState.open,
                 lease_ends_at=LATER,
                 expires_at=LATER,
-                parts=list[HeldPart](),
+                parts=list[StoredPart](),
             )
             decisions.append(Send(upload=upload))
         return UploadDecisions(items=decisions)

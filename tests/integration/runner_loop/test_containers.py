@@ -8,9 +8,9 @@ from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
-from kleinkram.runner.choosing import ExecutorChoice, ImagePolicy, choose
-from kleinkram.runner.docker.executor import DockerExecutor
-from kleinkram.runner.docker.images import Pull
+from kleinkram.runner.__main__ import ExecutorChoice, ImagePolicy, choose_executor
+from kleinkram.runner.executors.docker import DockerExecutor
+from kleinkram.runner.executors.docker_images import Pull
 from tests.integration.runner import engines
 from tests.integration.runner.conftest import docker, engine, podman  # noqa: F401  fixtures
 from tests.integration.runner.engines import Dockerd
@@ -77,7 +77,7 @@ def test_containers_are_chosen_where_scripts_can_be_run_in_them(
 ) -> None:
     def chosen(default_image: str) -> str:
         policy = ImagePolicy(Pull.missing)
-        return choose(ExecutorChoice.auto, "a-runner", policy, default_image).abilities.executor
+        return choose_executor(ExecutorChoice.auto, policy, default_image).abilities.executor
 
     monkeypatch.setenv("DOCKER_HOST", f"unix://{engine.socket}")
     assert chosen(engines.IMAGE) == "docker"
@@ -85,4 +85,4 @@ def test_containers_are_chosen_where_scripts_can_be_run_in_them(
     monkeypatch.setenv("DOCKER_HOST", "unix:///nowhere.sock")
     assert chosen(engines.IMAGE) == "process"
     with pytest.raises(InvalidInput):
-        choose(ExecutorChoice.docker, "a-runner", ImagePolicy(), engines.IMAGE)
+        choose_executor(ExecutorChoice.docker, ImagePolicy(), engines.IMAGE)

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import signal
+import sys
 import time
 from pathlib import Path
 
 import pytest
 
 from kleinkram.client import _retry
-from kleinkram.client.transfer import _pipeline, _uploader
+from kleinkram.client.transfer import upload_pipeline
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
-from kleinkram.runner import keeping
-from kleinkram.runner.orders import MARGIN_S
+from kleinkram.runner import artifact_upload
+from kleinkram.runner.cancellation import LEASE_MARGIN_S
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_runs import FakeRun
 from tests.integration.runner_loop.fake_server import FakeServer
@@ -86,7 +87,7 @@ def test_what_is_not_taken_is_sent_again(
     server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch, refusals: int, reason: EndReason
 ) -> None:
     """Its folder goes when it is over: a run is not given up for one upload that was."""
-    monkeypatch.setattr(keeping, "_AGAIN_S", 0.1)
+    monkeypatch.setattr(artifact_upload, "_RETRY_EVERY_S", 0.1)
     server.uploads.refuses = refusals
     runners.start()
     run = server.launch("from kleinkram.action import out\nfor n in 'ab': (out / n).write_text(n)\nprint('began')\n")
@@ -100,9 +101,9 @@ def test_what_is_not_taken_is_sent_again(
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have a runner give up soon, and begin anew at once."""
-    monkeypatch.setattr(keeping, "_AGAIN_S", 0.01)
-    monkeypatch.setattr(_uploader, "PATIENCE_S", 0.1)
-    monkeypatch.setattr(_pipeline, "PATIENCE_S", 0.1)
+    monkeypatch.setattr(artifact_upload, "_RETRY_EVERY_S", 0.01)
+    monkeypatch.setattr(sys.modules["kleinkram.client.transfer.upload"], "PATIENCE_S", 0.1)
+    monkeypatch.setattr(upload_pipeline, "PATIENCE_S", 0.1)
     monkeypatch.setattr(_retry, "LONGEST_WAIT_S", 0.05)
 
 
@@ -112,7 +113,7 @@ def test_results_are_kept_until_the_store_is_back(server: FakeServer, runners: R
     server.has_no_store.set()
     runners.start()
     run = server.launch("from kleinkram.action import out\n(out / 'x').write_text('x')\nprint('began')\n")
-    wait_until(lambda: server.requests["/uploads/complete"] > 2 * keeping._ROUNDS)
+    wait_until(lambda: server.requests["/uploads/complete"] > 2 * artifact_upload._ROUNDS)
     assert run.finishes == []
     server.has_no_store.clear()
     assert ended(run).finishes[0].reason is EndReason.done
@@ -135,7 +136,7 @@ def test_results_are_kept_while_the_store_is_in_trouble(
     server.store_refuses.set()
     runners.start()
     run = server.launch("from kleinkram.action import out\n(out / 'x').write_text('x')\nprint('began')\n")
-    wait_until(lambda: server.requests["/runner/runs/*/uploads"] > 2 * keeping._ROUNDS)
+    wait_until(lambda: server.requests["/runner/runs/*/uploads"] > 2 * artifact_upload._ROUNDS)
     wait_until(lambda: run.progress and waits_for in run.progress[-1].message)
     assert run.finishes == []
     server.store_refuses.clear()
@@ -165,9 +166,9 @@ def test_a_run_that_cannot_be_held_is_ended_and_forgotten(
 ) -> None:
     # The machine's clock counts for nothing.
     monkeypatch.setattr(time, "time", lambda: time.time_ns() / 1e9 + 3600)
-    server.lease_s = MARGIN_S + 8
+    server.lease_s = LEASE_MARGIN_S + 8
     runners.start()
-    run = server.launch(LASTING, lease_s=MARGIN_S + 8)
+    run = server.launch(LASTING, lease_s=LEASE_MARGIN_S + 8)
     beat = until_running(runners, run)
     wait_until(lambda: is_alive(beat))
     server.is_silent.set()
@@ -178,14 +179,14 @@ def test_a_run_that_cannot_be_held_is_ended_and_forgotten(
 
 @pytest.mark.slow
 def test_the_run_of_a_runner_that_is_gone_ends_before_another_one_gets_it(server: FakeServer, runners: Runners) -> None:
-    server.lease_s = MARGIN_S + 8
+    server.lease_s = LEASE_MARGIN_S + 8
     first = runners.spawn()
-    run = server.launch(LASTING, lease_s=MARGIN_S + 8)
+    run = server.launch(LASTING, lease_s=LEASE_MARGIN_S + 8)
     beat = until_running(runners, run)
     runners.kill(first)
     killed_at = time.monotonic()
-    wait_until(lambda: not is_alive(beat), timeout_s=MARGIN_S + 8)
-    assert time.monotonic() - killed_at < MARGIN_S + 8
+    wait_until(lambda: not is_alive(beat), timeout_s=LEASE_MARGIN_S + 8)
+    assert time.monotonic() - killed_at < LEASE_MARGIN_S + 8
 
 
 @pytest.mark.slow
@@ -229,7 +230,7 @@ def test_a_run_is_cancelled_while_its_files_are_sent(server: FakeServer, runners
     run.is_cancelled = True
     finish = ended(run, timeout_s=15).finishes[0]
     assert finish.reason is EndReason.cancelled
-    assert "none of them are kept" in finish.problems[0]
+    assert "none were stored" in finish.problems[0]
     assert run.artifacts == {}
 
 
@@ -237,7 +238,7 @@ def test_a_claim_whose_answer_was_lost_comes_again(server: FakeServer, runners: 
     run = server.launch("print('done')")
     runner = runners.start()
     # As if it had been given to this runner before, and the answer never came.
-    run.state, run.runner_id = RunState.preparing, runner._home.runner_id
+    run.state, run.runner_id = RunState.preparing, runner._state.runner_id
     server.wake()
     assert ended(run).finishes[0].reason is EndReason.done
 
@@ -282,4 +283,4 @@ def test_a_report_that_the_server_refuses_does_not_hide_the_end(server: FakeServ
     run = server.launch("from kleinkram.action import report\nreport.metric('n', 1)")
     finish = ended(run).finishes[0]
     assert finish.reason is EndReason.done
-    assert "did not take its report" in finish.problems[0]
+    assert "did not accept its report" in finish.problems[0]

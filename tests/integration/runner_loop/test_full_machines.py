@@ -8,12 +8,11 @@ from pathlib import Path
 import pytest
 
 from kleinkram.contract.runs import EndReason, RunState
-from kleinkram.runner import held, logs, ward
-from kleinkram.runner.attempts import Attempt, Stage
-from kleinkram.runner.disk import write_over
-from kleinkram.runner.process.executor import ProcessExecutor
-from kleinkram.runner.runner import Runner
-from kleinkram.runner.work import Work
+from kleinkram.runner import active_run, files
+from kleinkram.runner.executors.base import Job
+from kleinkram.runner.executors.process import ProcessExecutor
+from kleinkram.runner.loop import Runner
+from kleinkram.runner.state_directory import Attempt, Stage
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_server import FakeServer
 from tests.system.chaos.disks import MIB, need_small_disks, small_disk
@@ -26,7 +25,7 @@ def _cancel_a_run(server: FakeServer, runner: Runner) -> None:
     run = server.launch(LASTING)
     wait_until(lambda: RunState.running in run.states)
     run.is_cancelled = True
-    runner._news.set()
+    runner._has_changes.set()
     assert ended(run).finishes[0].reason is EndReason.cancelled
 
 
@@ -35,7 +34,7 @@ def test_beats_go_on_though_the_disk_is_full(
 ) -> None:
     runner = runners.start()
     wait_until(lambda: server.hellos)
-    (runners.folder / "heard").symlink_to(FULL)
+    (runners.folder / "last-heartbeat").symlink_to(FULL)
     _cancel_a_run(server, runner)
     assert caplog.text.count("No space left on device") == 1
 
@@ -45,21 +44,21 @@ class WithoutProcesses(ProcessExecutor):
 
     asked = 0
 
-    def stop(self, work: Work) -> None:
+    def cancel(self, job: Job) -> None:
         """Ask a run to end."""
         self.asked += 1
         if self.asked < 3:
             raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
-        super().stop(work)
+        super().cancel(job)
 
 
 def test_an_end_that_cannot_be_asked_for_is_asked_for_again(
     server: FakeServer, runners: Runners, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(held, "_STOP_EVERY_S", 0.05)
+    monkeypatch.setattr(active_run, "_CANCEL_EVERY_S", 0.05)
     runner = runners.start(WithoutProcesses())
     _cancel_a_run(server, runner)
-    assert caplog.text.count("cannot be ended yet") == 1
+    assert caplog.text.count("cannot be stopped yet") == 1
 
 
 def test_a_run_whose_log_finds_no_room_ends_with_that(
@@ -70,11 +69,11 @@ def test_a_run_whose_log_finds_no_room_ends_with_that(
     def with_full_files(self: Attempt, **changes: object) -> None:
         begun(self, **changes)
         if changes.get("stage") is Stage.running:
-            (self.folder / "log").symlink_to(FULL)
-            (self.folder / "usage.json.new").symlink_to(FULL)
+            (self.directory / "log").symlink_to(FULL)
+            (self.directory / "usage.json.new").symlink_to(FULL)
 
     monkeypatch.setattr(Attempt, "change", with_full_files)
-    monkeypatch.setattr(logs, "_read_raw", lambda *_: b"")
+    monkeypatch.setattr(ProcessExecutor, "read_log", lambda *_: b"")
     runners.start()
     run = server.launch("import time\nprint('word', flush=True)\ntime.sleep(60)")
     finish = ended(run).finishes[0]
@@ -97,20 +96,20 @@ def test_a_run_that_ends_without_room_to_note_it_is_not_started_again(
     run = server.launch("print('done')")
     finish = ended(run).finishes[0]
     assert (finish.reason, run.attempt) == (EndReason.disk, 1)
-    assert "no room" in finish.problems[0]
+    assert "disk of its runner is full" in finish.problems[0]
     wait_until(lambda: not [*runners.folder.glob("runs/*")])
 
 
 def test_what_was_reserved_is_written_on_a_full_disk(tmp_path: Path) -> None:
     need_small_disks()
     with small_disk(tmp_path, MIB) as disk:
-        ending, lease = disk.path("ending.json"), disk.path("held")
-        ward.reserve(ending)
-        write_over(lease, "1.5")
+        ending, lease = disk.path("ending.json"), disk.path("lease")
+        files.reserve(ending)
+        files.write_in_place(lease, "1.5")
         disk.fill()
         with pytest.raises(OSError, match="No space left"):
-            ward.write_whole(disk.path("other.json"), {"reason": "done"})
-        ward.write_whole(ending, {"reason": "done"})
-        write_over(lease, "12.25")
+            files.write_atomically(disk.path("other.json"), '{"reason": "done"}')
+        files.write_atomically(ending, '{"reason": "done"}')
+        files.write_in_place(lease, "12.25")
         assert ending.read_text() == '{"reason": "done"}'
         assert float(lease.read_text()) == 12.25

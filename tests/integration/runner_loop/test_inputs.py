@@ -1,4 +1,4 @@
-"""Inputs come once, proven, and what a run uses stays."""
+"""Inputs come once, verified, and what a run uses stays."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ import pytest
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
-from kleinkram.runner.process import room
+from kleinkram.runner.executors import process_sandbox
 from tests.integration.runner_loop.conftest import Runners, ended
 from tests.integration.runner_loop.fake_server import FakeServer
 
@@ -33,7 +33,7 @@ def test_a_run_leaves_its_files_its_words_and_its_log(server: FakeServer, runner
 def test_a_run_without_walls_has_copies_of_its_inputs(
     server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(room, "can_be_made", lambda: False)
+    monkeypatch.setattr(process_sandbox, "is_available", lambda: False)
     runners.start()
     run = server.launch(
         "from kleinkram.action import places\n"

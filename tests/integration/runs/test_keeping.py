@@ -6,12 +6,12 @@ import uuid
 import pytest
 
 from kleinkram.contract.rights import Scope, TokenKind
-from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.context import AppContext
 from kleinkram.server.events import hub as hubs
-from kleinkram.server.events.hub import MOST_STREAMS
-from kleinkram.server.runs.jobs import tend_once
-from kleinkram.server.storage import Storage
+from kleinkram.server.events.hub import MAX_STREAMS_PER_PERSON
+from kleinkram.server.runs.jobs import maintain_runs_once
+from kleinkram.server.s3.storage import Storage
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.jobs import on_site
@@ -189,19 +189,19 @@ def _blobs(lab: Api, run_id: str) -> list[uuid.UUID]:
 
 
 async def _sweep(context: AppContext) -> None:
-    await tend_once(context)
-    await sweep_once(context)
+    await maintain_runs_once(context)
+    await collect_garbage(context)
 
 
 def test_runners_that_wait_take_no_streams_from_their_owner(lab: Api) -> None:
     admin = people.person(lab, admin=True)
     runner = Played(lab.as_(people.token(lab, admin, [Scope.run], kind=TokenKind.runner).secret))
     runner.hello()
-    threads = [threading.Thread(target=runner.claim, kwargs={"wait_s": 10}) for _ in range(MOST_STREAMS + 1)]
+    threads = [threading.Thread(target=runner.claim, kwargs={"wait_s": 10}) for _ in range(MAX_STREAMS_PER_PERSON + 1)]
     for thread in threads:
         thread.start()
     hub = lab.app.state.hub
-    wait_until(lambda: len(hub._long_polls) > MOST_STREAMS)
+    wait_until(lambda: len(hub._long_polls) > MAX_STREAMS_PER_PERSON)
     mine = lab.as_(people.token(lab, admin).secret)
     assert mine.get("/events", {"for_s": "0"}).status == 200
     for thread in threads:
@@ -211,7 +211,7 @@ def test_runners_that_wait_take_no_streams_from_their_owner(lab: Api) -> None:
 def test_log_readers_that_wait_shut_nobody_else_out(
     lab: Api, runner: Played, place: Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hubs, "MOST_LONG_POLLS", 3)
+    monkeypatch.setattr(hubs, "MAX_LONG_POLLS_PER_ACCOUNT", 3)
     made = launch(lab, runner, place.mission)
     path, waiting = f"/runs/{made['id']}/log", {"wait_s": "10"}
     threads = [threading.Thread(target=lab.get, args=(path, waiting)) for _ in range(3)]

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from kleinkram.contract.rights import Right
-from kleinkram.server.access import few
+from kleinkram.server.missions import service as missions_service
 from tests.integration import people
 from tests.integration.api_server import Api, Query
 from tests.integration.sample import Sample
@@ -35,10 +35,10 @@ def project(api: Api, sample: Sample) -> Any:
         topics=[{"name": "/cam/front", **IMAGE}, {"name": "/imu", **IMU}],
     )
     sample.file(alps["id"], "notes_1.txt", size_bytes=20, format=None, content="opaque", labels=("night", "wet"))
-    proven: dict[str, Any] = {
-        "state": "proven",
+    verified: dict[str, Any] = {
+        "state": "verified",
         "md5": bytes(16),
-        "proven_at": datetime.datetime.now(datetime.timezone.utc),
+        "verified_at": datetime.datetime.now(datetime.timezone.utc),
     }
     sample.file(
         lake["id"],
@@ -48,7 +48,7 @@ def project(api: Api, sample: Sample) -> Any:
         end_ns=5 * DAY_NS,
         format="rosbag1",
         topics=[{"name": "/cam/rear", **IMAGE}, {"name": "/odd", "message_type": None}],
-        **proven,
+        **verified,
     )
     api.sql("UPDATE mission SET start_ns = %s, end_ns = %s WHERE id = %s", DAY_NS, 2 * DAY_NS, alps["id"])
     api.patch(f"/missions/{lake['id']}", {"completed": True}).ok()
@@ -84,7 +84,7 @@ FRONT, NOTES, REAR = "Bags/front.mcap", "notes_1.txt", "rear.bag"
         ({"format": "rosbag1"}, [REAR]),
         ({"label": "night"}, [FRONT, NOTES]),
         ([("label", "wet"), ("label", "dry")], [NOTES]),
-        ({"state": "proven"}, [REAR]),
+        ({"state": "verified"}, [REAR]),
         ({"content": "opaque"}, [NOTES]),
         ({"min_size_bytes": "20"}, [NOTES, REAR]),
         ({"max_size_bytes": "20", "min_size_bytes": "11"}, [NOTES]),
@@ -233,8 +233,10 @@ def test_a_list_of_files_takes_the_same_number_of_queries_however_long(api: Api,
     assert counts == [2, 2, 2]
 
 
-def test_who_sees_few_missions_finds_what_an_admin_finds_in_them(api: Api, sample: Sample, project: Any) -> None:
-    """The database is told which these are, in one statement more; who sees many is asked for no others than before."""
+def test_someone_who_sees_few_missions_finds_what_an_admin_finds_in_them(
+    api: Api, sample: Sample, project: Any
+) -> None:
+    """The statements on files name those missions; those of someone who sees many do not."""
     reader, many = people.person(api), people.person(api)
     missions = [item["id"] for item in api.all("/missions", {"project_id": project["id"]})]
     for mission_id in missions:
@@ -242,7 +244,7 @@ def test_who_sees_few_missions_finds_what_an_admin_finds_in_them(api: Api, sampl
     people.grant(api, many, Right.read, project_id=project["id"])
     crowd = api.project()["id"]
     people.grant(api, many, Right.read, project_id=crowd)
-    for number in range(few.MOST):
+    for number in range(missions_service.MAX_VISIBLE_IDS):
         sample.file(api.mission(crowd)["id"], f"{number}.txt")
     for person in (reader, many):
         theirs = api.as_(person.token)
@@ -256,23 +258,22 @@ def test_who_sees_few_missions_finds_what_an_admin_finds_in_them(api: Api, sampl
         # All but the first: the projects to choose from are those that one sees.
         own, all_ = (each.get("/search/facets", text).ok()["facets"][1:] for each in (theirs, api))
         assert own == all_
-    assert set(_told_of_few(api, reader.token)) == {True}, "each statement on files says which missions"
-    assert set(_told_of_few(api, many.token)) == {False}
+    assert set(_statements_naming_missions(api, reader.token)) == {True}, "each statement on files names the missions"
+    assert set(_statements_naming_missions(api, many.token)) == {False}
 
 
 @pytest.mark.parametrize("sort", ["start", "-start", "-created", "size"])
-def test_a_list_goes_on_where_somebody_begins_to_see_many_or_few_missions(
+def test_a_list_continues_when_someone_begins_to_see_many_or_few_missions(
     api: Api, sample: Sample, monkeypatch: pytest.MonkeyPatch, sort: str
 ) -> None:
-    """Which they see is told to each process a minute late: page by page it may be either."""
     mission = api.mission(api.project()["id"])["id"]
     ids = [sample.file(mission, f"{number}.txt", size_bytes=number) for number in range(5)]
     ids += [sample.file(mission, f"{number}.bag", start_ns=number, end_ns=number) for number in range(2)]
     reader = people.person(api)
     people.grant(api, reader, Right.read, mission_id=mission)
     theirs, found, query = api.as_(reader.token), list[str](), {"sort": sort, "limit": "1"}
-    for most in itertools.cycle((few.MOST, 0)):
-        monkeypatch.setattr(few, "MOST", most)
+    for most in itertools.cycle((missions_service.MAX_VISIBLE_IDS, 0)):
+        monkeypatch.setattr(missions_service, "MAX_VISIBLE_IDS", most)
         page = theirs.get("/files", query).ok()
         found += _ids(page["items"])
         if page["next"] is None:
@@ -282,7 +283,7 @@ def test_a_list_goes_on_where_somebody_begins_to_see_many_or_few_missions(
     assert sorted(found) == sorted(ids)
 
 
-def test_what_is_kept_for_few_missions_is_not_what_is_kept_for_more(
+def test_someone_finds_the_same_files_whether_or_not_their_missions_count_as_few(
     api: Api, sample: Sample, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     missions = [api.mission(api.project()["id"])["id"] for _ in range(3)]
@@ -290,13 +291,12 @@ def test_what_is_kept_for_few_missions_is_not_what_is_kept_for_more(
     reader = people.person(api)
     for mission in missions:
         people.grant(api, reader, Right.read, mission_id=mission)
-    few._first.cache_clear()
-    for most in (0, few.MOST):
-        monkeypatch.setattr(few, "MOST", most)
+    for most in (0, missions_service.MAX_VISIBLE_IDS):
+        monkeypatch.setattr(missions_service, "MAX_VISIBLE_IDS", most)
         assert sorted(_ids(api.as_(reader.token).all("/files", {"sort": "created"}))) == sorted(ids)
 
 
-def test_a_right_that_is_new_or_gone_shows_at_once_to_who_sees_few_missions(api: Api, sample: Sample) -> None:
+def test_granting_and_revoking_shows_at_once_to_someone_who_sees_few_missions(api: Api, sample: Sample) -> None:
     first, second = (api.mission(api.project()["id"])["id"] for _ in range(2))
     ids = [sample.file(mission, "a.mcap") for mission in (first, second)]
     reader = people.person(api)
@@ -314,7 +314,7 @@ def _ids(rows: list[dict[str, Any]]) -> list[str]:
     return [row["id"] for row in rows]
 
 
-def _told_of_few(api: Api, token: str) -> list[bool]:
+def _statements_naming_missions(api: Api, token: str) -> list[bool]:
     with api.statements() as statements:
         api.as_(token).get("/search", {"query": ""}).ok()
         api.as_(token).get("/search/facets", {"query": ""}).ok()

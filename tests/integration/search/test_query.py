@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from kleinkram.contract.rights import Right
-from kleinkram.server.filters.text import MOST_WORDS
+from kleinkram.server.filters.text import MAX_WORDS
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
@@ -178,11 +178,11 @@ def test_what_is_wrong_with_a_query_is_said_with_its_column(lab: Api, path: str)
 @pytest.mark.parametrize("path", ["/search", "/search/facets", "/files", "/missions", "/projects", "/topics", "/stats"])
 def test_a_search_has_so_many_words_and_no_more(lab: Api, path: str) -> None:
     asked = "text" if path == "/projects" else "query"
-    words = [f"word{number}" for number in range(MOST_WORDS + 1)]
+    words = [f"word{number}" for number in range(MAX_WORDS + 1)]
     lab.get(path, {asked: " ".join(words[1:])}).ok()
     problem = lab.get(path, {asked: " ".join(words)}).refused(422, "invalid_query")
-    assert problem["expression"] == f"word{MOST_WORDS}"
-    assert "put those that stand side by side in quotes" in problem["detail"]
+    assert problem["expression"] == f"word{MAX_WORDS}"
+    assert "put words that belong together in quotes" in problem["detail"]
 
 
 def _facets(api: Api, text: str) -> dict[str, dict[str, int]]:

@@ -10,11 +10,11 @@ from procrastinate import JobContext
 from sqlalchemy import text
 
 from kleinkram.server.blobs import jobs
-from kleinkram.server.blobs.reading import Readers
+from kleinkram.server.blobs.reader_processes import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
 from kleinkram.server.jobs.courtesy import Courtesy
-from kleinkram.server.storage import open_storage
+from kleinkram.server.s3.storage import open_storage
 from tests.integration.api_server import Api
 
 T = TypeVar("T")
@@ -37,7 +37,9 @@ class SiteThread:
         settings = api.app.state.settings
         database = open_database(settings, statement_timeout_s=None)
         async with open_storage(settings) as storage:
-            ready.set_result(AppContext(database, storage.with_abilities(api.app.state.storage.abilities), settings))
+            ready.set_result(
+                AppContext(database, storage.with_capabilities(api.app.state.storage.capabilities), settings)
+            )
             await self._ended.wait()
         await database.close()
 
@@ -57,15 +59,15 @@ async def _result(ready: "asyncio.Future[AppContext]") -> AppContext:
     return await ready
 
 
-async def prove_all(context: AppContext) -> None:
+async def verify_all(context: AppContext) -> None:
     """Read every blob, as the worker does on its last try. All are bytes and no recording: nothing reads along."""
     async with context.database.begin() as db:
         rows = (await db.execute(_ALL_BLOBS)).scalars().all()
     courtesy = Courtesy(context.database, context.settings)
     courtesy.end()
-    async with Readers() as readers:
+    async with ReaderProcesses() as readers:
         given = {"site": context, "courtesy": courtesy, "readers": readers}
         job = SimpleNamespace(attempts=99, priority=0)
         job_context = cast(JobContext, SimpleNamespace(additional_context=given, job=job))
         for blob_id in rows:
-            await cast("Callable[..., Awaitable[None]]", jobs.prove_blob.func)(job_context, ref=str(blob_id))
+            await cast("Callable[..., Awaitable[None]]", jobs.verify_blob.func)(job_context, ref=str(blob_id))

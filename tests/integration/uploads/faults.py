@@ -10,9 +10,9 @@ from functools import partial
 from types import FunctionType
 from typing import Any, cast
 
-from kleinkram.server.blobs import jobs, queries, scrubbing, service
-from kleinkram.server.blobs.proving import Found
-from kleinkram.server.uploads import completion, joining, rules
+from kleinkram.server.blobs import jobs, queries, scrub, service
+from kleinkram.server.blobs.verification import ObjectChecksums
+from kleinkram.server.uploads import completion, parts, rules
 from kleinkram.server.uploads import jobs as upload_jobs
 from kleinkram.server.uploads import queries as upload_queries
 from kleinkram.server.uploads import service as upload_service
@@ -63,7 +63,7 @@ def live(life: Machine, history: str) -> None:
         "delete": lambda: life.delete(0),
         "restore": lambda: life.restore(0),
         **{f"object {what}": partial(life.lie, 0, what) for what in ("gone", "cut", "altered", "whole")},
-        **{rule.__name__: rule for rule in (life.lapse, life.expire, life.sweep, life.prove, life.scrub)},
+        **{rule.__name__: rule for rule in (life.lapse, life.expire, life.sweep, life.verify, life.scrub)},
         "empty trash": life.empty_trash,
     }
     for step in history.split(", "):
@@ -72,13 +72,13 @@ def live(life: Machine, history: str) -> None:
             invariant.function(life)
 
 
-_THE_OBJECT_GOES = "await site.storage.delete(row.key)\n"
+_THE_OBJECT_GOES = "await context.storage.delete(row.key)\n"
 _FILES_REFER = "exists().where(file.c.blob_id == blob.c.id)"
 
 FAULTS = [
     Fault(
         "complete does not look at the size",
-        joining._find_whole,
+        parts._check_small_files,
         "sizes.get(row.key) != row.size_bytes",
         "row.key not in sizes",
         "_complete",
@@ -86,15 +86,15 @@ FAULTS = [
     ),
     Fault(
         "complete does not look whether anything came",
-        completion.settle,
-        "failures = await join_at_store(site.storage, rows)",
-        "failures = {}",
+        completion.finish_uploads,
+        "failures = await join_parts(context.storage, uploads)",
+        "failures: Failures = {}",
         "_complete",
         "announce, send, keep nothing, complete",
     ),
     Fault(
         "complete takes up what was broken off",
-        completion._unfit,
+        completion._reason_against,
         "row.state in {UploadState.aborted.value, UploadState.expired.value}",
         "row.state == UploadState.expired.value",
         "_complete",
@@ -102,7 +102,7 @@ FAULTS = [
     ),
     Fault(
         "expiry leaves the reservation",
-        upload_jobs.tend_uploads,
+        upload_jobs.maintain_uploads,
         ".values(state=UploadState.expired.value)",
         ".values(state=UploadState.open.value)",
         "expire",
@@ -110,7 +110,7 @@ FAULTS = [
     ),
     Fault(
         "expiry leaves the object",
-        upload_jobs._clean,
+        upload_jobs._clean_up,
         _THE_OBJECT_GOES,
         "pass\n",
         "every_object_is_known",
@@ -118,23 +118,23 @@ FAULTS = [
     ),
     Fault(
         "what came by two ways stays",
-        completion._close,
-        "(kept, func.now())",
+        completion._mark_done,
+        "(is_used, func.now())",
         "(upload.c.id.is_not(None), func.now())",
         "every_object_is_known",
         "bring, delete, announce, send, restore, complete",
     ),
     Fault(
         "a lapsed lease still holds the name",
-        rules._during,
-        "active.leased or",
+        rules._decide_with_upload,
+        "other.has_lease or",
         "True or",
         "_begin",
         "announce, lapse, announce another",
     ),
     Fault(
         "who takes a name over leaves the other's upload",
-        upload_service._take_over,
+        upload_service._steal_leases,
         "state=UploadState.aborted.value",
         "state=UploadState.open.value",
         "_begin",
@@ -142,7 +142,7 @@ FAULTS = [
     ),
     Fault(
         "the sweep takes what is in the trash",
-        queries.is_referred,
+        queries.is_referenced,
         _FILES_REFER,
         "exists().where(file.c.blob_id == blob.c.id, file.c.deleted_at.is_(None))",
         "sweep",
@@ -150,7 +150,7 @@ FAULTS = [
     ),
     Fault(
         "the sweep takes what a second file refers to",
-        queries.is_referred,
+        queries.is_referenced,
         _FILES_REFER,
         "exists().where(file.c.blob_id == blob.c.id, file.c.origin == 'upload')",
         "sweep",
@@ -158,7 +158,7 @@ FAULTS = [
     ),
     Fault(
         "the sweep leaves the object",
-        jobs.sweep_once,
+        jobs.collect_garbage,
         _THE_OBJECT_GOES,
         "pass\n",
         "every_object_is_known",
@@ -166,42 +166,42 @@ FAULTS = [
     ),
     Fault(
         "what is known to be lost is linked",
-        upload_queries._trusted_by,
-        "& (proven | own)",
+        upload_queries._is_trusted,
+        "& (verified | own)",
         "",
         "_see_that_it_can_be_read",
-        "bring, object gone, prove, bring twin",
+        "bring, object gone, verify, bring twin",
     ),
     Fault(
         "what is lost counts as being there",
-        rules._beside,
-        "existing.state in UNREADABLE",
+        rules._decide_with_existing,
+        "existing.is_damaged",
         "False",
         "_see_that_it_can_be_read",
-        "bring, object gone, prove, bring",
+        "bring, object gone, verify, bring",
     ),
     Fault(
-        "the proof does not compare",
-        Found.differs_from,
+        "the verification does not compare",
+        ObjectChecksums.differs_from,
         "if self.size_bytes",
         "if True:\n        return None\n    if self.size_bytes",
         "_see_what_is_told",
-        "bring, object altered, prove",
+        "bring, object altered, verify",
     ),
     Fault(
         "the scrub does not compare sizes",
-        scrubbing._look_at,
+        scrub._compare_blob,
         " or listed_bytes != row.size_bytes",
         "",
         "_see_what_is_told",
         "bring, object cut, scrub",
     ),
     Fault(
-        "what was proven again is still said to be lost",
-        service.keep_proofs,
-        '"state": BlobState.proven.value, "state_reason"',
+        "what was verified again is still said to be lost",
+        service.record_verified,
+        '"state": BlobState.verified.value, "state_reason"',
         '"state_reason"',
         "_see_what_is_told",
-        "bring, object gone, prove, object whole, prove",
+        "bring, object gone, verify, object whole, verify",
     ),
 ]

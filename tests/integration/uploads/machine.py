@@ -9,12 +9,13 @@ from typing import Any
 from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, invariant, rule
 
-from kleinkram.server.blobs import jobs, scrubbing
+from kleinkram.server.blobs import jobs
+from kleinkram.server.blobs.scrub import scrub_store
 from kleinkram.server.context import AppContext
-from kleinkram.server.uploads.jobs import tend_uploads
+from kleinkram.server.uploads.jobs import maintain_uploads
 from tests.integration.api_server import Api
 from tests.integration.upload_client import begin, complete, send, sha256
-from tests.integration.uploads.behind import SiteThread, prove_all
+from tests.integration.uploads.behind import SiteThread, verify_all
 
 _PAGE = Path(__file__).parents[3] / "docs" / "states.md"
 _PATHS = ("a.bin", "b.bin", "c/d.bin")
@@ -149,7 +150,7 @@ class Machine(RuleBasedStateMachine):
         """Let all that is under way lapse, and clean up after it; then nothing is reserved."""
         self.lapse()
         self.api.sql("UPDATE upload SET expires_at = now() WHERE state = 'open'")
-        self.context.run(lambda context: tend_uploads(context, stale_s=0))
+        self.context.run(lambda context: maintain_uploads(context, stale_after_s=0))
         told = self.api.get(f"/projects/{self.project_id}").ok()
         assert (told["used_files"], told["used_bytes"]) == (told["file_count"], told["size_bytes"])
 
@@ -164,19 +165,19 @@ class Machine(RuleBasedStateMachine):
     def sweep(self) -> None:
         """Doom what nothing refers to, then delete it."""
         for _ in range(2):
-            self.context.run(jobs.sweep_once)
+            self.context.run(jobs.collect_garbage)
 
     @rule()
-    def prove(self) -> None:
+    def verify(self) -> None:
         """Read every blob; afterwards each says what was done to it."""
-        self.context.run(prove_all)
-        self._see_what_is_told({"whole": "proven", "gone": "lost", "cut": "corrupt", "altered": "corrupt"})
+        self.context.run(verify_all)
+        self._see_what_is_told({"whole": "verified", "gone": "lost", "cut": "corrupt", "altered": "corrupt"})
 
     @rule()
     def scrub(self) -> None:
         """Compare the store's list; afterwards each blob says whether its object is there, and of its size."""
         scrub_id = uuid.UUID(self.api.post("/admin/scrub", {"believe": True}).ok(202)["id"])
-        self.context.run(lambda context: scrubbing.scrub_store(context, scrub_id))
+        self.context.run(lambda context: scrub_store(context, scrub_id))
         self._see_what_is_told({"gone": "lost", "cut": "corrupt"})
 
     # What a store does that lies.
@@ -207,7 +208,7 @@ class Machine(RuleBasedStateMachine):
         if what == "gone":
             self.context.run(lambda context: context.storage.delete(key))
         else:
-            self.context.run(lambda context: context.storage.put_small(key, upload[1][:-1]))
+            self.context.run(lambda context: context.storage.put_object(key, upload[1][:-1]))
 
     @rule(place=st.integers(0, 2), what=st.sampled_from(["gone", "cut", "altered", "whole"]))
     def lie(self, place: int, what: str) -> None:
@@ -221,7 +222,7 @@ class Machine(RuleBasedStateMachine):
             self.context.run(lambda context: context.storage.delete(key))
         else:
             put = {"cut": body[:-1], "altered": body[:-1] + b"\0", "whole": body}[what]
-            self.context.run(lambda context: context.storage.put_small(key, put))
+            self.context.run(lambda context: context.storage.put_object(key, put))
         self.done_to[key] = what
 
     # What is always true.
@@ -234,9 +235,9 @@ class Machine(RuleBasedStateMachine):
             harm = self.done_to.get(key)
             if harm is None:
                 assert listed.get(key) == size_bytes
-                assert state in {"stored", "proven"}
+                assert state in {"stored", "verified"}
             elif harm != "whole":
-                assert state in {"stored", "proven", "lost", "corrupt"}
+                assert state in {"stored", "verified", "lost", "corrupt"}
 
     @invariant()
     def every_object_is_known(self) -> None:
@@ -313,7 +314,7 @@ class Machine(RuleBasedStateMachine):
     def _see_that_it_can_be_read(self, path: str, body: bytes) -> None:
         """As far as is known: nobody is told that a file is there which is known to be lost or corrupt."""
         [file] = [each for each in self._files() if each["path"] == path]
-        assert (file["sha256"], file["state"] in {"stored", "proven"}) == (sha256(body), True)
+        assert (file["sha256"], file["state"] in {"stored", "verified"}) == (sha256(body), True)
 
     def _see_what_is_told(self, said: dict[str, str]) -> None:
         for state, key, *_ in self._blobs():

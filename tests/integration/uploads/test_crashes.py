@@ -11,7 +11,7 @@ from kleinkram.contract.uploads import UploadFinish
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.context import AppContext
 from kleinkram.server.uploads import completion
-from kleinkram.server.uploads.jobs import tend_uploads
+from kleinkram.server.uploads.jobs import maintain_uploads
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.jobs import on_site
@@ -21,7 +21,7 @@ _PART = 5 * 1024 * 1024
 
 
 def _tend(api: Api) -> None:
-    on_site(api, lambda context: tend_uploads(context, stale_s=0))
+    on_site(api, lambda context: maintain_uploads(context, stale_after_s=0))
 
 
 def _mark_only(api: Api, upload: Any, body: bytes) -> None:
@@ -31,7 +31,7 @@ def _mark_only(api: Api, upload: Any, body: bytes) -> None:
         finish = UploadFinish(upload_id=upload["id"], sha256=sha256(body), crc64nvme=crc64(body))
         row = api.sql("SELECT person_id FROM upload WHERE id = %s", upload["id"])[0]
         async with context.database.begin() as db:
-            await completion._mark(db, Actor(row[0], "owner", None, None), [finish], {})
+            await completion._mark_completing(db, Actor(row[0], "owner", None, None), [finish])
 
     on_site(api, mark)
 
@@ -124,7 +124,7 @@ def test_an_abandoned_upload_expires_and_leaves_nothing_in_the_store(start_api: 
     assert {row[0] for row in api.sql("SELECT state FROM upload")} == {"expired"}
     assert api.sql("SELECT count(*) FROM upload WHERE cleaned_at IS NULL") == [(0,)]
     assert on_site(api, lambda context: context.storage.sizes("")) == {}
-    assert on_site(api, lambda context: context.storage.open_multiparts("")) == []
+    assert on_site(api, lambda context: context.storage.list_multiparts("")) == []
     sign(api, uploads[1], [(1, small)]).refused(410, "upload_gone")
     assert begin(api, mission_id, {"small": small})[0]["decision"] == "send"
 
@@ -133,11 +133,11 @@ def test_a_multipart_upload_that_nobody_wrote_down_is_found_and_dropped(api: Api
     body = os.urandom(_PART + 100)
     upload = begin(api, mission_id, {"run.bin": body})[0]["upload"]
     key = api.sql("SELECT key FROM upload WHERE id = %s", upload["id"])[0][0]
-    on_site(api, lambda context: context.storage.begin_multipart(key))  # the answer of this one was lost
+    on_site(api, lambda context: context.storage.create_multipart(key))  # the answer of this one was lost
     api.delete(f"/uploads/{upload['id']}").ok(204)
-    assert len(on_site(api, lambda context: context.storage.open_multiparts(key))) == 2
+    assert len(on_site(api, lambda context: context.storage.list_multiparts(key))) == 2
     _tend(api)
-    assert on_site(api, lambda context: context.storage.open_multiparts(key)) == []
+    assert on_site(api, lambda context: context.storage.list_multiparts(key)) == []
 
 
 def test_of_two_clients_that_race_for_a_name_one_wins_and_one_is_told(api: Api, mission_id: str) -> None:

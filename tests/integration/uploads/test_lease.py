@@ -10,7 +10,7 @@ import pytest
 
 from kleinkram.client import Client, connect
 from kleinkram.client.transfer import Outcome, TransferResult, plan_upload, upload
-from kleinkram.client.transfer.progress import Unwatched
+from kleinkram.client.transfer.report import SilentObserver
 from kleinkram.contract.errors import NameLeased
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
@@ -20,13 +20,13 @@ _PART = 5 * 1024 * 1024
 _LEASE_S = 8.0
 
 
-class _Listening(Unwatched):
+class _Listening(SilentObserver):
     """Keeps what a person would read meanwhile."""
 
     def __init__(self) -> None:
         self.heard: list[str] = []
 
-    def said(self, text: str) -> None:
+    def notify(self, text: str) -> None:
         """Keep it."""
         self.heard.append(text)
 

@@ -8,8 +8,8 @@ import psycopg
 import pytest
 from sqlalchemy import ColumnElement, func, or_, text
 
-from kleinkram.server.blobs import queries, service
-from kleinkram.server.blobs.jobs import sweep_once
+from kleinkram.server.blobs import garbage_collection, queries
+from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from tests.integration.api_server import Api
@@ -66,7 +66,7 @@ def _sweep(api: Api, rounds: int = 2) -> set[str]:
 
     async def work(context: AppContext) -> set[str]:
         for _ in range(rounds):
-            await sweep_once(context)
+            await collect_garbage(context)
         return set(await context.storage.sizes(""))
 
     return on_site(api, work)
@@ -96,14 +96,14 @@ def test_what_was_linked_while_the_sweep_looked_is_not_swept(
     api: Api, mission_id: str, other: _Twin, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     twin = _Twin(api)
-    referred = queries.is_referred
+    referred = queries.is_referenced
 
     def looks_until_the_gate_opens() -> ColumnElement[bool]:
         # Comes to the gate with what it saw of the files, at each blob that none of them referred to.
         return or_(referred(), func.pg_advisory_xact_lock_shared(_GATE).is_(None))
 
     info = api.database.info
-    monkeypatch.setattr(queries, "is_referred", looks_until_the_gate_opens)
+    monkeypatch.setattr(queries, "is_referenced", looks_until_the_gate_opens)
     with psycopg.connect(info.dsn, password=info.password) as gate, ThreadPoolExecutor() as pool:
         gate.execute("SELECT pg_advisory_xact_lock(%s)", [_GATE])
         with racing(api, _HOLD_NAME, mission_id, other.file["id"]) as send_one:
@@ -127,7 +127,7 @@ def test_who_would_link_what_the_sweep_took_is_told_to_send_it(
     # Blobs are locked by their ids: at the first, which is held, it is known already that the second is there.
     first, second = sorted((_Twin(api), _Twin(api)), key=lambda twin: twin.blob_id.bytes)
     doomed = threading.Event()
-    doom = service.doom_unreferenced
+    doom = garbage_collection.mark_unreferenced
 
     async def doom_slowly(db: Connection, *, limit: int) -> int:
         count = await doom(db, limit=limit)
@@ -136,7 +136,7 @@ def test_who_would_link_what_the_sweep_took_is_told_to_send_it(
             pass
         return count
 
-    monkeypatch.setattr(service, "doom_unreferenced", doom_slowly)
+    monkeypatch.setattr(garbage_collection, "mark_unreferenced", doom_slowly)
     with ThreadPoolExecutor() as pool, racing(api, _HOLD_BLOB, first.blob_id) as send_one:
         began = send_one(begin, api, mission_id, {"first.bin": first.body, "run.bin": second.body})
         second.leave()

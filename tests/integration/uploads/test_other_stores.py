@@ -104,12 +104,12 @@ def test_the_probe_finds_what_this_store_verifies(api: Api, request: pytest.Fixt
 
 
 @pytest.mark.parametrize("size_bytes", [0, 100, 2 * _PART + 5])
-def test_a_file_comes_back_as_it_went_and_is_proven(api: Api, mission_id: str, size_bytes: int) -> None:
+def test_a_file_comes_back_as_it_went_and_is_verified(api: Api, mission_id: str, size_bytes: int) -> None:
     body = os.urandom(size_bytes)
     file = upload(api, mission_id, "run.bin", body)
     assert file["crc64nvme"] is None, "these stores verify no checksum of the whole, so none is their word"
     run_jobs(api)
-    assert api.get(f"/files/{file['id']}").ok()["state"] == "proven"
+    assert api.get(f"/files/{file['id']}").ok()["state"] == "verified"
     link = api.post("/files/download", {"file_ids": [file["id"]]}).ok()["items"][0]
     status, read = fetch(link["url"])
     assert (status, read == body) == (200, True)
@@ -125,7 +125,7 @@ def test_other_bytes_are_refused(api: Api, mission_id: str, size_bytes: int) -> 
     # A store that says of an upload of several parts, none of which came, that it knows none, is believed.
     (multipart_id,) = api.sql("SELECT multipart_id FROM upload WHERE id = %s", started["id"])[0]
     key = api.sql("SELECT key FROM upload WHERE id = %s", started["id"])[0][0]
-    is_known = multipart_id is None or on_site(api, lambda site: site.storage.held_parts(key, multipart_id)) == []
+    is_known = multipart_id is None or on_site(api, lambda site: site.storage.list_parts(key, multipart_id)) == []
     expected = "upload_incomplete" if is_known else "upload_gone"
     assert complete(api, started, body)["problem"]["code"] == expected
 

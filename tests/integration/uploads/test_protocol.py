@@ -80,7 +80,7 @@ def test_bytes_that_only_others_claim_are_not_handed_out(api: Api, mission_id: s
     )
     assert begin(api, mission_id, {"mine.bin": body})[0]["decision"] == "send"
     api.sql(
-        "UPDATE blob SET state = 'proven', md5 = decode(repeat('00', 16), 'hex'), proven_at = now()"
+        "UPDATE blob SET state = 'verified', md5 = decode(repeat('00', 16), 'hex'), verified_at = now()"
         " WHERE id = (SELECT blob_id FROM file WHERE id = %s)",
         file["id"],
     )
@@ -308,7 +308,7 @@ def test_an_address_writes_once(api: Api, mission_id: str, one: bytes) -> None:
     started = begin(api, mission_id, {"run.bin": one})[0]["upload"]
     signed = sign(api, started, [(1, one)]).ok()["items"][0]
     assert put(signed, one) == 200
-    assert put(signed, one) == 412, "so that nobody can replace what is proven by then"
+    assert put(signed, one) == 412, "so that nobody can replace what is verified by then"
     assert complete(api, started, one)["outcome"] == "completed"
 
 

@@ -108,13 +108,13 @@ def test_a_lost_file_that_is_found_again_while_it_is_to_be_linked_is_present(
         "UPDATE blob SET state = 'lost' FROM file WHERE blob_id = blob.id AND file.id = %s RETURNING blob.id", mine
     )[0]
     upload(api, api.mission(api.project()["id"])["id"], "good.bin", twin)
-    real = queries.twins
+    real = queries.lock_duplicates
 
-    async def twins(*of: Any) -> Any:
+    async def lock_and_heal(*of: Any) -> Any:
         found = await real(*of)
-        api.sql("UPDATE blob SET state = 'proven', md5 = %s, proven_at = now() WHERE id = %s", bytes(16), blob_id)
+        api.sql("UPDATE blob SET state = 'verified', md5 = %s, verified_at = now() WHERE id = %s", bytes(16), blob_id)
         return found
 
-    monkeypatch.setattr(queries, "twins", twins)
+    monkeypatch.setattr(queries, "lock_duplicates", lock_and_heal)
     (decision,) = begin(api, mission_id, {"run.bin": twin})
     assert (decision["decision"], decision["file"]["id"]) == ("present", mine)

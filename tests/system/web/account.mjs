@@ -59,7 +59,7 @@ await ada.getByRole("button", { name: "Unlink https://gone.example" }).click();
 await look(ada, "account-unlink");
 await dialog.getByRole("button", { name: "Unlink" }).click();
 await ada.getByText("https://gone.example is unlinked.").first().waitFor();
-await ada.locator("[data-ways] li").nth(1).waitFor({ state: "detached" });
+await ada.locator("[data-methods] li").nth(1).waitFor({ state: "detached" });
 await ada.getByRole("button", { name: "Sign out", exact: true }).click();
 await ada.waitForURL((url) => url.pathname === "/sign-in");
 await signIn(ada, NEW_PASSWORD);

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from kleinkram.server.web.serving import BUILT
+from kleinkram.server.http.pages import BUILT
 from tests.requirements import missing, need, path_of
 from tests.system.cluster import Cluster
 

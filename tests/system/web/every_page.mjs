@@ -286,7 +286,7 @@ await look(stranger, "public-search", { ...nobody, ...searched, path: "/search" 
 await look(stranger, "sign-in", { path: `/sign-in?return_to=${encodeURIComponent(texts.address)}` });
 await look(stranger, "invitation", { path: new URL(unused).pathname + new URL(unused).hash, shows: [texts.person] });
 await look(stranger, "reset", { path: "/sign-in/reset#not-a-code", allows: REFUSED });
-await look(stranger, "claim", { path: "/sign-in/claim" });
+await look(stranger, "claim", { path: "/sign-in/bootstrap" });
 await look(stranger, "link", { path: "/sign-in/link#not-a-code", allows: REFUSED });
 await look(stranger, "callback", { path: `/sign-in/callback/${encodeURIComponent("<img src=x>")}?error=${encodeURIComponent(texts.label)}`, allows: REFUSED });
 await look(stranger, "share", { path: new URL(share).pathname + new URL(share).hash, ready: "#files tr", shows: [project, mission, texts.recording] });

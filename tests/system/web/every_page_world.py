@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kleinkram.recordings.mcap.writer import McapWriter
+from kleinkram.recordings.formats.mcap.writer import McapWriter
 from kleinkram.recordings.sample import Faults, TopicGap, generate_bag, generate_mcap
 from tests.acceptance.conftest import Terminal, wait_until
 

@@ -1,5 +1,5 @@
 // What people change: they go on with an upload that another machine left, call a mission something else, write notes,
-// share a file and end the link, move a file, have it proven, delete things and take that back; and what somebody finds
+// share a file and end the link, move a file, have it verified, delete things and take that back; and what somebody finds
 // who has nothing yet. Prints as JSON what was seen. Arguments: the folder with playwright-core and axe-core, the browser,
 // a link that signs in, the server's address, an invitation for somebody new, the folder that is half uploaded, and as
 // JSON the ids of missions and files, where pictures go.
@@ -98,17 +98,17 @@ seen.ended = await stranger.locator("#said").innerText();
 isMeantToFail = false;
 await stranger.close();
 
-// A file: proven anew, moved to another mission, deleted and brought back.
+// A file: verified again, moved to another mission, deleted and brought back.
 await page.goto(`${address}/files/${drive}`);
-const proof = page.getByRole("complementary", { name: "About this file" }).getByText(/^Proven/).locator("time");
-const prove = page.getByRole("button", { name: "Prove now" });
-await prove.click();
+const verifiedAt = page.getByRole("complementary", { name: "About this file" }).getByText(/^Verified/).locator("time");
+const verify = page.getByRole("button", { name: "Verify now" });
+await verify.click();
 await page.waitForFunction(() => [...document.querySelectorAll("aside button")].every((button) => button.ariaDisabled !== "true"));
-await proof.waitFor();
-const before = await proof.getAttribute("datetime");
-await prove.click();
+await verifiedAt.waitFor();
+const before = await verifiedAt.getAttribute("datetime");
+await verify.click();
 await page.waitForFunction((old) => [...document.querySelectorAll("aside time")].every((time) => time.dateTime !== old), before);
-seen.proven = { before, after: await proof.getAttribute("datetime") };
+seen.verified = { before, after: await verifiedAt.getAttribute("datetime") };
 
 await page.getByRole("button", { name: "Move" }).click();
 await dialog("Move to another mission").getByLabel("Search missions by name").fill("nig");

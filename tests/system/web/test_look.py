@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from kleinkram.recordings import Recording
 from kleinkram.recordings.decoding import image
-from kleinkram.recordings.reading import Recording
 from kleinkram.recordings.sample import FileTruth, generate_bag, generate_mcap
 from tests.acceptance.conftest import wait_until
 from tests.system.cluster import Cluster

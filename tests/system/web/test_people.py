@@ -13,7 +13,7 @@ from tests.system.web.conftest import Act
 _FAILED = """
 WITH given_up AS (
   INSERT INTO procrastinate_jobs (queue_name, task_name, status, attempts, args)
-    SELECT 'default', 'prove_blob', 'failed', 8, jsonb_build_object('ref', id) FROM blob
+    SELECT 'default', 'verify_blob', 'failed', 8, jsonb_build_object('ref', id) FROM blob
     RETURNING id, args ->> 'ref' AS ref
 ), known AS (
   INSERT INTO procrastinate_events (job_id, type, at) SELECT id, 'failed', now() FROM given_up
@@ -32,7 +32,7 @@ def test_somebody_comes_is_let_in_and_leaves(cluster: Cluster, act: Act, picture
     terminal.run("upload", "-p", "Alps", "-m", "ridge", "--create", tmp_path / "ridge.txt")
     terminal.run("mission", "delete", "ridge", "-p", "Alps", "--yes")
     project = terminal.run("project", "list", "--json").json()["items"][0]["id"]
-    # Proofs fail as often as they are tried where the store does not answer. This one can be made now.
+    # Verifications fail as often as they are tried where the store does not answer. This one can be made now.
     ((job, blob),) = sql(cluster, _FAILED)
 
     seen = act("people.mjs", cluster, project, job, pictures)
@@ -59,9 +59,9 @@ def test_somebody_comes_is_let_in_and_leaves(cluster: Cluster, act: Act, picture
     assert seen["power"] == [200, 403]
     assert seen["reset"] == [401, 200], "a new password ends the sessions of the old one"
     assert seen["gone"][0] == 401
-    assert "do not belong together" in seen["gone"][1], "whoever knows a password learns no more than a stranger"
+    assert "is wrong" in seen["gone"][1], "whoever knows a password learns no more than a stranger"
     assert seen["returned"] == 200
     assert seen["failed"] == 1
     ended = "SELECT status::text FROM procrastinate_jobs WHERE id = %s"
     wait_until(lambda: sql(cluster, ended, job) in ([], [("succeeded",)]), "the job to be done")
-    assert sql(cluster, "SELECT state FROM blob WHERE id = %s", blob) == [("proven",)]
+    assert sql(cluster, "SELECT state FROM blob WHERE id = %s", blob) == [("verified",)]

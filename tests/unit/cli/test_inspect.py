@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from kleinkram.cli import main as entry
-from kleinkram.cli.inspect_view import show
+from kleinkram.cli.inspect import show
 from kleinkram.cli.options import read_text
 from kleinkram.recordings import Content, Lost, Problem, RecordingFormat, RecordingSummary
 from kleinkram.recordings.inspect import Inspection, InspectionKind

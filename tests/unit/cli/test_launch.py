@@ -13,8 +13,9 @@ from kleinkram.cli.launch import parameter_values, split_version
 from kleinkram.cli.main import app
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.actions import ActionDefinition, Parameter, ParameterType
-from kleinkram.contract.errors import NotFound, to_problem
+from kleinkram.contract.errors import NotFound
 from kleinkram.contract.paging import Page
+from kleinkram.contract.problems import to_problem
 from kleinkram.contract.runs import LogChunkRead, RunCreated, RunRead, RunRefused, RunsCreated, RunState
 from tests.unit.client.nouns import action_read, mission_read, run_detail
 from tests.unit.client.scripted import Scripted, scripted

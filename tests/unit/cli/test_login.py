@@ -8,8 +8,8 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from kleinkram.cli.main import app
+from kleinkram.client.config import SavedEndpoint, add_endpoint, load_endpoints
 from kleinkram.client.errors import EndpointTaken, InvalidInput, NoBrowser, NotConfigured
-from kleinkram.client.saved_endpoints import SavedEndpoint, add_endpoint, load_endpoints
 
 LAB = "https://lab.example"
 

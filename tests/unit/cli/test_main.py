@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from kleinkram.cli.main import ALIASES, COMMANDS, app
 
-HEAVY = ("pydantic", "urllib3", "rich", "awscrt", "kleinkram.client", "kleinkram.contract", "kleinkram.standalone")
+HEAVY = ("pydantic", "urllib3", "rich", "anycrc", "kleinkram.client", "kleinkram.contract", "kleinkram.standalone")
 
 
 def test_help_imports_nothing_heavy() -> None:

@@ -1,15 +1,15 @@
 """How files of one mission, or of several, are named after they were compared."""
 
 from kleinkram.cli.verify import _named
-from kleinkram.client.transfer import Verdict, Verified
+from kleinkram.client.transfer import FileVerdict, Verdict
 from tests.unit.client.nouns import file_read
 
 
-def _verified(mission: str) -> Verified:
-    return Verified("a", Verdict.same, 1, None, file_read("a", mission=mission))
+def _verified(mission: str) -> FileVerdict:
+    return FileVerdict("a", Verdict.same, 1, None, file_read("a", mission=mission))
 
 
 def test_the_mission_is_named_where_there_are_several() -> None:
-    missing = Verified("b", Verdict.missing, 1, None, None)
+    missing = FileVerdict("b", Verdict.missing, 1, None, None)
     assert [path for _, path in _named([_verified("day"), missing])] == ["a", "b"]
     assert [path for _, path in _named([_verified("day"), _verified("night")])] == ["alps/day/a", "alps/night/a"]

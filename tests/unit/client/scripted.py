@@ -10,7 +10,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from kleinkram.contract.errors import KleinkramError, to_problem
+from kleinkram.contract.errors import KleinkramError
+from kleinkram.contract.problems import to_problem
 from tests.http_server import Server
 
 # With a status of its own, it is what something else says that stands before the server.

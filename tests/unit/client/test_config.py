@@ -6,9 +6,15 @@ from pathlib import Path
 import pytest
 
 from kleinkram import connect
-from kleinkram.client.config import EndpointSource, find_endpoint
+from kleinkram.client.config import (
+    EndpointSource,
+    SavedEndpoint,
+    add_endpoint,
+    endpoints_file,
+    find_endpoint,
+    normal_url,
+)
 from kleinkram.client.errors import ConfigurationBroken, InvalidInput, NotConfigured
-from kleinkram.client.saved_endpoints import SavedEndpoint, add_endpoint, endpoints_file, normal_url
 
 
 @pytest.fixture(autouse=True)

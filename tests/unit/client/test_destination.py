@@ -6,7 +6,7 @@ import pytest
 
 from kleinkram.client.errors import DestinationRefused, PathsCollide
 from kleinkram.client.transfer import plan_download
-from kleinkram.client.transfer._place import make_folders, part_file
+from kleinkram.client.transfer.destination import make_folders, partial_path
 from tests.unit.client.nouns import file_read
 
 
@@ -69,5 +69,5 @@ def test_a_destination_that_is_a_link_itself_is_meant(tmp_path: Path) -> None:
 
 
 def test_the_temporary_name_fits_where_the_name_does() -> None:
-    assert part_file(Path("d/a.bag"), ".klein-part") == Path("d/a.bag.klein-part")
-    assert len(part_file(Path("d/" + "ü" * 127), ".klein-part").name.encode()) <= 255
+    assert partial_path(Path("d/a.bag"), ".klein-part") == Path("d/a.bag.klein-part")
+    assert len(partial_path(Path("d/" + "ü" * 127), ".klein-part").name.encode()) <= 255

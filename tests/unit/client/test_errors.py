@@ -6,9 +6,9 @@ import pytest
 
 from kleinkram.client import errors
 from kleinkram.client._http import query_of, reason_of
-from kleinkram.client.checking import checked
+from kleinkram.client._nouns import checked
 from kleinkram.client.errors import ClientError, InvalidInput, remember_request, request_id_of
-from kleinkram.client.transfer._store import Answer, meaning
+from kleinkram.client.transfer.store import StoreAnswer, meaning
 from kleinkram.contract.errors import InternalError, NotFound
 from kleinkram.contract.files import BlobState, FileFilter
 from kleinkram.contract.projects import ProjectCreate
@@ -54,20 +54,20 @@ def test_reasons_are_short_and_hold_no_address() -> None:
 @pytest.mark.parametrize(
     ("status", "code", "answer"),
     [
-        (403, "AccessDenied", Answer.sign_again),
-        (404, "NoSuchUpload", Answer.gone),
-        (404, "NoSuchKey", Answer.gone),
-        (404, "NoSuchBucket", Answer.try_again),
-        (404, "", Answer.try_again),
-        (410, "", Answer.try_again),
-        (400, "BadDigest", Answer.refused),
-        (400, "RequestTimeout", Answer.try_again),
-        (408, "", Answer.try_again),
-        (429, "", Answer.try_again),
-        (500, "InternalError", Answer.try_again),
-        (501, "NotImplemented", Answer.refused),
-        (503, "SlowDown", Answer.try_again),
+        (403, "AccessDenied", StoreAnswer.sign_again),
+        (404, "NoSuchUpload", StoreAnswer.gone),
+        (404, "NoSuchKey", StoreAnswer.gone),
+        (404, "NoSuchBucket", StoreAnswer.try_again),
+        (404, "", StoreAnswer.try_again),
+        (410, "", StoreAnswer.try_again),
+        (400, "BadDigest", StoreAnswer.refused),
+        (400, "RequestTimeout", StoreAnswer.try_again),
+        (408, "", StoreAnswer.try_again),
+        (429, "", StoreAnswer.try_again),
+        (500, "InternalError", StoreAnswer.try_again),
+        (501, "NotImplemented", StoreAnswer.refused),
+        (503, "SlowDown", StoreAnswer.try_again),
     ],
 )
-def test_what_a_store_means(status: int, code: str, answer: Answer) -> None:
+def test_what_a_store_means(status: int, code: str, answer: StoreAnswer) -> None:
     assert meaning(status, code) is answer

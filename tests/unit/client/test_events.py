@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from kleinkram.client import Client, Endpoint, EndpointSource, events
+from kleinkram.client import Client, Endpoint, EndpointSource, server
 from kleinkram.contract.events import Change, Refetch
 from tests.unit.client.scripted import scripted
 
@@ -24,7 +24,7 @@ REFETCH = b'event: refetch\ndata: {"reason": "missed"}\n\n'
 def test_who_was_cut_off_asks_for_what_came_meanwhile(
     monkeypatch: pytest.MonkeyPatch, first: bytes, came_back_with: str
 ) -> None:
-    monkeypatch.setattr(events, "_PAUSE_S", 0.01)
+    monkeypatch.setattr(server, "_PAUSE_S", 0.01)
     heard: list[Change | Refetch] = []
     with scripted(first, REFETCH) as script, Client(Endpoint("x", script.url, "t", EndpointSource.argument)) as client:
         for each in client.events.follow(for_s=20):

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import pytest
 
-from kleinkram.client.transfer._flow import Budget, Channel, Stop, Stopped
+from kleinkram.client.transfer.threads import Budget, Stop, Stopped, WorkQueue
 
 
 def in_thread(work: Callable[[], object]) -> tuple[threading.Thread, list[object]]:
@@ -24,7 +24,7 @@ def in_thread(work: Callable[[], object]) -> tuple[threading.Thread, list[object
 
 
 def test_things_arrive_in_order_and_in_batches() -> None:
-    channel: Channel[int] = Channel(Stop())
+    channel: WorkQueue[int] = WorkQueue(Stop())
     for number in range(5):
         channel.put(number)
     assert channel.take(3) == [0, 1, 2]
@@ -33,7 +33,7 @@ def test_things_arrive_in_order_and_in_batches() -> None:
 
 
 def test_whoever_waits_is_woken_by_a_thing() -> None:
-    channel: Channel[str] = Channel(Stop())
+    channel: WorkQueue[str] = WorkQueue(Stop())
     thread, answers = in_thread(lambda: channel.take(1))
     channel.put("thing")
     thread.join(10)
@@ -69,7 +69,7 @@ def test_whoever_waits_for_the_budget_waits_until_half_of_it_is_free() -> None:
 
 def test_the_end_wakes_everybody_and_keeps_the_first_failure() -> None:
     stop = Stop()
-    channel: Channel[str] = Channel(stop)
+    channel: WorkQueue[str] = WorkQueue(stop)
     budget = Budget(stop, 1)
     budget.acquire(1)
     waiting = [

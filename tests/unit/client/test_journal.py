@@ -9,11 +9,11 @@ import pytest
 
 from kleinkram.client.errors import UploadElsewhere
 from kleinkram.client.transfer.journal import Journal, JournalHead, JournalPart, Journals, journals_dir
-from kleinkram.client.transfer.plan import Identity, LocalFile
+from kleinkram.client.transfer.plan import FileIdentity, LocalFile
 from kleinkram.contract.uploads import MIN_PART_BYTES
 
 MISSION = uuid.UUID(int=1)
-FILE = LocalFile(Path("/data/cam.mcap"), "day/cam.mcap", Identity(100, 1, 2, 3))
+FILE = LocalFile(Path("/data/cam.mcap"), "day/cam.mcap", FileIdentity(100, 1, 2, 3))
 
 
 @pytest.fixture(autouse=True)
@@ -108,7 +108,7 @@ def test_what_is_done_or_empty_leaves_nothing() -> None:
 
 
 def other(number: int, size_bytes: int = 100) -> LocalFile:
-    return LocalFile(Path("/data/x"), f"{number}.bin", Identity(size_bytes, 1, 2, 3))
+    return LocalFile(Path("/data/x"), f"{number}.bin", FileIdentity(size_bytes, 1, 2, 3))
 
 
 def test_small_files_share_a_file_one_after_the_other() -> None:

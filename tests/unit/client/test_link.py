@@ -17,21 +17,21 @@ from kleinkram.client import _network
 from kleinkram.client._network import NetworkMonitor, WatchedConnection, WatchedPools, has_address
 from kleinkram.client._retry import Backoff
 from kleinkram.client.errors import ServerUnreachable
-from kleinkram.client.transfer import _downloader, plan_download
-from kleinkram.client.transfer._flow import Stop
+from kleinkram.client.transfer import plan_download
 from kleinkram.client.transfer.download import fetch
 from kleinkram.client.transfer.link import (
     CALM_S,
     QUICK_S,
     SLOW_S,
     Lane,
+    LinkMonitor,
     LinkReport,
-    LinkWatch,
     Window,
     diagnose,
     is_silence,
 )
-from kleinkram.client.transfer.progress import Unwatched
+from kleinkram.client.transfer.report import SilentObserver
+from kleinkram.client.transfer.threads import Stop
 from kleinkram.contract.files import DownloadLink
 from kleinkram.contract.uploads import MIN_PART_BYTES as PART
 from tests.ports import choose_port
@@ -149,9 +149,9 @@ def test_a_part_with_trouble_of_its_own_lets_others_go_first() -> None:
             pass
 
 
-def _watch(clock: Clock) -> tuple[LinkWatch, list[str]]:
+def _watch(clock: Clock) -> tuple[LinkMonitor, list[str]]:
     said: list[str] = []
-    return LinkWatch(said.append, clock=clock), said
+    return LinkMonitor(said.append, clock=clock), said
 
 
 def _backoff() -> Backoff:
@@ -349,14 +349,14 @@ def test_a_transfer_that_ends_before_its_first_byte_says_what_does_not_answer(
     server = f"http://127.0.0.1:{choose_port()}"
     said: list[str] = []
 
-    class Heard(Unwatched):
-        def said(self, text: str) -> None:
+    class Heard(SilentObserver):
+        def notify(self, text: str) -> None:
             said.append(text)
 
     def links(_: object) -> Sequence[DownloadLink]:
         raise ServerUnreachable(url=server, reason="Connection refused")
 
-    monkeypatch.setattr(_downloader, "PATIENCE_S", 0.0)
+    monkeypatch.setattr(sys.modules["kleinkram.client.transfer.download"], "PATIENCE_S", 0.0)
     with pytest.raises(ServerUnreachable):
         fetch(links, server, plan_download([file_read("a")], tmp_path), watcher=Heard())
     assert "cannot be reached: Connection refused" in said[-1]

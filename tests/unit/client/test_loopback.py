@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 import urllib3
 
-from kleinkram.client.loopback import Loopback
+from kleinkram.client.sign_in import Loopback
 from kleinkram.contract.errors import SignInDenied, SignInExpired
 
 STATE = "a-state-nobody-guesses"

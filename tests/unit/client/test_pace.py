@@ -1,7 +1,7 @@
 """Not faster than asked."""
 
 from kleinkram.client._retry import LONGEST_WAIT_S, Backoff
-from kleinkram.client.transfer.pace import Pace
+from kleinkram.client.transfer.threads import RateLimit
 
 
 class Clock:
@@ -19,7 +19,7 @@ class Clock:
 
 def test_bytes_take_the_time_they_may() -> None:
     clock = Clock()
-    pace = Pace(1000, clock=clock)
+    pace = RateLimit(1000, clock=clock)
     for _ in range(50):
         pace.spend(100, clock.wait)
     assert 4.5 <= clock.now - 100 <= 5.0
@@ -27,7 +27,7 @@ def test_bytes_take_the_time_they_may() -> None:
 
 def test_idle_time_is_not_saved_up() -> None:
     clock = Clock()
-    pace = Pace(1000, clock=clock)
+    pace = RateLimit(1000, clock=clock)
     clock.now += 3600
     began = clock.now
     pace.spend(5000, clock.wait)
@@ -36,7 +36,7 @@ def test_idle_time_is_not_saved_up() -> None:
 
 def test_no_limit_never_waits() -> None:
     clock = Clock()
-    Pace(None, clock=clock).spend(10**12, clock.wait)
+    RateLimit(None, clock=clock).spend(10**12, clock.wait)
     assert clock.now == 100
 
 

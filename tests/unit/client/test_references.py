@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import pytest
 
-from kleinkram.client.references import is_glob, the_one
+from kleinkram.client._nouns import is_glob, resolve_one
 from kleinkram.contract.errors import AmbiguousName, NotFound
 
 
@@ -14,7 +14,7 @@ class Row(NamedTuple):
 
 
 def found(ref: str, *rows: Row) -> Row:
-    return the_one("mission", ref, rows, name=lambda row: row.name, label=lambda row: f"{row.place}/{row.name}")
+    return resolve_one("mission", ref, rows, name=lambda row: row.name, label=lambda row: f"{row.place}/{row.name}")
 
 
 def test_letter_case_and_unicode_form_do_not_matter() -> None:

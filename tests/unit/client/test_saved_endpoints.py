@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.client.errors import ConfigurationBroken, CredentialsExposed, EndpointTaken, InvalidInput, NoSuchEndpoint
-from kleinkram.client.saved_endpoints import (
+from kleinkram.client.config import (
     SavedEndpoint,
     SavedEndpoints,
     add_endpoint,
@@ -18,6 +17,7 @@ from kleinkram.client.saved_endpoints import (
     remove_endpoint,
     use_endpoint,
 )
+from kleinkram.client.errors import ConfigurationBroken, CredentialsExposed, EndpointTaken, InvalidInput, NoSuchEndpoint
 
 LAB = SavedEndpoint(url="https://lab", token="lab-secret", person="Ada", is_own=True)
 FIELD = SavedEndpoint(
@@ -25,7 +25,7 @@ FIELD = SavedEndpoint(
 )
 ADDS = """
 import sys
-from kleinkram.client.saved_endpoints import SavedEndpoint, add_endpoint
+from kleinkram.client.config import SavedEndpoint, add_endpoint
 print("ready", flush=True)
 sys.stdin.readline()
 for number in range(10):

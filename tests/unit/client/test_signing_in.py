@@ -12,7 +12,7 @@ import urllib3
 
 from kleinkram.client.config import Endpoint, EndpointSource
 from kleinkram.client.errors import AnswerNotUnderstood, ServerUnreachable
-from kleinkram.client.signing_in import begin_browser, begin_device, end_token, see_server, wait_for_device, who_has
+from kleinkram.client.sign_in import begin_browser, begin_device, end_token, see_server, wait_for_device, who_has
 from kleinkram.contract.errors import (
     KleinkramError,
     NotAuthenticated,
@@ -66,7 +66,7 @@ def test_a_code_is_asked_for_by_a_stranger() -> None:
 
 def test_a_device_waits_as_long_as_it_is_told_to() -> None:
     waited: list[float] = []
-    limited = RateLimited(what="sign-ins", most=10, per_s=60, retry_after_s=7)
+    limited = RateLimited(what="sign-ins", limit=10, window_s=60, retry_after_s=7)
     said = [SignInPending(interval_s=5), SlowDown(interval_s=10), SignInPending(interval_s=5), limited, None, SIGNED_IN]
     with scripted(*said) as server:
         assert wait_for_device(server.url, CODE, waited.append) == SIGNED_IN

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from kleinkram.client.errors import FileChanged
-from kleinkram.client.transfer._source import SLICE_BYTES, Crc64, Source, WholeHash, new_checksum
-from kleinkram.client.transfer._uploader import batches
-from kleinkram.client.transfer.plan import Identity, LocalFile, identity_of
+from kleinkram.client.transfer.local_file import SLICE_BYTES, Crc64Hash, FileHashes, OpenFile, new_checksum
+from kleinkram.client.transfer.plan import FileIdentity, LocalFile, identity_of
+from kleinkram.client.transfer.upload import batches
 from kleinkram.contract.uploads import ChecksumKind
 
 
@@ -23,8 +23,8 @@ def local(tmp_path: Path) -> LocalFile:
 
 
 def test_slices_are_the_bytes(local: LocalFile) -> None:
-    source = Source(local)
-    whole = WholeHash()
+    source = OpenFile(local)
+    whole = FileHashes()
     for view in source.slices(0, local.size_bytes):
         whole.update(view)
     assert whole.sha256.hexdigest() == hashlib.sha256(local.source.read_bytes()).hexdigest()
@@ -57,17 +57,17 @@ def _replace(path: Path) -> None:
     [(_append, "bytes"), (_overwrite, "written"), (_replace, "place"), (Path.unlink, "gone")],
 )
 def test_every_change_is_found_before_and_after(local: LocalFile, change: Callable[[Path], None], reason: str) -> None:
-    source = Source(local)
+    source = OpenFile(local)
     change(local.source)
     with pytest.raises(FileChanged, match=reason):
         source.check_unchanged()
     source.close()
     with pytest.raises(FileChanged, match=reason):
-        Source(local)
+        OpenFile(local)
 
 
 def test_a_file_cut_short_while_it_is_read_is_found(local: LocalFile) -> None:
-    source = Source(local)
+    source = OpenFile(local)
     os.truncate(local.source, 10)
     with pytest.raises(FileChanged, match="shorter"):
         [bytes(view) for view in source.slices(0, local.size_bytes)]
@@ -90,12 +90,12 @@ def test_checksums_have_their_check_values(kind: ChecksumKind, expected: str) ->
 
 
 def test_an_empty_crc_has_sixteen_digits() -> None:
-    assert Crc64().hexdigest() == "0" * 16
+    assert Crc64Hash().hexdigest() == "0" * 16
 
 
 def test_files_are_announced_in_batches_just_ahead_of_need() -> None:
     def of(size: int) -> LocalFile:
-        return LocalFile(Path("x"), "x", Identity(size, 0, 0, 0))
+        return LocalFile(Path("x"), "x", FileIdentity(size, 0, 0, 0))
 
     mib = 1024 * 1024
     assert [len(batch) for batch in batches([of(1000)] * 150)] == [16, 100, 34]

@@ -10,10 +10,8 @@ from kleinkram.contract.errors import (
     InternalError,
     KleinkramError,
     MetadataInvalid,
-    ProblemDocument,
-    from_problem,
-    to_problem,
 )
+from kleinkram.contract.problems import ProblemDocument, from_problem, to_problem
 
 _VALUES: dict[str, object] = {
     "str": "text",
@@ -55,7 +53,7 @@ def test_an_error_crosses_the_wire_and_is_the_same(code: ErrorCode) -> None:
 
 
 def test_the_sentence_names_both_hashes() -> None:
-    error = FileExists(path="run.mcap", existing_sha256="aa", given_sha256="bb", existing_file_id="1")
+    error = FileExists(path="run.mcap", existing_sha256="aa", sent_sha256="bb", existing_file_id="1")
     assert "aa" in str(error)
     assert "bb" in str(error)
 
@@ -68,7 +66,7 @@ def test_all_problems_are_named_at_once() -> None:
 
 
 def test_a_newer_server_that_leaves_out_a_field_does_not_make_a_wrong_sentence() -> None:
-    document = to_problem(FileExists(path="a", existing_sha256=None, given_sha256=None, existing_file_id="1"), "req-9")
+    document = to_problem(FileExists(path="a", existing_sha256=None, sent_sha256=None, existing_file_id="1"), "req-9")
     cut = {key: value for key, value in document.model_dump(mode="json").items() if key != "path"}
     back = from_problem(ProblemDocument.model_validate(cut))
     assert isinstance(back, InternalError)

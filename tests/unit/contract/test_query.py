@@ -39,7 +39,7 @@ _DAY = datetime.datetime(2026, 5, 1, tzinfo=datetime.timezone.utc)
         ),
         (f"project:{_ID} project:a*", {"project_id": _ID, "project": "a*"}),
         ("label=night format=mcap", {"label": ["night"], "format": ["mcap"]}),
-        ("content:Broken state:proven", {"content": [ContentState.broken], "state": [BlobState.proven]}),
+        ("content:Broken state:verified", {"content": [ContentState.broken], "state": [BlobState.verified]}),
         ("meta.robot:anymal", {"where": ["robot=anymal"]}),
         ("meta.robot=anymal", {"where": ["robot=anymal"]}),
         ("meta.site.latitude>=47.3", {"where": ["site.latitude>=47.3"]}),

@@ -22,9 +22,8 @@ from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 
-from kleinkram.recordings import Content, Depth, FileSource
+from kleinkram.recordings import Content, Depth, FileSource, NotARecording, Recording
 from kleinkram.recordings.inspect import Inspection, inspect_paths
-from kleinkram.recordings.reading import NotARecording, Recording
 
 Plain = tuple[str, int, int, int, bytes]
 
@@ -86,7 +85,7 @@ class Accounts:
 def accounts_of(folder: Path) -> list[Accounts]:
     """Ask all readers that need no server about all recordings below a folder."""
     summaries, scans = inspect_paths([folder]), inspect_paths([folder], depth=Depth.scan)
-    assert [each.path for each in summaries] == [each.path for each in scans]
+    assert [item.path for item in summaries] == [item.path for item in scans]
     return [
         Accounts(
             Path(by_summary.path).relative_to(folder).as_posix(),
@@ -155,28 +154,28 @@ def disagreements(accounts: Accounts) -> list[str]:
     """Return in words where the readers of one recording disagree."""
     summary, scan = accounts.summary, accounts.scan
     is_damaged_inside = summary.content is Content.indexed and scan.content is Content.recovered
-    found = [] if is_damaged_inside else _differences("the scan", scan, "the summary", summary)
-    found += _fewer_problems("the scan", scan, "the summary", summary)
+    actual = [] if is_damaged_inside else _differences("the scan", scan, "the summary", summary)
+    actual += _fewer_problems("the scan", scan, "the summary", summary)
     if accounts.server is not None:
-        found += _differences("the server", accounts.server, "the scan", scan)
-        found += _fewer_problems("the server", accounts.server, "the scan", scan)
+        actual += _differences("the server", accounts.server, "the scan", scan)
+        actual += _fewer_problems("the server", accounts.server, "the scan", scan)
     for name, reading in (("near", accounts.near), ("far", accounts.far)):
-        who = f"Recording ({name})"
+        reader_name = f"Recording ({name})"
         if reading is None:
             if scan.content not in (Content.opaque, Content.broken):
-                found.append(f"{who} refuses what the scan calls {scan.content}")
+                actual.append(f"{reader_name} refuses what the scan calls {scan.content}")
             continue
         account = reading.account
         may_differ = scan.content is not Content.indexed or "suspect-stamps" in scan.problems
         if may_differ and _contains(account.span, scan.span):
             account = replace(account, span=scan.span)
-        found += _differences(who, account, "the scan", _without_undefined_topics(scan))
-        found += _fewer_problems(who, account, "the summary", summary)
+        actual += _differences(reader_name, account, "the scan", _without_undefined_topics(scan))
+        actual += _fewer_problems(reader_name, account, "the summary", summary)
         if reading.claimed_count not in (None, summary.count) and summary.content is Content.indexed:
-            found.append(f"{who} claims {reading.claimed_count} messages, the summary {summary.count}")
+            actual.append(f"{reader_name} claims {reading.claimed_count} messages, the summary {summary.count}")
     if accounts.near is not None and accounts.far is not None and accounts.near.messages != accounts.far.messages:
-        found.append("Recording yields other messages far than near")
-    return found
+        actual.append("Recording yields other messages far than near")
+    return actual
 
 
 def _contains(outer: tuple[int | None, int | None], inner: tuple[int | None, int | None]) -> bool:
@@ -191,24 +190,24 @@ def _without_undefined_topics(account: Account) -> Account:
     return replace(account, topics=topics, count=None if account.count is None else account.count - left_out)
 
 
-def _differences(who: str, one: Account, whom: str, other: Account) -> list[str]:
+def _differences(reader_name: str, one: Account, other_name: str, other: Account) -> list[str]:
     """Compare all but problems. A time that a file does not tell without being read whole is not compared."""
-    found = []
+    actual = []
     if one.members != other.members:
-        found.append(f"{who} names the members {one.members}, {whom} {other.members}")
+        actual.append(f"{reader_name} names the members {one.members}, {other_name} {other.members}")
     if None not in (one.content, other.content) and one.content is not other.content:
-        found.append(f"{who} calls it {one.content}, {whom} {other.content}")
+        actual.append(f"{reader_name} calls it {one.content}, {other_name} {other.content}")
     if one.count != other.count:
-        found.append(f"{who} counts {one.count} messages, {whom} {other.count}")
+        actual.append(f"{reader_name} counts {one.count} messages, {other_name} {other.count}")
     if one.span != other.span and one.span != (None, None):
-        found.append(f"{who} says the span {one.span}, {whom} {other.span}")
-    return found + [
-        f"{who} says of {name} {one.topics.get(name)}, {whom} {other.topics.get(name)}"
+        actual.append(f"{reader_name} says the span {one.span}, {other_name} {other.span}")
+    return actual + [
+        f"{reader_name} says of {name} {one.topics.get(name)}, {other_name} {other.topics.get(name)}"
         for name in sorted(one.topics.keys() | other.topics.keys())
         if one.topics.get(name) != other.topics.get(name)
     ]
 
 
-def _fewer_problems(who: str, one: Account, whom: str, other: Account) -> list[str]:
+def _fewer_problems(reader_name: str, one: Account, other_name: str, other: Account) -> list[str]:
     missing: Iterable[str] = sorted(other.problems - one.problems)
-    return [f"{who} does not name {code}, as {whom} does" for code in missing]
+    return [f"{reader_name} does not name {code}, as {other_name} does" for code in missing]

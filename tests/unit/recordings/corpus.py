@@ -39,6 +39,6 @@ def entries() -> tuple[Entry, ...]:
 
 def params(*formats: str, broken: bool = False, without: str = "") -> list[Any]:
     """Test parameters: the files of some formats, whole or broken; without recordings, one that will be skipped."""
-    found = [e for e in entries() if e.format in formats and (e.broken is not None) == broken and e.name != without]
+    actual = [e for e in entries() if e.format in formats and (e.broken is not None) == broken and e.name != without]
     missing = Entry("recordings are missing", None, {})
-    return [pytest.param(entry, id=entry.name) for entry in found or [missing]]
+    return [pytest.param(entry, id=entry.name) for entry in actual or [missing]]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import struct
 
-from kleinkram.recordings.mcap import records
+from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.sources import check_range
 
 T0 = 1_700_000_000_000_000_000
@@ -31,20 +32,20 @@ class SyntheticMcap:
 
     def __init__(self, size_bytes: int, *, chunk_bytes: int) -> None:
         self._chunk_bytes = chunk_bytes
-        self._front = records.MAGIC + _record(records.HEADER, bytes(8))
+        self._front = records.MAGIC + _record(Opcode.HEADER, bytes(8))
         self._message_index_bytes = len(self._message_index(0))
         self._stride = chunk_bytes + self._message_index_bytes
         self.chunks = size_bytes // self._stride
-        data_end = _record(records.DATA_END, bytes(4))
+        data_end = _record(Opcode.DATA_END, bytes(4))
         self._summary_start = len(self._front) + self.chunks * self._stride + len(data_end)
         place = len(self._chunk_index(0))
-        schema = _record(records.SCHEMA, struct.pack("<H", 1) + _text("a/B") + _text("ros2msg") + _text("int8 x"))
-        channel = _record(records.CHANNEL, struct.pack("<HH", 0, 1) + _text("/t") + _text("cdr") + bytes(4))
+        schema = _record(Opcode.SCHEMA, struct.pack("<H", 1) + _text("a/B") + _text("ros2msg") + _text("int8 x"))
+        channel = _record(Opcode.CHANNEL, struct.pack("<HH", 0, 1) + _text("/t") + _text("cdr") + bytes(4))
         statistics = _record(
-            records.STATISTICS,
+            Opcode.STATISTICS,
             records.STATISTICS_BODY.pack(self.chunks * MESSAGES_PER_CHUNK, 1, 1, 0, 0, self.chunks, T0, T0) + bytes(4),
         )
-        footer = _record(records.FOOTER, struct.pack("<QQI", self._summary_start, 0, 0)) + records.MAGIC
+        footer = _record(Opcode.FOOTER, struct.pack("<QQI", self._summary_start, 0, 0)) + records.MAGIC
         self._data_end, self._definitions, self._back = data_end, schema + channel + statistics, footer
         self._places_start = self._summary_start + len(self._definitions)
         self._place_bytes = place
@@ -85,7 +86,7 @@ class SyntheticMcap:
     def _message_index(self, number: int) -> bytes:
         first = T0 + number * MESSAGES_PER_CHUNK * PERIOD_NS
         entries = b"".join(struct.pack("<QQ", first + i * PERIOD_NS, i * 100) for i in range(MESSAGES_PER_CHUNK))
-        return _record(records.MESSAGE_INDEX, struct.pack("<HI", 0, len(entries)) + entries)
+        return _record(Opcode.MESSAGE_INDEX, struct.pack("<HI", 0, len(entries)) + entries)
 
     def _chunk_index(self, number: int) -> bytes:
         first = T0 + number * MESSAGES_PER_CHUNK * PERIOD_NS
@@ -93,4 +94,4 @@ class SyntheticMcap:
         last = first + (MESSAGES_PER_CHUNK - 1) * PERIOD_NS
         places = struct.pack("<QQQQ", first, last, start, self._chunk_bytes) + struct.pack("<IHQ", 10, 0, start)
         sizes = struct.pack("<Q", self._message_index_bytes) + _text("zstd") + struct.pack("<QQ", 1000, 2000)
-        return _record(records.CHUNK_INDEX, places + sizes)
+        return _record(Opcode.CHUNK_INDEX, places + sizes)

@@ -10,13 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.recordings.mcap import records
-from kleinkram.recordings.reading import Recording
+from kleinkram.recordings import Recording
+from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap.records import Opcode
 from tests.conftest import CASES, MakeCase
 
 from .agreement import Accounts, accounts_of, disagreements
 from .memory_source import MemorySource
-from .reading.making import T0, Stamped, Watched, mcap_of
+from .reading.builders import T0, Stamped, Watched, mcap_of
 
 CASE_NUMBERS = sorted(path.parent.name.split("-")[0] for path in CASES.glob("*/make.py"))
 
@@ -34,8 +35,8 @@ def real_recordings(recordings_dir: Path) -> list[Accounts]:
 
 def test_all_readers_agree_on_every_real_recording(real_recordings: list[Accounts]) -> None:
     assert len(real_recordings) > 100
-    found = {accounts.name: told for accounts in real_recordings if (told := disagreements(accounts))}
-    assert found == {}
+    actual = {accounts.name: named for accounts in real_recordings if (named := disagreements(accounts))}
+    assert actual == {}
 
 
 def test_only_the_known_recordings_are_damaged_where_no_index_shows_it(real_recordings: list[Accounts]) -> None:
@@ -49,11 +50,11 @@ def test_only_the_known_recordings_are_damaged_where_no_index_shows_it(real_reco
 
 @pytest.mark.parametrize("number", [number for number in CASE_NUMBERS if number not in WITHOUT_RECORDINGS])
 def test_all_readers_agree_on_every_small_input_that_once_failed(number: str, make_case: MakeCase) -> None:
-    found = {accounts.name: told for accounts in accounts_of(make_case(number)) if (told := disagreements(accounts))}
-    assert found == {}
+    actual = {accounts.name: named for accounts in accounts_of(make_case(number)) if (named := disagreements(accounts))}
+    assert actual == {}
 
 
-def _odd_database(folder: Path) -> None:
+def _database_with_undefined_topic(folder: Path) -> None:
     """Write a database half of whose messages belong to a topic that it does not define."""
     with sqlite3.connect(folder / "undefined.db3") as database:
         database.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)")
@@ -78,8 +79,8 @@ def _split(folder: Path) -> None:
 
 
 _S = 10**9
-_ODD: dict[str, Callable[[Path], None]] = {
-    "topic-undefined": _odd_database,
+_UNUSUAL: dict[str, Callable[[Path], None]] = {
+    "topic-undefined": _database_with_undefined_topic,
     "suspect-stamps": lambda folder: _write(folder, "a.mcap", [[("/t", 5, b""), ("/t", T0, b""), ("/t", T0 + 1, b"")]]),
     "extension-lies": lambda folder: _write(folder, "a.bag", [[("/t", T0, b"")]]),
     "stops-early": lambda folder: _write(
@@ -91,9 +92,9 @@ _ODD: dict[str, Callable[[Path], None]] = {
 }
 
 
-@pytest.mark.parametrize("code", _ODD)
+@pytest.mark.parametrize("code", _UNUSUAL)
 def test_a_recording_names_the_problems_that_its_summary_names(code: str, tmp_path: Path) -> None:
-    _ODD[code](tmp_path)
+    _UNUSUAL[code](tmp_path)
     (accounts,) = accounts_of(tmp_path)
     assert code in accounts.summary.problems
     assert disagreements(accounts) == []
@@ -104,11 +105,11 @@ def test_messages_between_chunks_are_read_over_a_network_as_they_are_from_a_disk
     source = mcap_of([[("/t", T0 + 10 * number + at, bytes(100)) for at in range(5)] for number in range(4)])
     data = source.read(0, source.size_bytes)
     starts = [match.start() for match in re.finditer(rb"\x06.{8}.{24}.{4}\x04\0\0\0zstd", data, re.DOTALL)][:4]
-    end = data.index(bytes([records.DATA_END]) + struct.pack("<Q", 4), starts[-1])
+    end = data.index(bytes([Opcode.DATA_END]) + struct.pack("<Q", 4), starts[-1])
     pieces = [data[: starts[0]]]
     for number, (start, stop) in enumerate(zip(starts, [*starts[1:], end], strict=True)):
         head = struct.pack("<HIQQ", 0, 0, T0 + 10 * number + 7, 0)
-        loose = records.RECORD_HEAD.pack(records.MESSAGE, len(head) + 3) + head + b"own"
+        loose = records.RECORD_HEAD.pack(Opcode.MESSAGE, len(head) + 3) + head + b"own"
         pieces += [data[start:stop], loose, loose]
     (tmp_path / "mixed.mcap").write_bytes(b"".join(pieces))
     (accounts,) = accounts_of(tmp_path)
@@ -116,7 +117,7 @@ def test_messages_between_chunks_are_read_over_a_network_as_they_are_from_a_disk
     assert disagreements(accounts) == []
 
 
-def test_problems_are_known_after_closing_and_cost_nothing_before_they_are_asked_for(tmp_path: Path) -> None:
+def test_problems_are_available_after_closing_and_read_nothing_before_access(tmp_path: Path) -> None:
     _write(tmp_path, "a.mcap", [[("/t", 5, b""), ("/t", T0, b""), ("/t", T0 + 1, b"")]])
     with Recording.open(tmp_path / "a.mcap") as recording:
         pass
@@ -127,6 +128,6 @@ def test_problems_are_known_after_closing_and_cost_nothing_before_they_are_asked
         opened = len(watched.ranges)
         assert [problem.code for problem in recording.problems] == ["suspect-stamps"]
         assert len(watched.ranges) > opened
-        asked = len(watched.ranges)
+        requested = len(watched.ranges)
         assert recording.problems
-    assert len(watched.ranges) == asked
+    assert len(watched.ranges) == requested

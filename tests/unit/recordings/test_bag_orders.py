@@ -7,8 +7,8 @@ from io import BytesIO
 import pytest
 
 from kleinkram.recordings import Content, RecordingSummary, summarise
-from kleinkram.recordings.bag.writer import BagCompression, BagWriter
-from kleinkram.recordings.forward import from_source
+from kleinkram.recordings.formats.rosbag1.writer import BagCompression, BagWriter
+from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
 
 from .memory_source import MemorySource
@@ -33,7 +33,7 @@ def bag(numbers: list[int], compression: BagCompression, *, connections: int = 1
 
 def both(data: bytes) -> list[RecordingSummary]:
     """What the summary says, and what the scan says."""
-    return [summarise(MemorySource(data, "a.bag")), scan(from_source(MemorySource(data, "a.bag")))]
+    return [summarise(MemorySource(data, "a.bag")), scan(source_reader(MemorySource(data, "a.bag")))]
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)

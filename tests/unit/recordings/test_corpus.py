@@ -20,7 +20,7 @@ from kleinkram.recordings import (
     summarise,
     to_dict,
 )
-from kleinkram.recordings.forward import from_file
+from kleinkram.recordings.sources import file_reader
 from kleinkram.recordings.summary import scan
 
 from .corpus import Entry, entries, params
@@ -45,7 +45,7 @@ LOST = {
 
 
 _AUV = ["starts-late", "stops-early"]
-ODD = {
+UNUSUAL = {
     "mcap/rosbag2_all_sensor_msgs_none.mcap": ["silent-topic", "silent-topic"],
     "mcap/SO_bag/SO_bag_0.mcap": ["silent-topic", *_AUV],
     "derived/metadata_wrong_counts/SO_bag_0.mcap": ["silent-topic", *_AUV],
@@ -63,8 +63,8 @@ def summarise_file(path: Path) -> RecordingSummary:
 
 
 def scan_file(path: Path) -> RecordingSummary:
-    with from_file(path) as forward:
-        return scan(forward)
+    with file_reader(path) as reader:
+        return scan(reader)
 
 
 def assert_as_expected(summary: RecordingSummary, entry: Entry) -> None:
@@ -76,11 +76,11 @@ def assert_as_expected(summary: RecordingSummary, entry: Entry) -> None:
     assert (summary.start_ns, summary.end_ns) == (expected["start_ns"], expected["end_ns"])
     if entry.format == "MCAP":
         assert summary.format is RecordingFormat.mcap
-        found = [(t.name, t.message_type, t.count, t.message_encoding, t.schema_encoding) for t in summary.topics]
+        actual = [(t.name, t.message_type, t.count, t.message_encoding, t.schema_encoding) for t in summary.topics]
         expected_topics = [
             (t["topic"], t["type"], t["count"], t["encoding"], t.get("schema_encoding", "")) for t in expected["topics"]
         ]
-        assert found == sorted(expected_topics)
+        assert actual == sorted(expected_topics)
         assert (summary.library, summary.profile) == (expected["library"], expected["profile"])
         assert summary.attachments == expected["attachments"]
         assert summary.metadata_records == expected["metadata_records"]
@@ -95,7 +95,7 @@ def assert_as_expected(summary: RecordingSummary, entry: Entry) -> None:
 def test_whole_by_summary(entry: Entry, recordings_dir: Path) -> None:
     summary = summarise_file(recordings_dir / entry.name)
     assert_as_expected(summary, entry)
-    assert [problem.code for problem in summary.problems] == ODD.get(entry.name, [])
+    assert [problem.code for problem in summary.problems] == UNUSUAL.get(entry.name, [])
 
 
 @pytest.mark.parametrize("entry", params(*RECORDINGS))

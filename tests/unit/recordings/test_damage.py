@@ -11,10 +11,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from kleinkram.recordings import Content, RecordingSummary
-from kleinkram.recordings.bag.writer import BagCompression, BagWriter
-from kleinkram.recordings.forward import from_source
-from kleinkram.recordings.mcap import records
-from kleinkram.recordings.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap.records import Opcode
+from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.formats.rosbag1.writer import BagCompression, BagWriter
+from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
 
 from .memory_source import MemorySource
@@ -52,37 +53,37 @@ def make_mcap(compression: Compression) -> Whole:
 
 def mcap_chunks(data: bytes) -> list[tuple[int, int, int]]:
     """Return the chunks by a plain walk; the message indexes behind each tell its messages."""
-    found: list[tuple[int, int, int]] = []
+    actual: list[tuple[int, int, int]] = []
     at = len(records.MAGIC)
-    while data[at] != records.DATA_END:
+    while data[at] != Opcode.DATA_END:
         opcode, length = records.RECORD_HEAD.unpack_from(data, at)
         end = at + records.RECORD_HEAD.size + length
-        if opcode == records.CHUNK:
-            found.append((at, end, 0))
-        elif opcode == records.MESSAGE_INDEX:
-            start, chunk_end, messages = found.pop()
-            found.append((start, chunk_end, messages + (length - 6) // 16))
+        if opcode == Opcode.CHUNK:
+            actual.append((at, end, 0))
+        elif opcode == Opcode.MESSAGE_INDEX:
+            start, chunk_end, messages = actual.pop()
+            actual.append((start, chunk_end, messages + (length - 6) // 16))
         at = end
-    return found
+    return actual
 
 
 def make_unchunked() -> Whole:
     """An MCAP whose messages stand outside of chunks: each is a chunk of its own, as far as damage goes."""
-    definitions = record(records.SCHEMA, struct.pack("<HI", 1, 1) + b"T" + struct.pack("<I", 7) + b"ros2msg" + bytes(4))
+    definitions = record(Opcode.SCHEMA, struct.pack("<HI", 1, 1) + b"T" + struct.pack("<I", 7) + b"ros2msg" + bytes(4))
     for number, topic in enumerate(TOPICS):
         name = topic.encode()
         body = struct.pack("<HHI", number, 1, len(name)) + name + struct.pack("<I", 3) + b"cdr" + bytes(4)
-        definitions += record(records.CHANNEL, body)
-    out = records.MAGIC + record(records.HEADER, bytes(8)) + definitions
+        definitions += record(Opcode.CHANNEL, body)
+    out = records.MAGIC + record(Opcode.HEADER, bytes(8)) + definitions
     places = []
     for number in range(MESSAGES):
         stamp = T0 + number * 1_000_000
-        message = record(records.MESSAGE, struct.pack("<HIQQ", number % 3, number, stamp, stamp) + payload(number))
+        message = record(Opcode.MESSAGE, struct.pack("<HIQQ", number % 3, number, stamp, stamp) + payload(number))
         places.append((len(out), len(out) + len(message), 1))
         out += message
-    out += record(records.DATA_END, bytes(4))
+    out += record(Opcode.DATA_END, bytes(4))
     footer = struct.pack("<QQI", len(out), 0, 0)
-    out += definitions + record(records.FOOTER, footer) + records.MAGIC
+    out += definitions + record(Opcode.FOOTER, footer) + records.MAGIC
     return Whole("unchunked.mcap", out, tuple(places))
 
 
@@ -130,7 +131,7 @@ def place_of(name: str, at: int) -> float:
 
 
 def scanned(data: bytes, name: str) -> RecordingSummary:
-    return scan(from_source(MemorySource(data, name)))
+    return scan(source_reader(MemorySource(data, name)))
 
 
 def untouched(whole: Whole, start: int, end: int) -> int:

@@ -9,18 +9,17 @@ from pathlib import Path
 import pytest
 import zstandard
 
-from kleinkram.recordings import Content, Depth, Fact, RecordingFormat, RecordingSummary
-from kleinkram.recordings.forward import FileForward
-from kleinkram.recordings.reading import Recording
-from kleinkram.recordings.rosbag2.db3 import scan_db3
+from kleinkram.recordings import Content, Depth, Fact, Recording, RecordingFormat, RecordingSummary
+from kleinkram.recordings.formats.rosbag2.db3 import scan_db3
+from kleinkram.recordings.sources import FileReader
 
 from .corpus import Entry, params
 from .databases import SCHEMAS, T0, faults, make_database, steady
 
 
 def scan_file(path: Path, depth: Depth = Depth.scan) -> RecordingSummary:
-    with FileForward(path) as forward:
-        return scan_db3(forward, depth=depth)
+    with FileReader(path) as reader:
+        return scan_db3(reader, depth=depth)
 
 
 def change(path: Path, *statements: str) -> Path:
@@ -42,8 +41,8 @@ def test_real_databases(entry: Entry, depth: Depth, recordings_dir: Path) -> Non
     assert (summary.format, summary.content, summary.reason) == (RecordingFormat.rosbag2_db3, Content.indexed, None)
     assert (summary.message_count, faults(summary.problems), summary.lost) == (expected["messages"], [], None)
     assert (summary.start_ns, summary.end_ns) == (expected["start_ns"], expected["end_ns"])
-    found = [(t.name, t.message_type, t.count, t.message_encoding) for t in summary.topics]
-    assert found == sorted((t["topic"], t["type"], t["count"], t.get("encoding", "")) for t in expected["topics"])
+    actual = [(t.name, t.message_type, t.count, t.message_encoding) for t in summary.topics]
+    assert actual == sorted((t["topic"], t["type"], t["count"], t.get("encoding", "")) for t in expected["topics"])
     assert (summary.depth, list(summary.compression)) == (depth, expected["compression"])
 
 
@@ -81,7 +80,7 @@ def test_no_messages(tmp_path: Path) -> None:
     assert counts(summary) == {"/imu": 0, "/fix": 0}
 
 
-def test_messages_without_topic_are_counted_and_told(tmp_path: Path) -> None:
+def test_messages_without_topic_are_counted_and_reported(tmp_path: Path) -> None:
     messages = [*steady(10), (7, T0, b"x"), (7, T0 + 5, b"x")]
     summary = scan_file(make_database(tmp_path / "a.db3", messages=messages))
     assert counts(summary) == {"/imu": 5, "/fix": 5, "(topic id 7)": 2}
@@ -121,7 +120,7 @@ def test_large_messages_are_not_read_for_a_summary(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("statements", "told"),
+    ("statements", "named"),
     [
         (["DROP TABLE messages", "CREATE VIEW messages AS SELECT 1 topic_id, 2 timestamp, 3 data"], "it is a view"),
         (
@@ -136,10 +135,10 @@ def test_large_messages_are_not_read_for_a_summary(tmp_path: Path) -> None:
         (["ALTER TABLE topics RENAME COLUMN name TO title"], "no column name"),
     ],
 )
-def test_what_only_looks_like_a_recording(statements: list[str], told: str, tmp_path: Path) -> None:
+def test_what_only_looks_like_a_recording(statements: list[str], named: str, tmp_path: Path) -> None:
     summary = scan_file(change(make_database(tmp_path / "a.db3", messages=steady(5)), *statements))
     assert summary.content is Content.broken
-    assert told in (summary.reason or "")
+    assert named in (summary.reason or "")
 
 
 def test_code_of_a_database_does_not_run(tmp_path: Path) -> None:
@@ -156,7 +155,7 @@ def test_code_of_a_database_does_not_run(tmp_path: Path) -> None:
     assert (summary.content, summary.message_count) == (Content.indexed, 1)
 
 
-def test_no_more_rows_than_the_file_can_hold(tmp_path: Path) -> None:
+def test_queries_end_after_more_rows_than_the_file_has_room_for(tmp_path: Path) -> None:
     """A root page whose children are the root page: a tree without end."""
     path = make_database(tmp_path / "a.db3", messages=steady(2000))
     with closing(sqlite3.connect(path)) as database:
@@ -193,8 +192,8 @@ def test_what_a_database_says_of_its_origin(tmp_path: Path) -> None:
         database.execute("INSERT INTO metadata VALUES (2, 9, ?)", (stated,))
         database.execute("INSERT INTO message_definitions VALUES (1, 'a/msg/B', 'ros2msg', 'int8 x', '')")
         database.commit()
-    with FileForward(path) as forward:
-        summary = scan_db3(forward)
+    with FileReader(path) as reader:
+        summary = scan_db3(reader)
     assert summary.compression == ("message-zstd",)
     assert summary.facts == (Fact("ros_distro", "jazzy"), Fact("schema_version", 4), Fact("message_definitions", 1))
     with Recording.open(path) as recording:

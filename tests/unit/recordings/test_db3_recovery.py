@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from kleinkram.recordings import Content, RecordingSummary
-from kleinkram.recordings.rosbag2.database import open_database
-from kleinkram.recordings.rosbag2.pages import LEAF_TABLE, PageFile, local_bytes, read_varint
+from kleinkram.recordings.formats.rosbag2.database import open_database
+from kleinkram.recordings.formats.rosbag2.pages import LEAF_TABLE, PageFile, local_bytes, read_varint
 
 from .databases import SCHEMAS, make_database, steady
 from .test_db3 import scan_file
@@ -42,7 +42,7 @@ def scan_bytes(data: bytes, folder: Path) -> RecordingSummary:
 
 def whole_messages(data: bytes) -> int:
     """Count, by a rule of its own, the messages that stand wholly in the pages that are there."""
-    found = 0
+    actual = 0
     pages = len(data) // PAGE
     for number in range(pages):
         page = data[number * PAGE : (number + 1) * PAGE]
@@ -58,8 +58,8 @@ def whole_messages(data: bytes) -> int:
             following = int.from_bytes(page[at + local : at + local + 4], "big") if local < payload else 0
             while following and following <= pages:
                 following = int.from_bytes(data[(following - 1) * PAGE :][:4], "big")
-            found += following == 0
-    return found
+            actual += following == 0
+    return actual
 
 
 def test_the_rule_of_this_test_is_right(sound: bytes, tmp_path: Path) -> None:
@@ -121,7 +121,7 @@ def test_topics_are_found_in_what_is_left(schema: str, tmp_path: Path) -> None:
     ]
 
 
-def test_messages_whose_topics_are_lost_are_kept_apart(sound: bytes, tmp_path: Path) -> None:
+def test_messages_whose_topics_are_lost_stay_in_separate_topics(sound: bytes, tmp_path: Path) -> None:
     with open_database(_write(tmp_path / "sound.db3", sound)) as database:
         (root,) = database.execute("SELECT rootpage FROM sqlite_master WHERE name = 'topics'").fetchone()
     data = bytearray(sound)
@@ -176,7 +176,7 @@ def test_pages_in_no_order_cost_their_own_bytes(sound: bytes, tmp_path: Path, mo
         read.append(length)
         return pread(descriptor, length, offset)
 
-    monkeypatch.setattr("kleinkram.recordings.rosbag2.pages.os.pread", counted)
+    monkeypatch.setattr("kleinkram.recordings.formats.rosbag2.pages.os.pread", counted)
     with PageFile(path, "a.db3") as file:
         size, count = file.header.page_bytes, file.whole_pages
         in_order = [file.page(number) for number in range(1, count + 1)]

@@ -9,7 +9,7 @@ import lz4.frame
 import pytest
 import zstandard
 
-from kleinkram.recordings.decompress import decompress
+from kleinkram.recordings.compression import decompress
 from kleinkram.recordings.errors import Malformed
 
 RAW = bytes(range(256)) * 40

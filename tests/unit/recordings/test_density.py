@@ -9,10 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kleinkram.recordings import timeline as timeline_module
-from kleinkram.recordings.assemble import TopicType, measure
-from kleinkram.recordings.combining import combine
+from kleinkram.recordings.combine_summaries import combine
 from kleinkram.recordings.density import (
-    FEW_BINS,
+    BINS_OF_MANY_TOPICS,
     MANY_TOPICS,
     MAX_BINS,
     add_up,
@@ -21,9 +20,10 @@ from kleinkram.recordings.density import (
     pack,
     unpack,
 )
-from kleinkram.recordings.model import Content, Density, RecordingFormat, RecordingSummary
-from kleinkram.recordings.serialise import from_dict, to_dict
+from kleinkram.recordings.isolation import from_dict, to_dict
+from kleinkram.recordings.model import Content, MessageDensity, RecordingFormat, RecordingSummary
 from kleinkram.recordings.timeline import YEAR_NS, Timeline
+from kleinkram.recordings.topic_statistics import TopicType, measure
 
 NO_TYPE = [TopicType("", "", "")]
 T0 = 1_700_000_000_000_000_000
@@ -35,15 +35,15 @@ STAMPS = st.lists(
 NEAR = st.lists(st.integers(T0, T0 + 10**5) | st.integers(T0, T0 + 10**13), min_size=1, max_size=60)
 
 
-def plainly(stamps: list[int], most: int = MAX_BINS) -> Density:
+def plainly(stamps: list[int], most: int = MAX_BINS) -> MessageDensity:
     """Count every stamp by itself, in the narrowest bins that are few enough."""
-    bits = next(each for each in range(65) if (max(stamps) >> each) - (min(stamps) >> each) < most)
+    bits = next(item for item in range(65) if (max(stamps) >> item) - (min(stamps) >> item) < most)
     counted = Counter(stamp >> bits for stamp in stamps)
     numbers = range(min(counted), max(counted) + 1)
-    return Density(min(counted) << bits, 1 << bits, tuple(counted[number] for number in numbers))
+    return MessageDensity(min(counted) << bits, 1 << bits, tuple(counted[number] for number in numbers))
 
 
-def topic_density(chunks: list[list[int]]) -> Density | None:
+def topic_density(chunks: list[list[int]]) -> MessageDensity | None:
     timeline = Timeline()
     for chunk in chunks:
         timeline.add("/t", chunk, 0)
@@ -82,8 +82,8 @@ def test_a_timeline_counts_whatever_the_order_and_the_memory(chunks: list[list[i
 
 def test_suspect_stamps_are_in_no_bin_and_do_not_widen_them() -> None:
     real = [T0 + number * 10**6 for number in range(1000)]
-    for odd in ([5, 6], [T0 + 20 * YEAR_NS]):
-        assert topic_density([odd, real]) == topic_density([real[:400], odd, real[400:]]) == plainly(real)
+    for unusual in ([5, 6], [T0 + 20 * YEAR_NS]):
+        assert topic_density([unusual, real]) == topic_density([real[:400], unusual, real[400:]]) == plainly(real)
 
 
 @given(st.lists(NEAR, min_size=1, max_size=5))
@@ -94,15 +94,15 @@ def test_files_add_up_to_their_recording(files: list[list[int]]) -> None:
         timeline = Timeline()
         timeline.add("/t", stamps, 0)
         timeline.settle(None)
-        found = measure(timeline, {"/t": NO_TYPE})
+        actual = measure(timeline, {"/t": NO_TYPE})
         summaries.append(
             RecordingSummary(
                 RecordingFormat.mcap,
                 Content.indexed,
-                message_count=found.message_count,
-                start_ns=found.start_ns,
-                end_ns=found.end_ns,
-                topics=found.topics,
+                message_count=actual.message_count,
+                start_ns=actual.start_ns,
+                end_ns=actual.end_ns,
+                topics=actual.topics,
             )
         )
     whole = combine(summaries)
@@ -125,7 +125,7 @@ def test_an_axis_shows_what_lies_inside(stamps: list[int], wider: int, shift: in
 @settings(deadline=None)
 def test_packed_and_unpacked_is_the_same(stamps: list[int], times: int) -> None:
     density = plainly(stamps)
-    large = Density(density.start_ns, density.bin_ns, tuple(count * times for count in density.counts))
+    large = MessageDensity(density.start_ns, density.bin_ns, tuple(count * times for count in density.counts))
     assert unpack(pack(large)) == large
     assert len(pack(density)) <= 10 + 2 * MAX_BINS
 
@@ -139,4 +139,4 @@ def test_a_file_with_very_many_topics_has_fewer_bins_of_each() -> None:
         timeline.topic(f"/{number}")
     types = dict.fromkeys(timeline.topics, NO_TYPE)
     density = next(topic.density for topic in measure(timeline, types).topics if topic.name == "/t")
-    assert density == plainly(stamps, FEW_BINS)
+    assert density == plainly(stamps, BINS_OF_MANY_TOPICS)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from kleinkram.recordings import Content, FileSource, RecordingFormat, RecordingSummary, summarise
-from kleinkram.recordings.forward import from_file
+from kleinkram.recordings.sources import file_reader
 from kleinkram.recordings.summary import scan
 
 from .corpus import Entry, entries
@@ -35,8 +35,8 @@ def by_summary(path: Path) -> RecordingSummary:
 
 
 def by_scan(path: Path) -> RecordingSummary:
-    with from_file(path) as forward:
-        return scan(forward)
+    with file_reader(path) as reader:
+        return scan(reader)
 
 
 @pytest.mark.parametrize("read", [by_summary, by_scan])

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from kleinkram.recordings import (
-    GroupKind,
     MemberFacts,
     RecordingGroup,
+    RecordingGroupKind,
     Rosbag2Metadata,
     compare_metadata,
     group,
@@ -18,11 +18,11 @@ from kleinkram.recordings import (
 
 from .corpus import Entry, params
 
-SINGLE, SPLIT, ROSBAG2 = GroupKind.single, GroupKind.split_set, GroupKind.rosbag2
+SINGLE, SPLIT, ROSBAG2 = RecordingGroupKind.single, RecordingGroupKind.split_set, RecordingGroupKind.rosbag2
 
 
-def shape(paths: list[str]) -> list[tuple[str, GroupKind, tuple[str, ...]]]:
-    return [(found.name, found.kind, found.members) for found in group(paths)]
+def shape(paths: list[str]) -> list[tuple[str, RecordingGroupKind, tuple[str, ...]]]:
+    return [(actual.name, actual.kind, actual.members) for actual in group(paths)]
 
 
 def test_single_files() -> None:
@@ -103,14 +103,14 @@ def test_names_and_kinds_are_unique() -> None:
 @pytest.mark.parametrize("entry", params("rosbag2 metadata.yaml") + params("rosbag2 metadata.yaml", broken=True))
 def test_metadata_of_real_recordings(entry: Entry, recordings_dir: Path) -> None:
     expected = entry.expected
-    found = parse_rosbag2_metadata((recordings_dir / entry.name).read_text())
-    assert found is not None
-    assert (found.message_count, found.duration_ns) == (expected["messages_claimed"], expected["duration_ns_claimed"])
-    assert (found.storage, list(found.files)) == (expected["storage"], expected["files"])
-    assert found.version == expected["version"]
-    assert sum(topic.message_count or 0 for topic in found.topics) >= (found.message_count or 0)
-    assert all(topic.name and topic.message_type and topic.serialization_format for topic in found.topics)
-    assert [found.compression, found.compression_mode] == [
+    actual = parse_rosbag2_metadata((recordings_dir / entry.name).read_text())
+    assert actual is not None
+    assert (actual.message_count, actual.duration_ns) == (expected["messages_claimed"], expected["duration_ns_claimed"])
+    assert (actual.storage, list(actual.files)) == (expected["storage"], expected["files"])
+    assert actual.version == expected["version"]
+    assert sum(topic.message_count or 0 for topic in actual.topics) >= (actual.message_count or 0)
+    assert all(topic.name and topic.message_type and topic.serialization_format for topic in actual.topics)
+    assert [actual.compression, actual.compression_mode] == [
         (word and word.lower()) or "" for word in expected["compression"]
     ]
 
@@ -131,11 +131,11 @@ def test_what_is_no_metadata(text: str) -> None:
     assert parse_rosbag2_metadata(text) is None
 
 
-def test_odd_metadata_are_read_as_far_as_they_go() -> None:
+def test_incomplete_metadata_is_read_as_far_as_possible() -> None:
     text = "rosbag2_bagfile_information:\n  message_count: many\n  files:\n    - path: a.db3\n    - 3\n"
-    found = parse_rosbag2_metadata(text)
-    assert found is not None
-    assert (found.files, found.message_count, found.storage) == (("a.db3",), None, None)
+    actual = parse_rosbag2_metadata(text)
+    assert actual is not None
+    assert (actual.files, actual.message_count, actual.storage) == (("a.db3",), None, None)
 
 
 def test_what_metadata_say_decides_which_files_and_in_which_order() -> None:
@@ -149,8 +149,8 @@ def test_what_metadata_say_decides_which_files_and_in_which_order() -> None:
 
 def test_data_files_that_were_renamed_are_still_those_of_their_folder() -> None:
     stated = Rosbag2Metadata(files=("run_0.db3",))
-    found = group(["field/metadata.yaml", "field/field_0.db3"], {"field/metadata.yaml": stated})
-    assert found == [RecordingGroup("field", ROSBAG2, ("field/field_0.db3",), "field/metadata.yaml")]
+    actual = group(["field/metadata.yaml", "field/field_0.db3"], {"field/metadata.yaml": stated})
+    assert actual == [RecordingGroup("field", ROSBAG2, ("field/field_0.db3",), "field/metadata.yaml")]
 
 
 def test_metadata_that_name_files_are_a_recording_without_them() -> None:
@@ -169,16 +169,16 @@ def test_recordings_of_cameras_are_recordings() -> None:
 
 def test_new_names_of_rosbag2_are_one_split_recording_in_the_order_of_their_numbers() -> None:
     paths = [f"patrol/{k}_patrol_2026_01_17-10_{k:02d}_30.mcap" for k in range(12)]
-    (found,) = group(reversed(paths))
-    assert (found.kind, list(found.members)) == (GroupKind.split_set, paths)
-    (found,) = group([*paths, "patrol/metadata.yaml"])
-    assert (found.kind, found.name, list(found.members)) == (GroupKind.rosbag2, "patrol", paths)
+    (actual,) = group(reversed(paths))
+    assert (actual.kind, list(actual.members)) == (RecordingGroupKind.split_set, paths)
+    (actual,) = group([*paths, "patrol/metadata.yaml"])
+    assert (actual.kind, actual.name, list(actual.members)) == (RecordingGroupKind.rosbag2, "patrol", paths)
 
 
 def test_a_smaller_number_begins_the_next_recording_of_that_name() -> None:
     first = [f"{k}_patrol_2026_01_17-10_0{k}_30.db3" for k in range(3)]
     second = [f"{k}_patrol_2026_01_17-11_0{k}_30.db3" for k in range(2)]
-    assert [list(found.members) for found in group([*second, *first])] == [first, second]
+    assert [list(actual.members) for actual in group([*second, *first])] == [first, second]
 
 
 @pytest.mark.parametrize(
@@ -191,23 +191,23 @@ def test_a_smaller_number_begins_the_next_recording_of_that_name() -> None:
     ],
 )
 def test_a_time_at_the_end_of_a_name_is_no_split_number(names: list[str]) -> None:
-    assert [list(found.members) for found in group(names)] == [[name] for name in names]
+    assert [list(actual.members) for actual in group(names)] == [[name] for name in names]
 
 
 def test_a_number_behind_a_time_is_one() -> None:
     names = [f"rosbag2_2026_01_17-10_00_00_{k}.mcap" for k in (0, 1, 2, 10)]
-    assert [list(found.members) for found in group(names)] == [names]
+    assert [list(actual.members) for actual in group(names)] == [names]
 
 
 def test_paths_that_windows_wrote_name_the_same_files() -> None:
     text = "rosbag2_bagfile_information:\r\n  relative_file_paths:\r\n    - bag\\bag_0.mcap\r\n"
-    said = parse_rosbag2_metadata(text)
-    assert said is not None
-    (found,) = group(["bag/bag_0.mcap", "bag/metadata.yaml"], {"bag/metadata.yaml": said})
-    assert found.members == ("bag/bag_0.mcap",)
-    assert compare_metadata(said, [MemberFacts("bag_0.mcap")]) == []
+    stated = parse_rosbag2_metadata(text)
+    assert stated is not None
+    (actual,) = group(["bag/bag_0.mcap", "bag/metadata.yaml"], {"bag/metadata.yaml": stated})
+    assert actual.members == ("bag/bag_0.mcap",)
+    assert compare_metadata(stated, [MemberFacts("bag_0.mcap")]) == []
 
 
 def test_bags_still_being_written_are_recordings() -> None:
     names = ["night/run.bag.active", "x_2024-05-01-10-00-00_0.bag", "x_2024-05-01-10-05-00_1.bag.active"]
-    assert [list(found.members) for found in group(names)] == [names[:1], names[1:]]
+    assert [list(actual.members) for actual in group(names)] == [names[:1], names[1:]]

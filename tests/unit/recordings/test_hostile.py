@@ -10,11 +10,12 @@ import pytest
 import zstandard
 
 from kleinkram.recordings import Content, Fact, Lost, RecordingFormat, RecordingSummary, summarise
-from kleinkram.recordings.bag.records import MAGIC as BAG_MAGIC
-from kleinkram.recordings.bag.writer import BagWriter
-from kleinkram.recordings.forward import from_source
-from kleinkram.recordings.mcap import records
-from kleinkram.recordings.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap.records import Opcode
+from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.formats.rosbag1.records import MAGIC as BAG_MAGIC
+from kleinkram.recordings.formats.rosbag1.writer import BagWriter
+from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
 
 from .memory_source import MemorySource
@@ -51,9 +52,9 @@ def record(opcode: int, body: bytes) -> bytes:
 
 def mcap_of(data: bytes, summary: bytes = b"") -> bytes:
     """Return an MCAP of a header, some data, and a summary section without CRC."""
-    front = records.MAGIC + record(records.HEADER, bytes(8)) + data + record(records.DATA_END, bytes(4))
+    front = records.MAGIC + record(Opcode.HEADER, bytes(8)) + data + record(Opcode.DATA_END, bytes(4))
     footer = struct.pack("<QQI", len(front) if summary else 0, 0, 0)
-    return front + summary + record(records.FOOTER, footer) + records.MAGIC
+    return front + summary + record(Opcode.FOOTER, footer) + records.MAGIC
 
 
 def summarise_bytes(data: bytes, name: str = "test.mcap") -> RecordingSummary:
@@ -62,12 +63,12 @@ def summarise_bytes(data: bytes, name: str = "test.mcap") -> RecordingSummary:
 
 def chunk_index(start: int, length: int, index_length: int, offsets_claim: int = 0) -> bytes:
     head = struct.pack("<QQQQI", 0, 0, start, length, offsets_claim)
-    return record(records.CHUNK_INDEX, head + struct.pack("<QI", index_length, 0) + struct.pack("<QQ", 10, 10))
+    return record(Opcode.CHUNK_INDEX, head + struct.pack("<QI", index_length, 0) + struct.pack("<QQ", 10, 10))
 
 
 def chunk(compression: bytes, stored: bytes, uncompressed: int, crc: int = 0) -> bytes:
     head = struct.pack("<QQQII", 0, 0, uncompressed, crc, len(compression)) + compression
-    return record(records.CHUNK, head + struct.pack("<Q", len(stored)) + stored)
+    return record(Opcode.CHUNK, head + struct.pack("<Q", len(stored)) + stored)
 
 
 def test_the_small_files_are_whole() -> None:
@@ -84,10 +85,10 @@ def test_the_small_files_are_whole() -> None:
         chunk_index(8, 10, HUGE),
         chunk_index(8, 10, 10, offsets_claim=2**32 - 1),
         chunk_index(8, 20, 0) + chunk_index(8, 20, 0),
-        record(records.STATISTICS, struct.pack("<QHIIIIQQ", HUGE, 0, 0, 0, 0, 0, 0, 0) + struct.pack("<I", 2**32 - 1)),
-        struct.pack("<BQ", records.CHUNK_INDEX, HUGE),
-        struct.pack("<BQ", records.SCHEMA, HUGE) + bytes(30),
-        record(records.CHANNEL, struct.pack("<HHI", 0, 0, 2**31)),
+        record(Opcode.STATISTICS, struct.pack("<QHIIIIQQ", HUGE, 0, 0, 0, 0, 0, 0, 0) + struct.pack("<I", 2**32 - 1)),
+        struct.pack("<BQ", Opcode.CHUNK_INDEX, HUGE),
+        struct.pack("<BQ", Opcode.SCHEMA, HUGE) + bytes(30),
+        record(Opcode.CHANNEL, struct.pack("<HHI", 0, 0, 2**31)),
         b"\x08",
     ],
     ids=[
@@ -104,9 +105,9 @@ def test_the_small_files_are_whole() -> None:
     ],
 )
 def test_an_index_that_lies_is_not_believed(summary: bytes) -> None:
-    found = summarise_bytes(mcap_of(b"", summary))
-    assert found.message_count == 0
-    assert found.problems
+    actual = summarise_bytes(mcap_of(b"", summary))
+    assert actual.message_count == 0
+    assert actual.problems
 
 
 def test_a_summary_that_begins_beyond_the_file() -> None:
@@ -131,7 +132,7 @@ def test_a_flipped_byte_in_the_summary_is_found_by_its_checksum() -> None:
 def test_an_index_that_forgets_a_chunk_is_not_believed() -> None:
     """The statistics say more messages than the chunks in the index hold."""
     whole = small_mcap()
-    start = whole.index(bytes([records.CHUNK_INDEX]) + struct.pack("<Q", 78), len(whole) // 2)
+    start = whole.index(bytes([Opcode.CHUNK_INDEX]) + struct.pack("<Q", 78), len(whole) // 2)
     at = len(whole) - len(records.MAGIC) - 4
     without = whole[:start] + whole[start + 9 + 78 :]
     at = len(without) - len(records.MAGIC) - 4
@@ -196,7 +197,7 @@ def test_a_wrong_chunk_checksum_keeps_the_other_chunks() -> None:
 
 def test_a_chunk_whose_name_reaches_beyond_it() -> None:
     head = struct.pack("<QQQII", 0, 0, 100, 0, 50)
-    summary = summarise_bytes(mcap_of(record(records.CHUNK, head + b"zstd")))
+    summary = summarise_bytes(mcap_of(record(Opcode.CHUNK, head + b"zstd")))
     assert summary.content is Content.broken
     assert summary.reason is not None
     assert "contradict" in summary.reason
@@ -204,7 +205,7 @@ def test_a_chunk_whose_name_reaches_beyond_it() -> None:
 
 def test_more_channels_than_any_robot_has() -> None:
     channels = b"".join(
-        record(records.CHANNEL, struct.pack("<HHI", number, 0, 5) + b"/" + b"%04x" % number + bytes(8))
+        record(Opcode.CHANNEL, struct.pack("<HHI", number, 0, 5) + b"/" + b"%04x" % number + bytes(8))
         for number in range(30_000)
     )
     summary = summarise_bytes(mcap_of(channels))
@@ -213,7 +214,7 @@ def test_more_channels_than_any_robot_has() -> None:
 
 
 def test_names_that_are_not_utf8_can_be_shown() -> None:
-    channel = record(records.CHANNEL, struct.pack("<HHI", 0, 0, 3) + b"/\xff\xfe" + bytes(8))
+    channel = record(Opcode.CHANNEL, struct.pack("<HHI", 0, 0, 3) + b"/\xff\xfe" + bytes(8))
     (topic,) = summarise_bytes(mcap_of(channel)).topics
     assert topic.name == "/\ufffd\ufffd"
 
@@ -301,8 +302,8 @@ def test_private_records_are_passed_over() -> None:
 
 def test_attachments_and_metadata_are_listed() -> None:
     name = struct.pack("<I", 3) + b"cal"
-    attachment = record(records.ATTACHMENT, bytes(16) + name + bytes(4) + struct.pack("<Q", 5) + b"12345" + bytes(4))
-    metadata = record(records.METADATA, name + bytes(4))
+    attachment = record(Opcode.ATTACHMENT, bytes(16) + name + bytes(4) + struct.pack("<Q", 5) + b"12345" + bytes(4))
+    metadata = record(Opcode.METADATA, name + bytes(4))
     summary = summarise_bytes(mcap_of(attachment * 300 + metadata))
     assert (summary.content, summary.attachments, summary.metadata_records) == (Content.indexed, 300, 1)
     assert summary.facts[0] == Fact("attachment", "cal (of no type, 5 bytes)")
@@ -310,26 +311,26 @@ def test_attachments_and_metadata_are_listed() -> None:
 
 
 def test_a_flipped_byte_outside_of_chunks_is_found_by_the_checksum_of_the_data_section() -> None:
-    message = record(records.MESSAGE, struct.pack("<HIQQ", 0, 0, T0, T0) + b"payload")
-    definition = record(records.CHANNEL, struct.pack("<HHI", 0, 0, 2) + b"/t" + bytes(8))
-    front = records.MAGIC + record(records.HEADER, bytes(8)) + definition + message
-    crc, footer = zlib.crc32(front), record(records.FOOTER, bytes(20)) + records.MAGIC
+    message = record(Opcode.MESSAGE, struct.pack("<HIQQ", 0, 0, T0, T0) + b"payload")
+    definition = record(Opcode.CHANNEL, struct.pack("<HHI", 0, 0, 2) + b"/t" + bytes(8))
+    front = records.MAGIC + record(Opcode.HEADER, bytes(8)) + definition + message
+    crc, footer = zlib.crc32(front), record(Opcode.FOOTER, bytes(20)) + records.MAGIC
     flipped = front.replace(b"payload", b"pazload")
     for data, claimed, content in (
         (front, crc, Content.indexed),
         (front, 0, Content.indexed),
         (flipped, crc, Content.recovered),
     ):
-        end = record(records.DATA_END, struct.pack("<I", claimed)) + footer
-        summary = scan(from_source(MemorySource(data + end)))
+        end = record(Opcode.DATA_END, struct.pack("<I", claimed)) + footer
+        summary = scan(source_reader(MemorySource(data + end)))
         assert (summary.content, summary.message_count) == (content, 1)
         assert summary.lost == (None if content is Content.indexed else Lost(0, 0, None))
     assert "data section" in (summary.reason or "")
     assert "nothing is lost" not in (summary.reason or "")
 
 
-def test_an_attachment_with_a_wrong_checksum_is_told() -> None:
-    attachment = record(records.ATTACHMENT, bytes(24) + struct.pack("<Q", 5) + b"12345" + b"\1\2\3\4")
+def test_an_attachment_with_a_wrong_checksum_is_reported() -> None:
+    attachment = record(Opcode.ATTACHMENT, bytes(24) + struct.pack("<Q", 5) + b"12345" + b"\1\2\3\4")
     summary = summarise_bytes(mcap_of(attachment))
     assert (summary.content, summary.attachments) == (Content.recovered, 1)
     assert summary.reason is not None

@@ -10,16 +10,16 @@ from io import BytesIO
 import pytest
 
 from kleinkram.recordings import Content
-from kleinkram.recordings import losses as losses_module
-from kleinkram.recordings.bag import records as bag_records
-from kleinkram.recordings.decompress import decompress
-from kleinkram.recordings.forward import from_source
-from kleinkram.recordings.listening import Place
-from kleinkram.recordings.mcap import records
-from kleinkram.recordings.mcap.scan import scan_records
-from kleinkram.recordings.mcap.writer import Compression, McapWriter
+from kleinkram.recordings import damage_report as damage_report_module
+from kleinkram.recordings.compression import decompress
+from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap import scan as scan_module
+from kleinkram.recordings.formats.mcap.records import Opcode
+from kleinkram.recordings.formats.mcap.scan import scan_records
+from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
+from kleinkram.recordings.formats.rosbag1 import records as bag_records
+from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
-from kleinkram.recordings.tally import Batch
 
 from .memory_source import MemorySource
 from .test_hostile import record, small_mcap
@@ -37,7 +37,7 @@ def bag_head(opcode: int, **fields: bytes) -> bytes:
 
 def mcap_chunk_head() -> bytes:
     body = struct.pack("<QQQII", 0, 0, REACH, zlib.crc32(b"x"), 0) + struct.pack("<Q", REACH)
-    return records.RECORD_HEAD.pack(records.CHUNK, len(body) + REACH) + body
+    return records.RECORD_HEAD.pack(Opcode.CHUNK, len(body) + REACH) + body
 
 
 def bag_of(head: bytes) -> bytes:
@@ -60,11 +60,11 @@ def test_heads_of_chunks_are_not_read_as_often_as_they_stand_there(name: str, mo
         read += len(stored)
         return decompress(kind, stored, uncompressed_bytes)
 
-    monkeypatch.setattr(losses_module, "_FREE_VAIN_BYTES", 2**20)
-    monkeypatch.setattr("kleinkram.recordings.mcap.chunks.decompress", counted)
-    monkeypatch.setattr("kleinkram.recordings.bag.scan.decompress", counted)
+    monkeypatch.setattr(damage_report_module, "_FREE_WASTED_BYTES", 2**20)
+    monkeypatch.setattr("kleinkram.recordings.formats.mcap.chunks.decompress", counted)
+    monkeypatch.setattr("kleinkram.recordings.formats.rosbag1.scan.decompress", counted)
     data = FILES[name]
-    summary = scan(from_source(MemorySource(data, name)))
+    summary = scan(source_reader(MemorySource(data, name)))
     assert summary.content is Content.broken
     assert 0 < read <= 2**20 + 6 * len(data)
 
@@ -74,7 +74,7 @@ def test_faults_that_are_remembered_keep_no_bytes() -> None:
     data = bag_of(connection)[: len(bag_records.MAGIC) + 800 * len(connection)] + bytes(REACH)
     tracemalloc.start()
     try:
-        scan(from_source(MemorySource(data, "a.bag")))
+        scan(source_reader(MemorySource(data, "a.bag")))
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
@@ -96,22 +96,22 @@ HEADER_OF_INNER = len(records.MAGIC)
 INNER = {
     "whole": small_mcap(),
     "a file in a file": front_and_rest(small_mcap())[0]
-    + record(records.ATTACHMENT, attachment_of(small_mcap()))
+    + record(Opcode.ATTACHMENT, attachment_of(small_mcap()))
     + front_and_rest(small_mcap())[1],
     "its magic is overwritten": bytes(HEADER_OF_INNER) + small_mcap()[HEADER_OF_INNER:],
 }
 
 
-@pytest.mark.parametrize("opcode", [records.ATTACHMENT, records.MESSAGE, records.METADATA])
+@pytest.mark.parametrize("opcode", [Opcode.ATTACHMENT, Opcode.MESSAGE, Opcode.METADATA])
 @pytest.mark.parametrize("length", [2**60, 2**39, 1_200, 700])
 @pytest.mark.parametrize("inner", INNER)
 def test_the_messages_of_a_file_inside_of_this_one_are_not_its_own(inner: str, length: int, opcode: int) -> None:
     """The length around the inner file is damaged, so that the search comes upon its records."""
     front, rest = front_and_rest(small_mcap())
     damaged = struct.pack("<BQ", opcode, length) + attachment_of(INNER[inner])
-    summary = scan(from_source(MemorySource(front + damaged + rest, "a.mcap")))
+    summary = scan(source_reader(MemorySource(front + damaged + rest, "a.mcap")))
     assert summary.content is Content.recovered
-    assert summary.message_count == 40 + (opcode == records.MESSAGE and length < len(damaged))
+    assert summary.message_count == 40 + (opcode == Opcode.MESSAGE and length < len(damaged))
     assert summary.lost is not None
     assert summary.lost.bytes >= len(INNER[inner]) - 1_200
     assert any("another MCAP begins inside" in problem.message for problem in summary.problems)
@@ -121,14 +121,14 @@ def test_a_file_inside_of_this_one_that_has_no_end_takes_the_rest_with_it() -> N
     """Where it ends cannot be known: too little is counted rather than what is not this file's."""
     front, rest = front_and_rest(small_mcap())
     cut = small_mcap()[:-60]
-    damaged = struct.pack("<BQ", records.ATTACHMENT, 2**60) + attachment_of(cut)
-    summary = scan(from_source(MemorySource(front + damaged + rest, "a.mcap")))
+    damaged = struct.pack("<BQ", Opcode.ATTACHMENT, 2**60) + attachment_of(cut)
+    summary = scan(source_reader(MemorySource(front + damaged + rest, "a.mcap")))
     assert (summary.content, summary.message_count) == (Content.broken, 0)
 
 
 def test_a_file_behind_this_one_is_not_counted() -> None:
     first, second = small_mcap(), small_mcap()
-    summary = scan(from_source(MemorySource(first + second, "a.mcap")))
+    summary = scan(source_reader(MemorySource(first + second, "a.mcap")))
     assert (summary.content, summary.message_count) == (Content.recovered, 40)
     assert summary.lost is not None
     assert summary.lost.bytes == len(second)
@@ -145,7 +145,7 @@ def test_a_damaged_chunk_that_holds_a_file_is_left_out_whole() -> None:
     writer.finish()
     data = bytearray(out.getvalue())
     data[data.index(records.MAGIC, 8) + 12] ^= 1
-    summary = scan(from_source(MemorySource(bytes(data), "a.mcap")))
+    summary = scan(source_reader(MemorySource(bytes(data), "a.mcap")))
     assert (summary.message_count, [topic.name for topic in summary.topics]) == (2, ["/files"])
     assert summary.lost is not None
     assert (summary.lost.chunks, summary.lost.messages) == (1, 1)
@@ -156,30 +156,25 @@ def test_a_topic_may_have_any_name() -> None:
     topic = b"\0channel 5"
     definition = struct.pack("<HHI", 5, 0, len(topic)) + topic + struct.pack("<I3sI", 3, b"cdr", 0)
     message = struct.pack("<HIQQ", 5, 0, 7, 7)
-    pieces = [records.RECORD_HEAD.pack(records.CHANNEL, len(definition)) + definition]
-    pieces += 3 * [records.RECORD_HEAD.pack(records.MESSAGE, len(message)) + message]
-    summary = scan(from_source(MemorySource(records.MAGIC + b"".join(pieces), "a.mcap")))
-    assert [(found.name, found.count) for found in summary.topics] == [(topic.decode(), 3)]
+    pieces = [records.RECORD_HEAD.pack(Opcode.CHANNEL, len(definition)) + definition]
+    pieces += 3 * [records.RECORD_HEAD.pack(Opcode.MESSAGE, len(message)) + message]
+    summary = scan(source_reader(MemorySource(records.MAGIC + b"".join(pieces), "a.mcap")))
+    assert [(actual.name, actual.count) for actual in summary.topics] == [(topic.decode(), 3)]
 
 
 def test_heads_of_definitions_are_not_read_as_often_as_they_stand_there(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each claims a megabyte, behind which nothing stands; a reader without index is told of none but a few."""
-    told = 0
+    bytes_parsed = 0
 
-    class Counting:
-        def hear(self, place: Place, batch: Batch) -> None:
-            raise AssertionError("there are no messages")
+    def read_schema(facts: records.McapFacts, body: bytes, where: str) -> None:
+        nonlocal bytes_parsed
+        bytes_parsed += len(body)
+        records.read_schema(facts, body, where)
 
-        def forget(self, place: Place) -> None:
-            raise AssertionError("there are no messages")
-
-        def define(self, opcode: int, body: bytes, where: str) -> None:
-            nonlocal told
-            told += len(body)
-
-    monkeypatch.setattr(losses_module, "_FREE_VAIN_BYTES", 2**20)
+    monkeypatch.setitem(scan_module._READERS, Opcode.SCHEMA, read_schema)
+    monkeypatch.setattr(damage_report_module, "_FREE_WASTED_BYTES", 2**20)
     length = 2**20
-    head = records.RECORD_HEAD.pack(records.SCHEMA, length) + struct.pack("<HIII", 1, 0, 0, length - 14)
+    head = records.RECORD_HEAD.pack(Opcode.SCHEMA, length) + struct.pack("<HIII", 1, 0, 0, length - 14)
     data = records.MAGIC + head * HEADS + bytes(length)
-    scan_records(from_source(MemorySource(data, "a.mcap")), Counting())
-    assert 0 < told <= 2**20 + 6 * len(data)
+    scan_records(source_reader(MemorySource(data, "a.mcap")))
+    assert 0 < bytes_parsed <= 2**20 + 6 * len(data)

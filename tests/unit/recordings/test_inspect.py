@@ -14,7 +14,9 @@ from kleinkram.recordings import (
     Depth,
     FileSource,
     Lost,
+    NotARecording,
     Problem,
+    Recording,
     RecordingFormat,
     RecordingSummary,
     TopicSummary,
@@ -22,7 +24,6 @@ from kleinkram.recordings import (
     summarise,
 )
 from kleinkram.recordings.inspect import InspectionKind, inspect_paths, to_plain
-from kleinkram.recordings.reading import NotARecording, Recording
 from kleinkram.recordings.sample import SampleFormat, generate_mission
 
 T0 = 1_700_000_000_000_000_000
@@ -116,7 +117,7 @@ def test_losses_are_added() -> None:
     assert combine([damaged, other]).lost == Lost(150, 3, None)
 
 
-def test_a_type_that_changes_between_members_is_told() -> None:
+def test_a_type_that_changes_between_files_is_reported() -> None:
     one = member(T0, T0 + 10)
     other = replace(one, topics=(replace(one.topics[0], message_type="a/C"),))
     assert [(p.code, p.where) for p in combine([one, other]).problems] == [("topic-types-differ", "/t")]
@@ -130,40 +131,40 @@ def test_one_member_is_the_whole() -> None:
 
 def test_combined_splits_equal_the_whole_recording(recordings_dir: Path) -> None:
     folder = recordings_dir / "mcap/split_wbag"
-    (found,) = inspect_paths([folder])
-    assert found.kind is InspectionKind.recording
-    assert found.members == tuple(str(folder / f"wbag_{number}.mcap") for number in range(5))
-    assert (found.summary.message_count, found.summary.content) == (6074, Content.indexed)
-    assert (found.summary.start_ns, found.summary.end_ns) == (1000, 2998)
-    assert sum(topic.count or 0 for topic in found.summary.topics) == 6074
+    (actual,) = inspect_paths([folder])
+    assert actual.kind is InspectionKind.recording
+    assert actual.members == tuple(str(folder / f"wbag_{number}.mcap") for number in range(5))
+    assert (actual.summary.message_count, actual.summary.content) == (6074, Content.indexed)
+    assert (actual.summary.start_ns, actual.summary.end_ns) == (1000, 2998)
+    assert sum(topic.count or 0 for topic in actual.summary.topics) == 6074
 
 
 def test_a_folder_shows_each_recording_inside(tmp_path: Path) -> None:
     mission = generate_mission(tmp_path / "mission", duration_s=1, formats=[SampleFormat.mcap, SampleFormat.db3])
     (tmp_path / "mission/notes.txt").write_text("sunny")
-    found = inspect_paths([tmp_path / "mission", tmp_path / "mission/notes.txt"])
-    assert [(Path(i.path).name, i.kind, i.summary.content) for i in found] == [
+    actual = inspect_paths([tmp_path / "mission", tmp_path / "mission/notes.txt"])
+    assert [(Path(i.path).name, i.kind, i.summary.content) for i in actual] == [
         ("drive.mcap", InspectionKind.file, Content.indexed),
         ("drive_rosbag2", InspectionKind.recording, Content.indexed),
         ("notes.txt", InspectionKind.file, Content.opaque),
     ]
     with FileSource(mission.files[0].path) as source:
-        assert found[0].summary == summarise(source)
+        assert actual[0].summary == summarise(source)
 
 
-def test_a_topic_that_rests_in_one_member_is_not_odd_in_the_whole() -> None:
+def test_a_topic_that_is_silent_in_one_file_causes_no_warning() -> None:
     """Each file of a split begins late for somebody; only the whole can say whether a sensor died."""
-    odd = Problem("stops-early", "/t", "its last message comes 60.0 s before the end of the recording")
+    unusual = Problem("stops-early", "/t", "its last message comes 60.0 s before the end of the recording")
     silent = Problem("silent-topic", "/t", "it is defined, but has no message")
-    told = Problem("damaged", "byte 5", "its checksum is wrong")
+    named = Problem("damaged", "byte 5", "its checksum is wrong")
     one, two = member(T0, T0 + 100), member(T0 + 200, T0 + 300)
-    whole = combine([replace(one, problems=(odd, told)), replace(two, problems=(silent,))])
-    assert whole.problems == (told,)
+    whole = combine([replace(one, problems=(unusual, named)), replace(two, problems=(silent,))])
+    assert whole.problems == (named,)
 
 
 def test_the_plain_shape(tmp_path: Path) -> None:
     generate_mission(tmp_path, duration_s=1, formats=[SampleFormat.mcap])
-    (plain,) = [to_plain(found) for found in inspect_paths([tmp_path / "drive.mcap"])]
+    (plain,) = [to_plain(actual) for actual in inspect_paths([tmp_path / "drive.mcap"])]
     assert json.loads(json.dumps(plain)) == plain
     assert list(plain) == [
         "path", "kind", "members", "format", "content", "reason", "problems", "message_count", "start_ns", "end_ns",
@@ -185,25 +186,25 @@ def test_a_path_that_is_not_there(tmp_path: Path) -> None:
 def test_a_deep_look_reads_every_byte_and_tells_how_far_it_is(tmp_path: Path) -> None:
     class Watched:
         def __init__(self) -> None:
-            self.told: list[object] = []
+            self.named: list[object] = []
 
         def began(self, path: str, size_bytes: int) -> None:
-            self.told.append((path, size_bytes))
+            self.named.append((path, size_bytes))
 
         def moved(self, size_bytes: int) -> None:
-            self.told.append(size_bytes)
+            self.named.append(size_bytes)
 
         def ended(self) -> None:
-            self.told.append("ended")
+            self.named.append("ended")
 
-    watch = Watched()
+    progress = Watched()
     generate_mission(tmp_path, duration_s=1, formats=[SampleFormat.mcap])
     path = tmp_path / "drive.mcap"
     (shallow,) = inspect_paths([path])
-    (deep,) = inspect_paths([path], depth=Depth.scan, watch=watch)
+    (deep,) = inspect_paths([path], depth=Depth.scan, progress=progress)
     assert (shallow.summary.depth, deep.summary.depth) == (Depth.summary, Depth.scan)
     assert deep.summary.topics == shallow.summary.topics
-    first, *moved, last = watch.told
+    first, *moved, last = progress.named
     assert (first, last) == ((str(path), path.stat().st_size), "ended")
     assert sum(step for step in moved if isinstance(step, int)) == path.stat().st_size
 
@@ -218,14 +219,14 @@ def test_one_unreadable_file_or_folder_hides_no_other(tmp_path: Path) -> None:
         _write(tmp_path / "day" / f"f{number}.mcap")
     (tmp_path / "day" / "f2.mcap").symlink_to(tmp_path / "nowhere.mcap")
     os.mkfifo(tmp_path / "day" / "pipe.bag")
-    found = {Path(each.path).name: each.summary for each in inspect_paths([tmp_path / "day"])}
-    assert {name: summary.content for name, summary in found.items()} == {
+    actual = {Path(item.path).name: item.summary for item in inspect_paths([tmp_path / "day"])}
+    assert {name: summary.content for name, summary in actual.items()} == {
         "f1.mcap": Content.indexed,
         "f2.mcap": Content.error,
         "f3.mcap": Content.indexed,
         "pipe.bag": Content.error,
     }
-    assert "f2.mcap" in (found["f2.mcap"].reason or "")
+    assert "f2.mcap" in (actual["f2.mcap"].reason or "")
 
 
 def test_what_may_not_be_read_is_named_and_hides_no_other(tmp_path: Path) -> None:
@@ -233,7 +234,7 @@ def test_what_may_not_be_read_is_named_and_hides_no_other(tmp_path: Path) -> Non
         _write(tmp_path / "day" / name)
     (tmp_path / "day" / "f2.mcap").chmod(0)
     (tmp_path / "day" / "locked").chmod(0)
-    wanted = {
+    expected_names = {
         "f1.mcap": Content.indexed,
         "f2.mcap": Content.error,
         "f3.mcap": Content.indexed,
@@ -248,8 +249,8 @@ def test_what_may_not_be_read_is_named_and_hides_no_other(tmp_path: Path) -> Non
         try:
             if os.geteuid() == 0:  # who may read everything
                 os.setresuid(65534, 65534, 65534)
-            found = {Path(each.path).name: each.summary.content for each in inspect_paths([tmp_path / "day"])}
-            status = 0 if found == wanted else 1
+            actual = {Path(item.path).name: item.summary.content for item in inspect_paths([tmp_path / "day"])}
+            status = 0 if actual == expected_names else 1
         finally:
             os._exit(status)
     assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0

@@ -31,8 +31,8 @@ from kleinkram.recordings import (
     summarise_isolated,
     timed_out,
 )
-from kleinkram.recordings.forward import from_file
 from kleinkram.recordings.sample import generate_mcap
+from kleinkram.recordings.sources import file_reader
 from kleinkram.recordings.summary import scan
 
 from .test_hostile import chunk, mcap_of
@@ -48,8 +48,8 @@ def test_same_summary_as_in_this_process(tmp_path: Path) -> None:
 
 def test_same_scan_as_in_this_process(tmp_path: Path) -> None:
     truth = generate_mcap(tmp_path / "drive.mcap", duration_s=1)
-    with from_file(truth.path) as forward:
-        assert summarise_isolated(FileRequest(str(truth.path)), depth=Depth.scan) == scan(forward)
+    with file_reader(truth.path) as reader:
+        assert summarise_isolated(FileRequest(str(truth.path)), depth=Depth.scan) == scan(reader)
 
 
 def test_bytes_that_follow_the_request(tmp_path: Path) -> None:
@@ -63,8 +63,8 @@ def test_bytes_that_follow_the_request(tmp_path: Path) -> None:
     done = subprocess.run(CHILD_COMMAND, input=lines, env=CHILD_ENVIRONMENT, capture_output=True, check=True)
     first, second = (read_answer(line, b"", 0) for line in done.stdout.splitlines())
     assert first.content is Content.opaque
-    with from_file(truth.path) as forward:
-        assert second == scan(forward)
+    with file_reader(truth.path) as reader:
+        assert second == scan(reader)
 
 
 def test_metadata_of_a_folder() -> None:
@@ -141,7 +141,7 @@ def test_a_file_that_takes_too_long(tmp_path: Path) -> None:
     assert caught.value.kind is FailureKind.time
 
 
-def test_a_crash_is_told_with_its_signal() -> None:
+def test_a_crash_is_reported_with_its_signal() -> None:
     with pytest.raises(SummaryFailed) as caught:
         read_answer(b"", b"", -signal.SIGSEGV)
     assert (caught.value.kind, caught.value.signal) == (FailureKind.crash, signal.SIGSEGV)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kleinkram.recordings import Content, summarise
-from kleinkram.recordings.mcap.writer import Compression
+from kleinkram.recordings.formats.mcap.writer import Compression
 
 from .memory_source import MemorySource
 from .test_hostile import small_bag, small_mcap
@@ -43,20 +43,20 @@ def test_mutated_bag(edits: list[tuple[float, bytes]], keep: float) -> None:
     assert (summary.content is Content.indexed) == (summary.reason is None)
 
 
-def test_every_second_cut_of_an_mcap_is_told() -> None:
+def test_every_second_cut_of_an_mcap_is_reported() -> None:
     data = MCAPS[0]
-    found = [summarise(MemorySource(data[:length])) for length in range(8, len(data), 2)]
-    assert {summary.content for summary in found} == {Content.broken, Content.recovered}
-    counts = [summary.message_count or 0 for summary in found]
+    actual = [summarise(MemorySource(data[:length])) for length in range(8, len(data), 2)]
+    assert {summary.content for summary in actual} == {Content.broken, Content.recovered}
+    counts = [summary.message_count or 0 for summary in actual]
     assert counts == sorted(counts)
     assert counts[-1] == 40
     assert summarise(MemorySource(data)).content is Content.indexed
 
 
-def test_every_second_cut_of_a_bag_is_told() -> None:
-    found = [summarise(MemorySource(BAG[:length], "test.bag")) for length in range(13, len(BAG), 2)]
-    assert {summary.content for summary in found} == {Content.broken, Content.recovered}
-    counts = [summary.message_count or 0 for summary in found]
+def test_every_second_cut_of_a_bag_is_reported() -> None:
+    actual = [summarise(MemorySource(BAG[:length], "test.bag")) for length in range(13, len(BAG), 2)]
+    assert {summary.content for summary in actual} == {Content.broken, Content.recovered}
+    counts = [summary.message_count or 0 for summary in actual]
     assert counts == sorted(counts)
     assert counts[-1] == 40
     assert summarise(MemorySource(BAG, "test.bag")).content is Content.indexed

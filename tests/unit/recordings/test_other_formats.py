@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import random
-import struct
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -16,28 +15,26 @@ from kleinkram.recordings import (
     Content,
     Depth,
     FileSource,
+    Recording,
     RecordingFormat,
     RecordingSummary,
     parse_rosbag2_metadata,
     summarise,
 )
-from kleinkram.recordings.forward import from_source
-from kleinkram.recordings.mcap.writer import McapWriter
-from kleinkram.recordings.other.describe import describe
-from kleinkram.recordings.other.lines import MAX_LINE_BYTES, read_lines
-from kleinkram.recordings.other.trajectories import parse_stamp
-from kleinkram.recordings.reading.errors import NotARecording
-from kleinkram.recordings.reading.recording import Recording
+from kleinkram.recordings.errors import NotARecording
+from kleinkram.recordings.formats.documents import MAX_LINE_BYTES, read_lines
+from kleinkram.recordings.formats.mcap.writer import McapWriter
+from kleinkram.recordings.formats.trajectories import parse_stamp
+from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
 
-from .corpus import Entry, params
 from .memory_source import MemorySource
 
 
 def summarise_text(text: str | bytes, name: str = "file") -> RecordingSummary:
     data = text.encode() if isinstance(text, str) else text
     summary = summarise(MemorySource(data, name))
-    scanned = scan(from_source(MemorySource(data, name)))
+    scanned = scan(source_reader(MemorySource(data, name)))
     assert (scanned.format, scanned.content, scanned.facts, scanned.problems) == (
         summary.format,
         summary.content,
@@ -49,10 +46,10 @@ def summarise_text(text: str | bytes, name: str = "file") -> RecordingSummary:
 
 def facts(summary: RecordingSummary) -> dict[str, object]:
     """Facts by name; those of which there are several as a list."""
-    found: dict[str, list[object]] = {}
+    actual: dict[str, list[object]] = {}
     for fact in summary.facts:
-        found.setdefault(fact.name, []).append(fact.value)
-    return {name: values[0] if len(values) == 1 else values for name, values in found.items()}
+        actual.setdefault(fact.name, []).append(fact.value)
+    return {name: values[0] if len(values) == 1 else values for name, values in actual.items()}
 
 
 def test_real_trajectories(recordings_dir: Path) -> None:
@@ -72,79 +69,6 @@ def test_real_trajectories(recordings_dir: Path) -> None:
         assert (round(summary.start_ns / 1e9, 3), round(summary.end_ns / 1e9, 3)) == (min(stamps), max(stamps))
 
 
-@pytest.mark.parametrize("entry", params("PX4 ULog"))
-def test_real_flight_log(entry: Entry, recordings_dir: Path) -> None:
-    with FileSource(recordings_dir / entry.name) as source:
-        summary = summarise(source)
-    expected = entry.expected
-    assert (summary.format, summary.content, summary.reason) == (RecordingFormat.ulog, Content.indexed, None)
-    assert summary.message_count == expected["messages"]
-    assert {problem.code for problem in summary.problems} <= {"stamps-before-start"}
-    assert bool(summary.problems) == (entry.name == "other/px4_sample.ulg")
-    assert (summary.start_ns, summary.end_ns) == (expected["start_ns"], expected["end_ns"])
-    found = [(t.name, t.message_type, t.count) for t in summary.topics]
-    assert found == sorted((t["topic"], t["type"], t["count"]) for t in expected["topics"])
-    assert facts(summary)["sys_name"] == "PX4"
-
-
-def test_a_flight_log_that_was_cut(recordings_dir: Path) -> None:
-    data = (recordings_dir / "other/px4_sample.ulg").read_bytes()
-    previous = -1
-    for tenth in range(1, 10):
-        summary = summarise(MemorySource(data[: len(data) * tenth // 10], "a.ulg"))
-        assert summary.content in (Content.recovered, Content.indexed, Content.broken)
-        assert summary.message_count is not None
-        assert previous <= summary.message_count < 4272
-        previous = summary.message_count
-    assert previous > 3000
-
-
-def ulog(*messages: tuple[str, bytes]) -> bytes:
-    body = b"".join(struct.pack("<HB", len(data), ord(kind)) + data for kind, data in messages)
-    return b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1_000_000) + body
-
-
-def data_message(message_id: int, *values: int) -> tuple[str, bytes]:
-    return "D", struct.pack(f"<H{len(values)}Q", message_id, *values)
-
-
-def test_the_stamp_of_a_flight_log_may_stand_anywhere() -> None:
-    log = ulog(
-        ("F", b"a:uint32_t[2] pair;uint64_t timestamp;"),
-        ("F", b"b:other nested;uint64_t timestamp;"),
-        ("A", b"\x00\x05\x00a"),
-        ("A", b"\x02\x06\x00b"),
-        data_message(5, 7, 2_000_000),
-        data_message(5, 7, 3_000_000),
-        data_message(5, 7, 500_000),
-        data_message(6, 7, 3_000_000),
-        data_message(9, 1),
-        ("O", struct.pack("<H", 120)),
-        ("I", b"\x10char[3] sys_nameABC"),
-    )
-    summary = summarise_text(log, "a.ulg")
-    assert [(t.name, t.count, t.first_ns, t.last_ns) for t in summary.topics] == [
-        ("a", 3, 1_000_000_000, 3_000_000_000),
-    ]
-    assert [p.code for p in summary.problems] == ["dropouts", "rows-unusable", "stamps-before-start", "topic-undefined"]
-    assert (facts(summary)["sys_name"], facts(summary)["topics_without_message"]) == ("ABC", 1)
-
-
-@pytest.mark.parametrize("kind", "ABCDFILMOPQRS")
-def test_empty_messages_of_a_flight_log(kind: str) -> None:
-    summary = summarise_text(ulog((kind, b"")), "a.ulg")
-    assert (summary.content, summary.message_count) == (Content.indexed, 0)
-
-
-@pytest.mark.parametrize("tail", [b"\xff" * 50, b"\x00" * 50, b"\x10\x00Dab"])
-def test_a_flight_log_with_rubbish_at_its_end(tail: bytes) -> None:
-    log = ulog(("F", b"a:uint64_t timestamp;"), ("A", b"\x00\x05\x00a"), data_message(5, 2_000_000))
-    summary = summarise(MemorySource(log + tail, "a.ulg"))
-    assert (summary.content, summary.message_count) == (Content.recovered, 1)
-    assert summary.reason
-    assert summary.lost is not None
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_mutations_never_raise(seed: int, recordings_dir: Path) -> None:
     """Bytes of real files exchanged at random; a longer run than this found what the tests above keep."""
@@ -154,7 +78,7 @@ def test_mutations_never_raise(seed: int, recordings_dir: Path) -> None:
         data = bytearray((recordings_dir / name).read_bytes()[:30_000])
         for _ in range(chosen.choice((1, 5, 50))):
             data[chosen.randrange(len(data))] = chosen.randrange(256)
-        summary = scan(from_source(MemorySource(bytes(data), name)))
+        summary = scan(source_reader(MemorySource(bytes(data), name)))
         assert summary.depth is Depth.scan
         assert summary.content is not Content.error
         parse_rosbag2_metadata(bytes(data).decode("utf-8", "replace"))
@@ -226,7 +150,7 @@ def test_yaml_and_calibrations() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "found"),
+    ("text", "actual"),
     [
         ('{"a": 1, "b": [2]}', {"keys": 2, "key": ["a", "b"]}),
         ("[1, 2, 3]", {"items": 3}),
@@ -235,9 +159,9 @@ def test_yaml_and_calibrations() -> None:
         ('{"long": "' + "x" * 10_000 + '"}', {"keys": 1, "key": "long"}),
     ],
 )
-def test_json(text: str, found: dict[str, object]) -> None:
+def test_json(text: str, actual: dict[str, object]) -> None:
     summary = summarise_text(text, "a.json")
-    assert (summary.format, summary.content, facts(summary)) == (RecordingFormat.json, Content.opaque, found)
+    assert (summary.format, summary.content, facts(summary)) == (RecordingFormat.json, Content.opaque, actual)
     assert summary.problems == ()
 
 
@@ -275,16 +199,14 @@ def test_a_recording_of_a_camera(tmp_path: Path) -> None:
 
 def test_large_files_are_only_recognised() -> None:
     text = MemorySource(b"1 0 0 0 0 0 0 1\n" * 100, "a.tum")
-    summary = describe(RecordingFormat.tum, from_source(text), most_bytes=1000)
+    summary = summarise(text, most_bytes=1000)
     assert (summary.content, summary.facts, summary.depth) == (Content.opaque, (), Depth.summary)
     assert "1600 bytes" in (summary.reason or "")
-    log = MemorySource(ulog(("F", b"a:uint64_t timestamp;")), "a.ulg")
-    assert describe(RecordingFormat.ulog, from_source(log), most_bytes=10).content is Content.pending
 
 
 def test_lines_are_bounded() -> None:
     long = b"x" * (3 * MAX_LINE_BYTES)
-    lines = [*read_lines(from_source(MemorySource(b"a\r\n" + long + b"\n\nb")))]
+    lines = [*read_lines(source_reader(MemorySource(b"a\r\n" + long + b"\n\nb")))]
     assert [len(line) for line in lines] == [1, MAX_LINE_BYTES, 0, 1]
 
 
@@ -293,9 +215,9 @@ def test_stamps_of_a_trajectory_may_be_in_any_unit(
     make_case: Callable[[str], Path], name: str, unit: str | None
 ) -> None:
     summary = summarise_text((make_case("20A") / name).read_text(), name)
-    found = facts(summary)
-    assert (found["poses"], found["path_length"], found["duration"]) == (100, 9.9, 9.9)
-    assert found.get("stamp_unit") == unit
+    actual = facts(summary)
+    assert (actual["poses"], actual["path_length"], actual["duration"]) == (100, 9.9, 9.9)
+    assert actual.get("stamp_unit") == unit
     assert [problem.code for problem in summary.problems] == (["stamp-unit"] if unit else [])
     start_ns = 1_698_132_949_012_009_859
     assert summary.start_ns == (start_ns if unit != "us" else start_ns // 1000 * 1000)
@@ -316,10 +238,10 @@ def test_poses_of_euroc(columns: int, header: str) -> None:
     rows = [[start_ns + n * 10**8, n * 0.1, 0, 0, 1, 0, 0, 0, *[0.5] * 9][:columns] for n in range(100)]
     lines = [",".join(map(str, row)) for row in rows]
     summary = summarise_text("\n".join([",".join(names)] * bool(header) + lines) + "\n", "data.csv")
-    found = facts(summary)
+    actual = facts(summary)
     assert summary.format is RecordingFormat.csv
-    assert (found["poses"], found["path_length"], found["duration"]) == (100, 9.9, 9.9)
-    assert (found["columns"], found["rows"]) == (columns, 100)
+    assert (actual["poses"], actual["path_length"], actual["duration"]) == (100, 9.9, 9.9)
+    assert (actual["columns"], actual["rows"]) == (columns, 100)
     assert (summary.start_ns, summary.end_ns) == (start_ns, start_ns + 99 * 10**8)
     assert summary.problems == ()
 

@@ -14,6 +14,7 @@ from kleinkram.recordings import (
     Lost,
     MemberFacts,
     Problem,
+    Recording,
     RecordingFormat,
     RecordingSummary,
     Rosbag2Metadata,
@@ -21,10 +22,9 @@ from kleinkram.recordings import (
     compare_metadata,
     parse_rosbag2_metadata,
 )
+from kleinkram.recordings.formats.rosbag2.metadata import StatedFile, StatedTopic
+from kleinkram.recordings.formats.rosbag2.writer import Db3Writer
 from kleinkram.recordings.inspect import Inspection, InspectionKind, inspect_paths
-from kleinkram.recordings.reading import Recording
-from kleinkram.recordings.rosbag2.db3_writer import Db3Writer
-from kleinkram.recordings.rosbag2.metadata import StatedFile, StatedTopic
 
 from .databases import T0, faults
 
@@ -49,7 +49,7 @@ def codes(problems: list[Problem] | tuple[Problem, ...]) -> list[tuple[str, str]
     return [(problem.code, problem.where) for problem in problems]
 
 
-def test_what_agrees_is_not_told() -> None:
+def test_matching_metadata_causes_no_problem() -> None:
     assert compare_metadata(STATED, MEMBERS, TOPICS) == []
     old_type = [replace(TOPICS[0], message_type="sensor_msgs/Imu")]
     assert compare_metadata(STATED, MEMBERS, old_type) == []
@@ -106,8 +106,8 @@ def test_early_recorders_wrote_the_start_of_the_last_file_and_the_duration_of_th
 
 
 def inspect_one(folder: Path) -> Inspection:
-    (found,) = inspect_paths([folder])
-    return found
+    (actual,) = inspect_paths([folder])
+    return actual
 
 
 WHOLE = {
@@ -132,11 +132,11 @@ WHOLE = {
 
 @pytest.mark.parametrize("folder", WHOLE)
 def test_whole_folders_agree_with_their_metadata(folder: str, recordings_dir: Path) -> None:
-    found = inspect_one(recordings_dir / folder)
-    assert (found.kind.value, found.summary.content) == ("recording", Content.indexed)
-    assert faults(found.summary.problems) == []
-    assert found.summary.message_count == WHOLE[folder]
-    assert list(found.members) == sorted(found.members)
+    actual = inspect_one(recordings_dir / folder)
+    assert (actual.kind.value, actual.summary.content) == ("recording", Content.indexed)
+    assert faults(actual.summary.problems) == []
+    assert actual.summary.message_count == WHOLE[folder]
+    assert list(actual.members) == sorted(actual.members)
 
 
 def test_the_missing_file_of_a_split_is_named(recordings_dir: Path) -> None:
@@ -164,12 +164,12 @@ def test_an_encoding_that_does_not_exist_is_named(recordings_dir: Path) -> None:
 
 
 def test_metadata_whose_data_are_missing(recordings_dir: Path) -> None:
-    found = inspect_one(recordings_dir / "broken/metadata_only_data_missing")
-    assert (found.kind.value, found.members) == ("recording", ())
-    assert (found.summary.format, found.summary.content) == (RecordingFormat.rosbag2_db3, Content.broken)
-    assert found.summary.reason == "metadata.yaml names a data file with 27792 messages, but none is there"
-    assert codes(found.summary.problems) == [("member-missing", "rosbag2_2025_12_06-03_46_47_0.db3")]
-    assert found.summary.lost == Lost(0, 0, 27792)
+    actual = inspect_one(recordings_dir / "broken/metadata_only_data_missing")
+    assert (actual.kind.value, actual.members) == ("recording", ())
+    assert (actual.summary.format, actual.summary.content) == (RecordingFormat.rosbag2_db3, Content.broken)
+    assert actual.summary.reason == "metadata.yaml names a data file with 27792 messages, but none is there"
+    assert codes(actual.summary.problems) == [("member-missing", "rosbag2_2025_12_06-03_46_47_0.db3")]
+    assert actual.summary.lost == Lost(0, 0, 27792)
 
 
 def test_a_split_set_without_metadata_is_one_recording(recordings_dir: Path) -> None:
@@ -205,7 +205,7 @@ def edit(folder: Path, old: str, new: str) -> None:
     path.write_text(text.replace(old, new))
 
 
-def test_compressed_messages_are_told_by_metadata_only(folder: Path) -> None:
+def test_message_compression_is_known_from_metadata_only(folder: Path) -> None:
     edit(
         folder,
         'compression_format: ""\n  compression_mode: ""',
@@ -232,9 +232,9 @@ def test_the_loss_of_a_cut_database_is_what_its_metadata_claim(folder: Path) -> 
 def test_a_yaml_of_something_else_is_not_compared_with_the_data(folder: Path) -> None:
     (folder / "metadata.yaml").write_text("robot: anymal\noperator: Ada\n")
     (database,) = folder.glob("*.db3")
-    found = inspect_one(folder)
-    assert (found.kind, found.path) == (InspectionKind.file, str(database))
-    assert (codes(found.summary.problems), found.summary.message_count) == ([], 500)
+    actual = inspect_one(folder)
+    assert (actual.kind, actual.path) == (InspectionKind.file, str(database))
+    assert (codes(actual.summary.problems), actual.summary.message_count) == ([], 500)
     with Recording.open(folder) as recording:
         assert (len(list(recording.raw_messages())), recording.problems) == (500, ())
 
@@ -248,9 +248,9 @@ def test_damaged_metadata_leave_the_data(folder: Path) -> None:
 
 def test_a_surplus_file_is_named_and_counted(folder: Path) -> None:
     shutil.copy(folder / "run_0.db3", folder / "run_1.db3")
-    found = inspect_one(folder)
-    assert [Path(member).name for member in found.members] == ["run_0.db3", "run_1.db3"]
-    assert codes(found.summary.problems) == [("member-surplus", "run_1.db3")]
+    actual = inspect_one(folder)
+    assert [Path(member).name for member in actual.members] == ["run_0.db3", "run_1.db3"]
+    assert codes(actual.summary.problems) == [("member-surplus", "run_1.db3")]
 
 
 @pytest.mark.parametrize("version", range(1, 10))
@@ -319,7 +319,7 @@ def test_a_value_that_is_no_number_is_left_out(value: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["[" * 4_000_000, "rosbag2_bagfile_information:\n  x: " + "[" * 3000, "- " * 100_000])
-def test_metadata_of_deep_brackets_are_given_up_at_once(text: str) -> None:
+def test_deeply_nested_metadata_is_refused_at_once(text: str) -> None:
     began = time.process_time()
     assert parse_rosbag2_metadata(text) is None
     assert time.process_time() - began < 1

@@ -41,11 +41,11 @@ def assert_true(summary: RecordingSummary, truth: FileTruth) -> None:
         truth.start_ns,
         truth.end_ns,
     )
-    found = [
+    actual = [
         (t.name, t.message_type, t.count, t.first_ns, t.last_ns, t.longest_gap_ns or 0, t.out_of_order_count)
         for t in summary.topics
     ]
-    assert found == [
+    assert actual == [
         (t.name, t.message_type, t.count, t.first_ns, t.last_ns, t.longest_gap_ns, t.out_of_order_count)
         for t in truth.topics
     ]
@@ -84,9 +84,9 @@ def test_mcap_is_read_by_mcap(mission: MissionTruth) -> None:
     truth = mission.files[0]
     with truth.path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
-        found = Counter(channel.topic for _, channel, _ in reader.iter_messages())
+        actual = Counter(channel.topic for _, channel, _ in reader.iter_messages())
         statistics = reader.get_summary()
-    assert found == counts(truth)
+    assert actual == counts(truth)
     assert statistics is not None
     assert statistics.statistics is not None
     assert statistics.statistics.message_count == truth.message_count
@@ -95,14 +95,14 @@ def test_mcap_is_read_by_mcap(mission: MissionTruth) -> None:
 @pytest.mark.parametrize("kind", ["drive.bag", "drive_rosbag2"])
 def test_every_message_is_decoded_by_rosbags(mission: MissionTruth, kind: str) -> None:
     truth = next(file for file in mission.files if kind in str(file.path.relative_to(mission.directory)))
-    found: Counter[str] = Counter()
+    actual: Counter[str] = Counter()
     with AnyReader([mission.directory / kind], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
         for connection, _time, raw in reader.messages():
             message = reader.deserialize(raw, connection.msgtype)
             assert type(message).__name__ == connection.msgtype.replace("/", "__")
-            found[connection.topic] += 1
+            actual[connection.topic] += 1
         assert (reader.start_time, reader.end_time - 1) == (truth.start_ns, truth.end_ns)
-    assert found == counts(truth)
+    assert actual == counts(truth)
 
 
 def test_cdr_in_mcap_is_decoded_by_rosbags(mission: MissionTruth) -> None:

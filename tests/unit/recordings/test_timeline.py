@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kleinkram.recordings import timeline as timeline_module
-from kleinkram.recordings.assemble import Measured, TopicType, measure
-from kleinkram.recordings.packed import smallest_to_come
+from kleinkram.recordings.chunk_table import smallest_to_come
 from kleinkram.recordings.timeline import YEAR_NS, ChunkEntries, Timeline
+from kleinkram.recordings.topic_statistics import Measured, TopicType, measure
 
 NO_TYPE = [TopicType("", "", "")]
 T0 = 1_700_000_000_000_000_000
@@ -48,13 +48,13 @@ CHUNKS = st.lists(st.lists(st.integers(T0, T0 + 10_000), min_size=1, max_size=8)
 @settings(max_examples=200, deadline=None)
 def test_any_order_of_messages_is_exact(chunks: list[list[int]], watermarks: bool) -> None:
     stamps = [stamp for chunk in chunks for stamp in chunk]
-    found = measured(chunks, watermarks=watermarks)
-    (topic,) = found.topics
-    assert topic.count == found.message_count == len(stamps)
-    assert (topic.first_ns, topic.last_ns) == (found.start_ns, found.end_ns) == (min(stamps), max(stamps))
+    actual = measured(chunks, watermarks=watermarks)
+    (topic,) = actual.topics
+    assert topic.count == actual.message_count == len(stamps)
+    assert (topic.first_ns, topic.last_ns) == (actual.start_ns, actual.end_ns) == (min(stamps), max(stamps))
     assert topic.longest_gap_ns == (plain_gap(stamps) if len(stamps) > 1 else None)
     assert topic.out_of_order_count == plain_disorder(stamps)
-    assert found.problems == ()
+    assert actual.problems == ()
 
 
 @given(CHUNKS)
@@ -63,8 +63,8 @@ def test_with_little_memory_a_gap_is_never_too_small(chunks: list[list[int]]) ->
     stamps = [stamp for chunk in chunks for stamp in chunk]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(timeline_module, "MAX_PENDING_STAMPS", 3)
-        found = measured(chunks, watermarks=False)
-    (topic,) = found.topics
+        actual = measured(chunks, watermarks=False)
+    (topic,) = actual.topics
     truth = plain_gap(stamps) if len(stamps) > 1 else None
     assert (topic.count, topic.first_ns, topic.last_ns) == (len(stamps), min(stamps), max(stamps))
     assert topic.out_of_order_count == plain_disorder(stamps)
@@ -72,7 +72,7 @@ def test_with_little_memory_a_gap_is_never_too_small(chunks: list[list[int]]) ->
         assert truth is not None
         assert topic.longest_gap_ns is not None
         assert topic.longest_gap_ns > truth
-        assert [problem.code for problem in found.problems] == ["gaps-upper-bound"]
+        assert [problem.code for problem in actual.problems] == ["gaps-upper-bound"]
 
 
 def test_memory_stays_small_for_a_long_recording() -> None:
@@ -100,25 +100,25 @@ def test_memory_stays_small_where_a_clock_stood_still(monkeypatch: pytest.Monkey
 
 
 def test_stamps_of_1970_are_suspect() -> None:
-    found = measured([[5, 6], [T0, T0 + 10, T0 + 30]])
-    (topic,) = found.topics
-    assert (found.start_ns, found.end_ns) == (T0, T0 + 30)
+    actual = measured([[5, 6], [T0, T0 + 10, T0 + 30]])
+    (topic,) = actual.topics
+    assert (actual.start_ns, actual.end_ns) == (T0, T0 + 30)
     assert (topic.count, topic.suspect_count, topic.longest_gap_ns) == (5, 2, 20)
     assert topic.rate_hz == pytest.approx(2 / 30e-9)
-    assert [(problem.code, problem.where) for problem in found.problems] == [("suspect-stamps", "/t")]
+    assert [(problem.code, problem.where) for problem in actual.problems] == [("suspect-stamps", "/t")]
 
 
 def test_a_jump_into_the_future_does_not_stretch_the_span() -> None:
     future = T0 + 20 * YEAR_NS
-    found = measured([[T0, T0 + 10, future, T0 + 20]])
-    assert (found.start_ns, found.end_ns) == (T0, T0 + 20)
-    assert found.topics[0].longest_gap_ns == 10
-    assert found.topics[0].out_of_order_count == 1
+    actual = measured([[T0, T0 + 10, future, T0 + 20]])
+    assert (actual.start_ns, actual.end_ns) == (T0, T0 + 20)
+    assert actual.topics[0].longest_gap_ns == 10
+    assert actual.topics[0].out_of_order_count == 1
 
 
 def test_small_stamps_alone_are_not_suspect() -> None:
-    found = measured([[2, 3]])
-    assert (found.start_ns, found.end_ns, found.problems) == (2, 3, ())
+    actual = measured([[2, 3]])
+    assert (actual.start_ns, actual.end_ns, actual.problems) == (2, 3, ())
 
 
 def test_two_topics_share_a_recordings_span() -> None:
@@ -126,8 +126,8 @@ def test_two_topics_share_a_recordings_span() -> None:
     timeline.add("/a", [T0, T0 + 100], 0)
     timeline.add("/b", [T0 + 30, T0 + 60], 0)
     timeline.settle(None)
-    found = measure(timeline, {"/a": NO_TYPE, "/b": NO_TYPE})
-    b = found.topics[1]
+    actual = measure(timeline, {"/a": NO_TYPE, "/b": NO_TYPE})
+    b = actual.topics[1]
     assert (b.head_gap_ns, b.tail_gap_ns, b.longest_gap_ns) == (30, 40, 30)
 
 

@@ -11,22 +11,22 @@ import lz4.frame
 import pytest
 import zstandard
 
-from kleinkram.recordings import Content, FileSource, RecordingSummary, summarise
-from kleinkram.recordings.forward import from_file
-from kleinkram.recordings.mcap import records
-from kleinkram.recordings.reading import Recording
+from kleinkram.recordings import Content, FileSource, Recording, RecordingSummary, summarise
+from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap.records import Opcode
+from kleinkram.recordings.sources import file_reader
 from kleinkram.recordings.summary import scan
 
 from .agreement import ParallelSource, accounts_of, disagreements
-from .reading.making import T0, bag_of, mcap_of
+from .reading.builders import T0, bag_of, mcap_of
 
 _ONES = 2**64 - 1
 _MESSAGES = 1000
 
 
 def by_scan(path: Path) -> RecordingSummary:
-    with from_file(path) as forward:
-        return scan(forward)
+    with file_reader(path) as reader:
+        return scan(reader)
 
 
 def by_index(path: Path) -> RecordingSummary:
@@ -47,7 +47,7 @@ def replaced(data: bytes, name: bytes, other: bytes, *places: int) -> bytes:
 
 def without_checksums(data: bytes) -> bytes:
     """Return an MCAP whose data and summary section are under no checksum."""
-    at = data.rindex(bytes([records.DATA_END]) + struct.pack("<Q", 4)) + records.RECORD_HEAD.size
+    at = data.rindex(bytes([Opcode.DATA_END]) + struct.pack("<Q", 4)) + records.RECORD_HEAD.size
     data = data[:at] + bytes(4) + data[at + 4 :]
     return data[: -len(records.MAGIC) - 4] + bytes(4) + records.MAGIC
 
@@ -71,7 +71,7 @@ def test_an_unknown_compression_is_named_by_the_summary_as_by_the_scan(
     assert summary.message_count == (0 if all_of_them else 10)
     assert summary.lost is not None
     assert summary.lost.messages == (15 if all_of_them else 5)
-    assert "is not one that we read" in str(summary.reason)
+    assert "unknown compression" in str(summary.reason)
     assert {p.where for p in summary.problems if p.code == "damaged"} == {
         p.where for p in deep.problems if p.code == "damaged"
     }
@@ -102,11 +102,11 @@ def record(opcode: int, body: bytes) -> bytes:
 def content_of_chunk() -> bytes:
     """Return a schema, a channel, and many messages of random bytes, so that several blocks are compressed."""
     rng = random.Random(7)
-    body = record(records.SCHEMA, struct.pack("<H", 1) + text(b"a/B") + text(b"ros2msg") + text(b"uint8[] x"))
-    body += record(records.CHANNEL, struct.pack("<HH", 1, 1) + text(b"/a") + text(b"cdr") + text(b""))
+    body = record(Opcode.SCHEMA, struct.pack("<H", 1) + text(b"a/B") + text(b"ros2msg") + text(b"uint8[] x"))
+    body += record(Opcode.CHANNEL, struct.pack("<HH", 1, 1) + text(b"/a") + text(b"cdr") + text(b""))
     for number in range(_MESSAGES):
         head = struct.pack("<HIQQ", 1, number, T0 + number, T0 + number)
-        body += record(records.MESSAGE, head + rng.randbytes(500))
+        body += record(Opcode.MESSAGE, head + rng.randbytes(500))
     return body
 
 
@@ -119,8 +119,8 @@ _PACK: dict[str, Callable[[bytes], bytes]] = {
 
 def unfinished(compression: str, *, packed: bytes, length: int, uncompressed: int, stored: int) -> bytes:
     head = struct.pack("<QQQI", 0, 0, uncompressed, 2**32 - 1) + text(compression.encode())
-    chunk = records.RECORD_HEAD.pack(records.CHUNK, length) + head + struct.pack("<Q", stored) + packed
-    return records.MAGIC + record(records.HEADER, text(b"ros2") + text(b"a recorder")) + chunk
+    chunk = records.RECORD_HEAD.pack(Opcode.CHUNK, length) + head + struct.pack("<Q", stored) + packed
+    return records.MAGIC + record(Opcode.HEADER, text(b"ros2") + text(b"a recorder")) + chunk
 
 
 @pytest.mark.parametrize("share", [1.0, 0.6], ids=["all", "cut"])
@@ -143,8 +143,8 @@ def test_a_chunk_that_was_never_finished_is_saved_as_far_as_it_goes(
     assert disagreements(accounts) == []
     for source in (FileSource, ParallelSource):
         with source(path) as opened, Recording.open(opened) as recording:
-            found = [message.log_time_ns - T0 for message in recording.raw_messages()]
-        assert found == [*range(summary.message_count)]
+            actual = [message.log_time_ns - T0 for message in recording.raw_messages()]
+        assert actual == [*range(summary.message_count)]
 
 
 @pytest.mark.parametrize("known", ["length", "uncompressed", "stored"])
@@ -161,12 +161,12 @@ def test_one_placeholder_among_the_lengths_of_a_chunk_is_enough(known: str, tmp_
     assert disagreements(accounts) == []
 
 
-def test_what_stands_before_an_unfinished_chunk_is_kept(tmp_path: Path) -> None:
+def test_records_before_an_unfinished_chunk_are_read(tmp_path: Path) -> None:
     made = mcap_of(chunks())
     data = made.read(0, made.size_bytes)
-    whole = data[: data.rindex(bytes([records.DATA_END]) + struct.pack("<Q", 4))]
+    whole = data[: data.rindex(bytes([Opcode.DATA_END]) + struct.pack("<Q", 4))]
     begun = unfinished("zstd", packed=b"", length=_ONES, uncompressed=_ONES, stored=_ONES)
-    chunk_at = begun.index(bytes([records.CHUNK]) + bytes([255]) * 8)
+    chunk_at = begun.index(bytes([Opcode.CHUNK]) + bytes([255]) * 8)
     path = tmp_path / "unfinished.mcap"
     path.write_bytes(whole + begun[chunk_at:] + _PACK["zstd"](b""))
     assert by_scan(path).message_count == 15

@@ -9,16 +9,16 @@ import pytest
 import zstandard
 
 from kleinkram.recordings import Content, Depth, FileSource, RecordingFormat, RecordingSummary, summarise
-from kleinkram.recordings.forward import from_file, from_pipe
+from kleinkram.recordings.formats.zstd_file import scan_zstd_file
+from kleinkram.recordings.sources import file_reader, pipe_reader
 from kleinkram.recordings.summary import scan
-from kleinkram.recordings.zstd_file import scan_zstd_file
 
 from .corpus import Entry, params
 from .databases import make_database, steady
 
 
 def scan_bytes(data: bytes, name: str) -> RecordingSummary:
-    return scan(from_pipe(io.BytesIO(data), len(data), name))
+    return scan(pipe_reader(io.BytesIO(data), len(data), name))
 
 
 @pytest.fixture(autouse=True)
@@ -38,8 +38,8 @@ def database(tmp_path: Path) -> bytes:
 @pytest.mark.parametrize("entry", params("file-zstd of ROS2 sqlite3 db3", "file-zstd of MCAP"))
 def test_real_files(entry: Entry, recordings_dir: Path, temporary: Path) -> None:
     path = recordings_dir / entry.name
-    with from_file(path) as forward, FileSource(path) as source:
-        scanned, summarised = scan(forward), summarise(source)
+    with file_reader(path) as reader, FileSource(path) as source:
+        scanned, summarised = scan(reader), summarise(source)
     assert scanned == summarised
     expected = entry.expected
     assert (scanned.content, scanned.reason, scanned.depth) == (Content.indexed, None, Depth.scan)
@@ -47,8 +47,8 @@ def test_real_files(entry: Entry, recordings_dir: Path, temporary: Path) -> None
     assert scanned.message_count == expected["messages"]
     assert {*expected["compression"]} <= {*scanned.compression} <= {"file-zstd", "zstd"}
     assert (scanned.start_ns, scanned.end_ns) == (expected["start_ns"], expected["end_ns"])
-    found = [(t.name, t.message_type, t.count, t.message_encoding) for t in scanned.topics]
-    assert found == sorted((t["topic"], t["type"], t["count"], t["encoding"]) for t in expected["topics"])
+    actual = [(t.name, t.message_type, t.count, t.message_encoding) for t in scanned.topics]
+    assert actual == sorted((t["topic"], t["type"], t["count"], t["encoding"]) for t in expected["topics"])
     assert scanned.problems == ()
     assert [*temporary.iterdir()] == []
 
@@ -65,7 +65,7 @@ def test_several_frames_and_one_to_skip(database: bytes) -> None:
 def test_cut_anywhere(checksum: bool, database: bytes, temporary: Path) -> None:
     """Whatever came out until the cut is read."""
     packed = zstandard.ZstdCompressor(level=1, write_checksum=checksum).compress(database)
-    found = []
+    actual = []
     for tenth in range(1, 10):
         cut = len(packed) * tenth // 10
         summary = scan_bytes(packed[:cut], "a.db3.zstd")
@@ -73,9 +73,9 @@ def test_cut_anywhere(checksum: bool, database: bytes, temporary: Path) -> None:
         assert summary.reason is not None
         assert summary.reason.startswith(f"its zstd data breaks off at byte {cut}")
         assert summary.compression in ((), ("file-zstd",))
-        found.append(summary.message_count or 0)
-    assert found == sorted(found)
-    assert 1000 < found[-1] < 3000
+        actual.append(summary.message_count or 0)
+    assert actual == sorted(actual)
+    assert 1000 < actual[-1] < 3000
     assert scan_bytes(packed[:-1], "a.db3.zstd").content is Content.recovered
     assert [*temporary.iterdir()] == []
 
@@ -100,13 +100,13 @@ def test_damaged_data_say_where(database: bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    ("inside", "told"),
-    [(b"just words", "inside is unknown"), (b"a,b\n1,2\n3,4\n", "inside is csv"), (b"", "inside is unknown")],
+    ("inside", "named"),
+    [(b"just words", "inside is unknown"), (b"a,b\n1,2\n3,4\n", "inside is csv"), (b"", "inside is empty")],
 )
-def test_what_is_no_recording_is_not_unpacked(inside: bytes, told: str) -> None:
+def test_what_is_no_recording_is_not_unpacked(inside: bytes, named: str) -> None:
     summary = scan_bytes(zstandard.compress(inside), "notes.zst")
     assert (summary.format, summary.content) == (RecordingFormat.zstd, Content.opaque)
-    assert told in (summary.reason or "")
+    assert named in (summary.reason or "")
 
 
 def test_the_name_inside_must_tell_the_truth(database: bytes) -> None:
@@ -117,8 +117,8 @@ def test_the_name_inside_must_tell_the_truth(database: bytes) -> None:
 def test_a_bomb_ends_at_the_bound(database: bytes, temporary: Path) -> None:
     bomb = zstandard.compress(database + bytes(200_000_000))
     assert len(bomb) < len(database)
-    forward = from_pipe(io.BytesIO(bomb), len(bomb), "a.db3.zstd")
-    summary = scan_zstd_file(forward, scan, most_bytes=5_000_000)
+    reader = pipe_reader(io.BytesIO(bomb), len(bomb), "a.db3.zstd")
+    summary = scan_zstd_file(reader, scan, most_bytes=5_000_000)
     assert summary.content is Content.pending
     assert "more than 5000000 bytes" in (summary.reason or "")
     assert [*temporary.iterdir()] == []
@@ -131,7 +131,7 @@ def test_a_database_from_a_pipe_is_copied_and_the_copy_is_gone(database: bytes, 
 
 
 def test_no_copy_without_space(database: bytes, monkeypatch: pytest.MonkeyPatch, temporary: Path) -> None:
-    monkeypatch.setattr("kleinkram.recordings.rosbag2.spool.KEPT_FREE_BYTES", 2**62)
+    monkeypatch.setattr("kleinkram.recordings.temporary_files.MIN_FREE_DISK_BYTES", 2**62)
     summary = scan_bytes(database, "a.db3")
     assert summary.content is Content.pending
     assert str(temporary) in (summary.reason or "")

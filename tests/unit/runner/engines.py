@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 
-from kleinkram.runner.docker.engine import Engine
-from kleinkram.runner.docker.executor import DockerExecutor
+from kleinkram.runner.executors.docker import DockerExecutor
+from kleinkram.runner.executors.docker_client import DockerClient
 
 
 @contextmanager
@@ -20,7 +20,7 @@ def with_engine(answering: type[BaseHTTPRequestHandler], folder: Path) -> Iterat
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
         thread.start()
         try:
-            yield DockerExecutor(Engine(folder / "socket"))
+            yield DockerExecutor(DockerClient(folder / "socket"))
         finally:
             server.shutdown()
             thread.join()

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.runner import cache as cache_module
-from kleinkram.runner.cache import Cache, Damaged, NoRoom, Part, Wanted
+from kleinkram.runner import input_cache as cache_module
+from kleinkram.runner.input_cache import InputCache, InputDamaged, InputFile, NoSpace, PartialInput
 
 
-def wanted(data: bytes) -> Wanted:
-    return Wanted(hashlib.sha256(data).hexdigest(), len(data))
+def input_file(data: bytes) -> InputFile:
+    return InputFile(hashlib.sha256(data).hexdigest(), len(data))
 
 
 def giving(data: bytes, calls: list[bytes] | None = None) -> cache_module.Fetch:
-    def fetch(part: Part) -> None:
+    def fetch(part: PartialInput) -> None:
         if calls is not None:
             calls.append(data)
         part.add(data[part.offset :])
@@ -26,7 +26,7 @@ def giving(data: bytes, calls: list[bytes] | None = None) -> cache_module.Fetch:
     return fetch
 
 
-def never(_: Part) -> None:
+def never(_: PartialInput) -> None:
     pytest.fail("it was fetched, and is here")
 
 
@@ -34,38 +34,38 @@ def wait(_: float) -> None:
     """Wait as a run does that nobody ends."""
 
 
-def bring(cache: Cache, data: bytes, used: float) -> None:
+def bring(cache: InputCache, data: bytes, used: float) -> None:
     """Have a file in the cache, last used at some time."""
-    cache.make_room([wanted(data)])
-    cache.get(wanted(data), giving(data), wait)
-    os.utime(cache._folder / f"{wanted(data).sha256}.seal", (used, used))
+    cache.make_space([input_file(data)])
+    cache.get(input_file(data), giving(data), wait)
+    os.utime(cache._directory / f"{input_file(data).sha256}.seal", (used, used))
 
 
-def kept(cache: Cache, *files: bytes) -> list[bool]:
-    return [(cache._folder / f"{wanted(data).sha256}.file").exists() for data in files]
+def kept(cache: InputCache, *files: bytes) -> list[bool]:
+    return [(cache._directory / f"{input_file(data).sha256}.file").exists() for data in files]
 
 
 def test_what_is_here_is_not_fetched_again(tmp_path: Path) -> None:
-    cache = Cache(tmp_path / "cache", 1000)
+    cache = InputCache(tmp_path / "cache", 1000)
     data = b"bytes of a drive"
-    cache.get(wanted(data), giving(data), wait)
-    cache.get(wanted(data), never, wait)
-    assert Cache(tmp_path / "cache", 1000).missing([wanted(data)]) == []
-    cache.link(wanted(data), tmp_path / "drive.bag")
+    cache.get(input_file(data), giving(data), wait)
+    cache.get(input_file(data), never, wait)
+    assert InputCache(tmp_path / "cache", 1000).missing([input_file(data)]) == []
+    cache.link(input_file(data), tmp_path / "drive.bag")
     assert (tmp_path / "drive.bag").read_bytes() == data
     assert (tmp_path / "drive.bag").stat().st_mode & 0o777 == 0o444
 
 
 def test_the_longest_unused_goes_first_and_what_is_used_stays(tmp_path: Path) -> None:
-    cache = Cache(tmp_path / "cache", 30)
+    cache = InputCache(tmp_path / "cache", 30)
     old, used, newer, new = b"1" * 10, b"2" * 10, b"3" * 10, b"4" * 10
     bring(cache, used, 1)
-    cache.link(wanted(used), tmp_path / "in-a-run")
+    cache.link(input_file(used), tmp_path / "in-a-run")
     bring(cache, old, 2)
     bring(cache, newer, 3)
     bring(cache, new, 4)
     assert kept(cache, old, used, newer, new) == [False, True, True, True]
-    with cache.pinned([wanted(newer)]):
+    with cache.pinned([input_file(newer)]):
         bring(cache, b"5" * 20, 5)
     assert kept(cache, used, newer, new) == [True, True, False]
     (tmp_path / "in-a-run").unlink()
@@ -74,46 +74,46 @@ def test_the_longest_unused_goes_first_and_what_is_used_stays(tmp_path: Path) ->
 
 
 def test_other_bytes_are_fetched_once_more(tmp_path: Path) -> None:
-    cache = Cache(tmp_path / "cache", 1000)
+    cache = InputCache(tmp_path / "cache", 1000)
     data, wrong = b"bytes of a drive", b"Bytes of a drive"
     said = iter([wrong, data])
-    cache.get(wanted(data), lambda part: part.add(next(said)), wait)
-    cache.get(wanted(data), never, wait)
-    other = wanted(b"x")
-    with pytest.raises(Damaged):
+    cache.get(input_file(data), lambda part: part.add(next(said)), wait)
+    cache.get(input_file(data), never, wait)
+    other = input_file(b"x")
+    with pytest.raises(InputDamaged):
         cache.get(other, giving(b"y"), wait)
     assert cache.missing([other]) == [other]
 
 
 def test_what_an_interrupted_fetch_left_counts(tmp_path: Path) -> None:
-    cache = Cache(tmp_path / "cache", 1000)
+    cache = InputCache(tmp_path / "cache", 1000)
     data = b"bytes of a drive"
 
-    def broken(part: Part) -> None:
+    def broken(part: PartialInput) -> None:
         part.add(data[:5])
         raise ConnectionError
 
     with pytest.raises(ConnectionError):
-        cache.get(wanted(data), broken, wait)
+        cache.get(input_file(data), broken, wait)
     rest: list[int] = []
 
-    def going_on(part: Part) -> None:
+    def going_on(part: PartialInput) -> None:
         rest.append(part.offset)
         part.add(data[part.offset :])
 
-    cache.get(wanted(data), going_on, wait)
+    cache.get(input_file(data), going_on, wait)
     assert rest == [5]
 
 
 def test_many_that_want_one_file_fetch_it_once(tmp_path: Path) -> None:
-    cache = Cache(tmp_path / "cache", 1000)
+    cache = InputCache(tmp_path / "cache", 1000)
     data = b"bytes of a drive"
     calls: list[bytes] = []
     all_are_there = threading.Barrier(4)
 
     def get() -> None:
         all_are_there.wait()
-        cache.get(wanted(data), giving(data, calls), wait)
+        cache.get(input_file(data), giving(data, calls), wait)
 
     threads = [threading.Thread(target=get) for _ in range(4)]
     for thread in threads:
@@ -124,6 +124,6 @@ def test_many_that_want_one_file_fetch_it_once(tmp_path: Path) -> None:
 
 
 def test_a_disk_without_room_is_told(tmp_path: Path) -> None:
-    cache = Cache(tmp_path / "cache", 1000)
-    with pytest.raises(NoRoom, match="are free"):
-        cache.make_room([Wanted("0" * 64, 2**60)])
+    cache = InputCache(tmp_path / "cache", 1000)
+    with pytest.raises(NoSpace, match="are free"):
+        cache.make_space([InputFile("0" * 64, 2**60)])

@@ -1,24 +1,65 @@
-"""The log of a container on a disk without room: what is written is passed over, and the warden is told."""
+"""The copy of a container's log: exact where it was interrupted, cut at its limit, and on a full disk."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
-from kleinkram.runner.docker.log import Log, Piece
+import pytest
+
+from kleinkram.contract.actions import Network, Resources
+from kleinkram.runner.executors import docker
+from kleinkram.runner.executors.base import Job
+from kleinkram.runner.executors.docker import ContainerLog
+from kleinkram.runner.executors.docker_client import ContainerInfo, DockerClient
+from kleinkram.runner.executors.docker_container import LOG_LABEL
 
 
-def test_a_log_without_room_takes_no_more_and_says_so(tmp_path: Path) -> None:
+class StoredOutput(DockerClient):
+    """An engine that stores this output of a container, and nothing else."""
+
+    def __init__(self, pieces: list[bytes]) -> None:
+        super().__init__(Path("/nowhere"))
+        self.pieces = pieces
+
+    def log(self, name: str, *, follow: bool, since_ns: int = 0) -> Iterator[bytes]:
+        """Yield it; what is newer than a copy is the last piece."""
+        yield from self.pieces[-1:] if since_ns else self.pieces
+
+
+def copy(directory: Path, pieces: list[bytes], offset: int = 0) -> ContainerLog:
+    """Copy the log of a container that has exited."""
+    log = ContainerLog(StoredOutput(pieces), Job("a-job", directory, [], None, Resources(), Network.none))
+    log.follow(ContainerInfo("one", "exited", 0, 0, was_out_of_memory=False, labels={LOG_LABEL: str(offset)}))
+    log.finish()
+    until = time.monotonic() + 20
+    while not log.is_complete:
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    return log
+
+
+@pytest.mark.parametrize("copied", [b"", b"one\nt", b"one\ntwo\n", b"one\ntwo\nthree"])
+def test_a_copy_goes_on_where_it_was_interrupted(tmp_path: Path, copied: bytes) -> None:
+    (tmp_path / "log").write_bytes(b"of an earlier start\n" + copied)
+    copy(tmp_path, [b"one\n", b"two\nthree", b"\n"], offset=20)
+    assert (tmp_path / "log").read_bytes() == b"of an earlier start\none\ntwo\nthree\n"
+
+
+def test_output_that_the_engine_dropped_is_marked(tmp_path: Path) -> None:
+    (tmp_path / "log").write_bytes(b"one\ntwo\n")
+    copy(tmp_path, [b"eight\n", b"nine\n"])
+    assert (tmp_path / "log").read_bytes().startswith(b"one\ntwo\n\n[kleinkram] lines may be missing here")
+    assert (tmp_path / "log").read_bytes().endswith(b"\nnine\n")
+
+
+def test_a_full_disk_is_noticed(tmp_path: Path) -> None:
     (tmp_path / "log").symlink_to("/dev/full")
-    with Log(tmp_path, 1000) as log:
-        assert log.has_room
-        log.add([Piece(1, b"a word\n")])
-        assert (log.has_room, log.is_full) == (False, True)
-        log.note_gap()
-        log.add([Piece(2, b"another\n")])
+    assert not copy(tmp_path, [b"a word\n"]).has_space
 
 
-def test_a_log_is_kept_up_to_its_limit(tmp_path: Path) -> None:
-    with Log(tmp_path, 10) as log:
-        log.add([Piece(1, b"a word and more\n")])
-        assert (log.has_room, log.is_full) == (True, True)
+def test_a_log_is_copied_up_to_its_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(docker, "LOG_BYTES", 10)
+    assert copy(tmp_path, [b"a word and more\n"]).has_space
     assert (tmp_path / "log").read_bytes().startswith(b"a word and\n[kleinkram] the log is full")

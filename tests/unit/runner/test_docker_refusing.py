@@ -11,9 +11,9 @@ from typing import ClassVar
 import pytest
 
 from kleinkram.contract.actions import Network, Resources
-from kleinkram.runner.docker.container import RUN_LABEL
-from kleinkram.runner.docker.executor import DockerExecutor
-from kleinkram.runner.work import CannotStart, Work
+from kleinkram.runner.executors.base import CannotStart, Job
+from kleinkram.runner.executors.docker import DockerExecutor
+from kleinkram.runner.executors.docker_container import JOB_LABEL
 from tests.unit.runner.engines import with_engine
 
 STATE = {"Status": "running", "Pid": 1, "ExitCode": 0, "StartedAt": "2026", "FinishedAt": "0001-", "OOMKilled": False}
@@ -26,7 +26,7 @@ class Refusing(BaseHTTPRequestHandler):
     answers: ClassVar[dict[str, object]] = {
         "/version": {"Arch": "amd64"},
         "/info": {},
-        "/containers/json": [{"Id": name, "Labels": {RUN_LABEL: name}} for name in ("one", "other")],
+        "/containers/json": [{"Id": name, "Labels": {JOB_LABEL: name}} for name in ("one", "other")],
         "/containers/kleinkram-a-run/json": {"Id": "one", "State": STATE},
         "/images/an-image/json": {"Id": "sha256:1", "RepoDigests": [], "Architecture": "amd64"},
     }
@@ -58,25 +58,25 @@ def executor(tmp_path: Path) -> Iterator[DockerExecutor]:
         yield played
 
 
-def a_run(folder: Path) -> Work:
-    return Work("a-run", folder, [], "an-image", Resources(), Network.none)
+def a_run(folder: Path) -> Job:
+    return Job("a-run", folder, [], "an-image", Resources(), Network.none)
 
 
 def test_sweeping_goes_on_after_a_container_that_stays(
     executor: DockerExecutor, caplog: pytest.LogCaptureFixture
 ) -> None:
-    executor.sweep([])
+    executor.remove_others([])
     assert Refusing.asked_to_remove == ["/containers/one", "/containers/other"]
-    assert caplog.text.count("stays for now: device or resource busy") == 2
+    assert caplog.text.count("was not removed: device or resource busy") == 2
 
 
 def test_a_run_is_removed_though_its_container_stays(
     executor: DockerExecutor, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     executor.remove(a_run(tmp_path))
-    assert "kleinkram-a-run stays for now: device or resource busy" in caplog.text
+    assert "kleinkram-a-run was not removed: device or resource busy" in caplog.text
 
 
 def test_what_an_earlier_start_left_is_not_taken_for_the_run(executor: DockerExecutor, tmp_path: Path) -> None:
-    with pytest.raises(CannotStart, match="does not remove what an earlier start left"):
-        executor.start(a_run(tmp_path))
+    with pytest.raises(CannotStart, match="does not remove the container of an earlier start"):
+        executor.submit(a_run(tmp_path))

@@ -1,20 +1,21 @@
-"""How long a run is held, written down beside it."""
+"""The lease of a job, beside the job."""
 
 from pathlib import Path
 
 import pytest
 
-from kleinkram.runner.orders import Lease
-from kleinkram.runner.ward import HELD
+from kleinkram.contract.actions import Network, Resources
+from kleinkram.runner.executors.base import Job
+from kleinkram.runner.executors.limits import LEASE
+from kleinkram.runner.executors.process import ProcessExecutor
 
 
-def test_a_folder_that_is_being_removed_gets_nothing_back(tmp_path: Path) -> None:
-    lease = Lease(1.0)
+def test_a_directory_that_is_being_removed_does_not_get_its_lease_back(tmp_path: Path) -> None:
+    executor = ProcessExecutor()
+    job = Job("a-job", tmp_path, [], None, Resources(), Network.none)
     with pytest.raises(FileNotFoundError):
-        lease.note_again(tmp_path)
+        executor.set_lease(job, 1.0)
     assert [*tmp_path.iterdir()] == []
-    lease.write_down(tmp_path)
-    before = (tmp_path / HELD).read_text()
-    lease.renew(0.0, 1e6)
-    lease.note_again(tmp_path)
-    assert float((tmp_path / HELD).read_text()) > float(before)
+    executor.set_lease(job, 1.0, create=True)
+    executor.set_lease(job, 1e6)
+    assert float((tmp_path / LEASE).read_text()) == 1e6

@@ -1,4 +1,4 @@
-"""Containers whose first process is ending, or over, by the time that their warden looks at it."""
+"""Containers whose first process is ending, or has ended, when the executor looks at it."""
 
 from __future__ import annotations
 
@@ -18,9 +18,8 @@ import pytest
 
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner import ward
-from kleinkram.runner.docker.executor import DockerExecutor
-from kleinkram.runner.work import CannotStart, Work
+from kleinkram.runner.executors.base import Job, wait_for_end
+from kleinkram.runner.executors.docker import DockerExecutor
 from tests.requirements import missing, need
 from tests.unit.runner.engines import with_engine
 
@@ -29,7 +28,7 @@ BORN = {"StartedAt": "2026", "OOMKilled": False}
 
 
 class Podman(BaseHTTPRequestHandler):
-    """Has made and started one container, which is over once somebody waits for that, or that many looks later."""
+    """Has started one container, which has exited after so many looks."""
 
     pid: ClassVar[int]
     stumbles: ClassVar[int]
@@ -55,8 +54,7 @@ class Podman(BaseHTTPRequestHandler):
             self._say(200, json.dumps({"Id": "one", "State": self._state()}).encode())
 
     def _state(self) -> dict[str, object]:
-        if "wait" in self.done:
-            type(self).looks -= 1
+        type(self).looks -= 1
         if self.looks < 0:
             return {**BORN, "Status": "exited", "Pid": 0, "ExitCode": 1, "FinishedAt": "2026"}
         return {**BORN, "Status": "running", "Pid": self.pid, "ExitCode": 0, "FinishedAt": "0001-"}
@@ -66,7 +64,7 @@ class Podman(BaseHTTPRequestHandler):
         self.rfile.read(int(self.headers["Content-Length"]))
         name = self.path.partition("?")[0].rpartition("/")[2]
         self.done.add(name)
-        self._say(500 if self.looks and name == "wait" else 200, b"" if name == "attach" else b"{}")
+        self._say(200, b"{}")
 
     def log_message(self, *_: object) -> None:
         """Say nothing."""
@@ -134,30 +132,24 @@ def has_memory(pid: int) -> bool:
 @pytest.fixture
 def executor(tmp_path: Path) -> Iterator[DockerExecutor]:
     """One with such an engine."""
-    Podman.done, Podman.stumbles, Podman.looks = set(), 0, 0
+    Podman.done, Podman.stumbles, Podman.looks = set(), 0, 2
     with with_engine(Podman, tmp_path) as played:
         yield played
 
 
-def a_run(folder: Path) -> Work:
+def a_run(folder: Path) -> Job:
     (folder / "run").mkdir()
-    return Work("a-run", folder / "run", ["/usr/bin/odd"], "an-image", Resources(), Network.none)
+    return Job("a-run", folder / "run", ["/usr/bin/odd"], "an-image", Resources(), Network.none)
 
 
 @pytest.mark.parametrize(("how", "stumbles"), [("ending", 0), ("unreaped", 0), ("gone", 0), ("gone", 1)])
 def test_a_command_that_is_not_there_is_told(executor: DockerExecutor, tmp_path: Path, how: str, stumbles: int) -> None:
     """The control groups of such a process are the machine's own, and Podman may stumble over it."""
-    work = a_run(tmp_path)
+    job = a_run(tmp_path)
     Podman.stumbles = stumbles
-    with first_process(how) as Podman.pid, pytest.raises(CannotStart, match="/usr/bin/odd: No such file") as caught:
-        executor.start(work)
-    assert caught.value.ending.reason is EndReason.command_not_found
-    assert not (work.folder / ward.USAGE).exists(), "what the whole machine uses was told as the run's"
-
-
-def test_to_wait_for_its_end_may_fail(executor: DockerExecutor, tmp_path: Path) -> None:
-    work = a_run(tmp_path)
-    Podman.looks = 2
-    with first_process("gone") as Podman.pid, pytest.raises(CannotStart) as caught:
-        executor.start(work)
-    assert caught.value.ending.reason is EndReason.command_not_found
+    with first_process(how) as Podman.pid:
+        executor.submit(job)
+        ending = wait_for_end(executor, job, timeout_s=20)
+    assert ending is not None
+    assert (ending.reason, "/usr/bin/odd: No such file" in ending.message) == (EndReason.command_not_found, True)
+    assert executor.usage(job) is None, "the usage of the whole machine was reported as the job's"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from kleinkram.contract.reports import EVENTS_FILE
-from kleinkram.runner.progress import ProgressReader
+from kleinkram.runner.results import ProgressReader
 
 
 def say(out: Path, text: str) -> None:
@@ -16,14 +16,14 @@ def say(out: Path, text: str) -> None:
 
 def test_the_last_word_counts(tmp_path: Path) -> None:
     reader = ProgressReader(tmp_path)
-    reader.look()
+    reader.read()
     assert reader.progress is None
     say(tmp_path, '{"progress": {"fraction": 0.1}}\n{"progress": {"fraction": 0.2}}\n{"metric": {"name": "a", "value"')
-    reader.look()
+    reader.read()
     assert reader.progress is not None
     assert reader.progress.fraction == 0.2
     say(tmp_path, ': 1}}\nnonsense with "progress"\n' + "x" * 3_000_000 + '\n{"progress": {"fraction": 0.5}}\n')
-    reader.look()
+    reader.read()
     assert reader.progress.fraction == 0.5
 
 
@@ -35,5 +35,5 @@ def test_links_lead_nowhere(tmp_path: Path) -> None:
     out.mkdir()
     (out / ".kleinkram").symlink_to(other / ".kleinkram")
     reader = ProgressReader(out)
-    reader.look()
+    reader.read()
     assert reader.progress is None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 
-from kleinkram.runner.redacting import Redactor
+from kleinkram.runner.logs import Redactor
 
 TOKEN = "klein_run_" + "t" * 43 + "abcdef"
 SIGNED = b"https://store/x?X-Amz-Credential=key%2F2026&X-Amz-Signature=" + b"0123456789abcdef" * 4 + b"&"
@@ -16,7 +16,7 @@ def cleaned(redactor: Redactor, data: bytes, most_bytes: int) -> bytes:
     while at < len(data):
         window = data[at : at + most_bytes]
         size = redactor.cut(window, most_bytes) if len(window) == most_bytes else len(window)
-        out += redactor.clean(window[:size])
+        out += redactor.redact(window[:size])
         at += size
     return out
 
@@ -27,7 +27,7 @@ def test_pieces_are_what_the_whole_is() -> None:
     chance = random.Random(7)
     for _ in range(60):
         data = b"".join(chance.choice(parts) for _ in range(40))
-        whole = redactor.clean(data)
+        whole = redactor.redact(data)
         assert cleaned(redactor, data, 2048) == whole
         assert TOKEN[10:].encode() not in whole
         assert b"0123456789abcdef" not in whole
@@ -42,4 +42,4 @@ def test_a_line_is_waited_for() -> None:
 
 def test_what_is_no_secret_stays() -> None:
     data = b"klein_run_short klein_project X-Amz-Date=2026 \xff\xfe\n" + bytes(range(256))
-    assert Redactor([TOKEN]).clean(data) == data
+    assert Redactor([TOKEN]).redact(data) == data

@@ -8,7 +8,7 @@ import pytest
 
 from kleinkram.contract.reports import EVENTS_FILE
 from kleinkram.runner import results
-from kleinkram.runner.results import collect
+from kleinkram.runner.results import collect_results
 
 
 def test_artifacts_are_regular_files_below_out(tmp_path: Path) -> None:
@@ -20,7 +20,7 @@ def test_artifacts_are_regular_files_below_out(tmp_path: Path) -> None:
     (out / "folder").symlink_to(tmp_path)
     (out / "new\nline").write_text("x")
     os.mkfifo(out / "pipe")
-    found = collect(out)
+    found = collect_results(out)
     assert [artifact.path for artifact in found.artifacts] == ["deep/track.csv"]
     assert len(found.problems) == 4
 
@@ -32,15 +32,15 @@ def test_events_and_report_are_put_together(tmp_path: Path) -> None:
         '{"preview": {"path": "../../etc/passwd"}}\n{"preview": {"path": "gone.png"}}\n'
     )
     (tmp_path / "report.json").write_text('{"metrics": [{"name": "ate_rmse", "value": 2}], "metadata": {"b": 2}}')
-    found = collect(tmp_path)
-    assert found.broken is None
+    found = collect_results(tmp_path)
+    assert found.report_error is None
     assert [metric.value for metric in found.report.metrics] == [2]
     assert found.report.metadata == {"a": 1, "b": 2}
     assert found.report.previews == []
     assert [problem.partition(":")[0] for problem in found.problems] == [
         "Line 2 of events.jsonl is no event",
         "Line 4 of events.jsonl is no event",
-        "It speaks of the artifact gone.png, which it did not leave.",
+        "It reports the artifact gone.png, which does not exist.",
     ]
 
 
@@ -49,10 +49,10 @@ def test_a_report_that_leads_elsewhere_is_broken(tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()
     (out / "report.json").symlink_to(tmp_path / "other.json")
-    assert "cannot be read" in (collect(out).broken or "")
+    assert "cannot be read" in (collect_results(out).report_error or "")
     (out / "report.json").unlink()
     os.mkfifo(out / "report.json")
-    assert "no regular file" in (collect(out).broken or "")
+    assert "no regular file" in (collect_results(out).report_error or "")
 
 
 def test_any_number_of_links_is_counted_and_not_kept(tmp_path: Path) -> None:
@@ -60,7 +60,7 @@ def test_any_number_of_links_is_counted_and_not_kept(tmp_path: Path) -> None:
     for number in range(4000):
         (tmp_path / f"{number}").symlink_to("track.csv")
     tracemalloc.start()
-    found = collect(tmp_path)
+    found = collect_results(tmp_path)
     peak_bytes = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert [artifact.path for artifact in found.artifacts] == ["track.csv"]
@@ -70,9 +70,9 @@ def test_any_number_of_links_is_counted_and_not_kept(tmp_path: Path) -> None:
 
 
 def test_no_more_is_looked_at_than_a_runner_has_time_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(results, "_MOST_ENTRIES", 150)
+    monkeypatch.setattr(results, "_MAX_ENTRIES", 150)
     for number in range(200):
         (tmp_path / f"{number}").symlink_to("nowhere")
-    found = collect(tmp_path)
-    assert found.problems[0] == "It left more than 150 files, folders and links: no more were looked at."
+    found = collect_results(tmp_path)
+    assert found.problems[0] == "It left more than 150 files, folders and links: the others were not read."
     assert found.problems[-1] == "And 50 more."

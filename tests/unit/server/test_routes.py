@@ -7,8 +7,8 @@ from starlette.routing import Mount
 
 from kleinkram.contract.errors import ERRORS, ErrorCode
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS
-from kleinkram.server.app import ROUTERS, create_app, see_that_all_are_guarded
-from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Transaction, asks_who
+from kleinkram.server.app import ROUTERS, create_app, require_guards
+from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Transaction, requires_actor
 from kleinkram.server.settings import Settings
 
 _SETTINGS = {
@@ -23,8 +23,8 @@ def _routes() -> list[APIRoute]:
     return [route for router in ROUTERS for route in router.routes if isinstance(route, APIRoute)]
 
 
-def test_every_route_asks_who_comes_or_is_for_everybody() -> None:
-    open_to_all = sorted(route.path for route in _routes() if not asks_who(route))
+def test_every_route_requires_actor_comes_or_is_for_everybody() -> None:
+    open_to_all = sorted(route.path for route in _routes() if not requires_actor(route))
     assert open_to_all == sorted(OPEN_PAGES)
 
 
@@ -67,7 +67,7 @@ def test_a_route_that_nobody_has_spoken_for_does_not_start() -> None:
         return actor.name
 
     with pytest.raises(RuntimeError, match=r"/unsaid has no row"):
-        see_that_all_are_guarded([router])
+        require_guards([router])
 
 
 def test_a_route_that_does_not_ask_who_comes_does_not_start() -> None:
@@ -78,17 +78,17 @@ def test_a_route_that_does_not_ask_who_comes_does_not_start() -> None:
         return settings.public_url
 
     with pytest.raises(RuntimeError, match=r"/unguarded has no row"):
-        see_that_all_are_guarded([router])
+        require_guards([router])
 
 
 def test_whatever_is_no_route_of_ours_does_not_start() -> None:
     router = APIRouter()
     router.routes.append(Mount("/mounted", routes=[]))
     with pytest.raises(RuntimeError, match=r"/mounted has no row"):
-        see_that_all_are_guarded([router])
+        require_guards([router])
 
 
-def test_a_transaction_asks_who_comes() -> None:
+def test_a_transaction_requires_actor_comes() -> None:
     router = APIRouter()
 
     @router.get("/with-transaction")
@@ -97,4 +97,4 @@ def test_a_transaction_asks_who_comes() -> None:
 
     (route,) = router.routes
     assert isinstance(route, APIRoute)
-    assert asks_who(route)
+    assert requires_actor(route)

@@ -34,7 +34,7 @@ export const keys = {
   account: ["account"],
   sessions: ["sessions"],
   identities: ["identities"],
-  ways: ["ways"],
+  signInMethods: ["sign-in-methods"],
   shares: (query: Query = {}) => ["shares", "list", query],
   audit: (query: Query = {}) => ["audit", "list", query],
   trash: (query: Query = {}) => ["trash", "list", query],

@@ -257,7 +257,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/auth/claim": {
+    "/api/v1/auth/bootstrap": {
         parameters: {
             query?: never;
             header?: never;
@@ -267,10 +267,10 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Claim Server
-         * @description Become the first admin of a fresh server, by the code from its log.
+         * Create First Admin
+         * @description Become the first admin of a new server with the code from its log.
          */
-        post: operations["claim_server"];
+        post: operations["bootstrap_admin"];
         delete?: never;
         options?: never;
         head?: never;
@@ -288,7 +288,7 @@ export interface paths {
         put?: never;
         /**
          * Approve Cli Login
-         * @description Agree that a program on the browser's machine gets a token.
+         * @description Approve a program on the machine of this browser.
          */
         post: operations["approve_cli_login"];
         delete?: never;
@@ -308,7 +308,7 @@ export interface paths {
         put?: never;
         /**
          * Exchange Cli Code
-         * @description Exchange what the browser brought to the loopback for a token.
+         * @description Exchange the code that the browser delivered to the loopback for a token.
          */
         post: operations["exchange_cli_code"];
         delete?: never;
@@ -327,10 +327,10 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Look At Code
-         * @description Say for whom a link is; it stays good.
+         * Get Code
+         * @description Return the purpose and recipient of a one-time link without using it.
          */
-        post: operations["look_at_code"];
+        post: operations["get_code"];
         delete?: never;
         options?: never;
         head?: never;
@@ -348,7 +348,7 @@ export interface paths {
         put?: never;
         /**
          * Begin Device Login
-         * @description Begin a login by a code that is typed on another machine.
+         * @description Start a login with a code that is typed on another machine.
          */
         post: operations["begin_device_login"];
         delete?: never;
@@ -368,7 +368,7 @@ export interface paths {
         put?: never;
         /**
          * Approve Device Login
-         * @description Agree that the program that shows a code gets a token.
+         * @description Approve the program that shows a code.
          */
         post: operations["approve_device_login"];
         delete?: never;
@@ -388,7 +388,7 @@ export interface paths {
         put?: never;
         /**
          * Deny Device Login
-         * @description Disagree.
+         * @description Deny the program that shows a code.
          */
         post: operations["deny_device_login"];
         delete?: never;
@@ -397,7 +397,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/auth/device/look": {
+    "/api/v1/auth/device/status": {
         parameters: {
             query?: never;
             header?: never;
@@ -407,10 +407,10 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Look At Device Login
-         * @description Say who shows a code.
+         * Get Device Login
+         * @description Return the program that shows a code.
          */
-        post: operations["look_at_device_login"];
+        post: operations["get_device_login"];
         delete?: never;
         options?: never;
         head?: never;
@@ -428,7 +428,7 @@ export interface paths {
         put?: never;
         /**
          * Exchange Device Code
-         * @description Exchange a device's secret for a token, once its code was typed.
+         * @description Exchange a device code for a token, once it is approved.
          */
         post: operations["exchange_device_code"];
         delete?: never;
@@ -448,7 +448,7 @@ export interface paths {
         put?: never;
         /**
          * Accept Invitation
-         * @description Get the account that one is invited to, and sign in.
+         * @description Create the account that an invitation is for, and sign in.
          */
         post: operations["accept_invitation"];
         delete?: never;
@@ -468,9 +468,29 @@ export interface paths {
         put?: never;
         /**
          * Sign In By Link
-         * @description Sign a browser in by a link that is good once.
+         * @description Sign a browser in with a one-time link.
          */
         post: operations["sign_in_by_link"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/auth/methods": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * List Sign In Methods
+         * @description List the methods with which people sign in to this server.
+         */
+        get: operations["list_sign_in_methods"];
+        put?: never;
+        post?: never;
         delete?: never;
         options?: never;
         head?: never;
@@ -488,7 +508,7 @@ export interface paths {
         put?: never;
         /**
          * Create Owner Link
-         * @description Make a link by which the owner of `klein up` signs a browser in.
+         * @description Create a link with which the owner of `klein up` signs in.
          */
         post: operations["create_owner_link"];
         delete?: never;
@@ -517,26 +537,6 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/auth/password/again": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Prove Password Again
-         * @description Prove once more who one is, so that this browser may do what takes a fresh sign-in.
-         */
-        post: operations["prove_password_again"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
     "/api/v1/auth/password/change": {
         parameters: {
             query?: never;
@@ -548,9 +548,29 @@ export interface paths {
         put?: never;
         /**
          * Change Password
-         * @description Choose a new password; one's other browsers are signed out.
+         * @description Change your password; your other browsers are signed out.
          */
         post: operations["change_password"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/auth/password/reauthenticate": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Reauthenticate By Password
+         * @description Enter your password again, for operations that require a recent sign-in.
+         */
+        post: operations["reauthenticate_by_password"];
         delete?: never;
         options?: never;
         head?: never;
@@ -568,29 +588,9 @@ export interface paths {
         put?: never;
         /**
          * Begin Provider Sign In
-         * @description Begin to sign in by a provider: the browser goes where this says.
+         * @description Start to sign in with a provider: the browser goes to the returned URL.
          */
         post: operations["begin_provider_sign_in"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/auth/providers/{name}/again": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Begin Provider Sign In Again
-         * @description Begin to prove once more who one is, by a provider, which is asked to ask for the password anew.
-         */
-        post: operations["begin_provider_sign_in_again"];
         delete?: never;
         options?: never;
         head?: never;
@@ -608,9 +608,29 @@ export interface paths {
         put?: never;
         /**
          * Link Provider
-         * @description Begin to add a provider to one's account, as another way to sign in.
+         * @description Start to link an identity of a provider to your account.
          */
         post: operations["link_provider"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/auth/providers/{name}/reauthenticate": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Begin Provider Reauthentication
+         * @description Start to reauthenticate with a provider, which is asked to require the password.
+         */
+        post: operations["begin_provider_reauthentication"];
         delete?: never;
         options?: never;
         head?: never;
@@ -628,9 +648,9 @@ export interface paths {
         put?: never;
         /**
          * Reset Password
-         * @description Choose a new password by an admin's link; all other browsers are signed out, and all personal tokens end.
+         * @description Choose a new password with an admin's link; your browsers are signed out and your personal tokens revoked.
          *
-         *     Those of robots and runners stay.
+         *     Tokens of robots and runners stay valid.
          */
         post: operations["reset_password"];
         delete?: never;
@@ -659,26 +679,6 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/auth/ways": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /**
-         * List Sign In Ways
-         * @description Say how one may sign in here.
-         */
-        get: operations["list_sign_in_ways"];
-        put?: never;
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
     "/api/v1/events": {
         parameters: {
             query?: never;
@@ -688,10 +688,10 @@ export interface paths {
         };
         /**
          * Watch Events
-         * @description Tell what changes, as it changes, of whatever you may see; and `refetch` where that may not be all.
+         * @description Stream the changes of everything you can see; a `refetch` event means that some may have been missed.
          *
-         *     `change` says noun, id and place, never contents. A comment comes every 15 s. When the stream ends, come back with
-         *     the id of the last event: what happened meanwhile follows. It ends within seconds of your session, token or account.
+         *     `change` names an object and where it is, never its content. A comment is sent every 15 s. When the stream ends,
+         *     reconnect with the id of the last event to continue. It ends within seconds of your session, token or account.
          */
         get: operations["watch_events"];
         put?: never;
@@ -770,26 +770,6 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/files/{file_id}/prove": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        /**
-         * Prove File
-         * @description Have a file's bytes read again; its state and time of proof tell when that is done.
-         */
-        post: operations["prove_file"];
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
     "/api/v1/files/{file_id}/topics": {
         parameters: {
             query?: never;
@@ -804,6 +784,26 @@ export interface paths {
         get: operations["list_file_topics"];
         put?: never;
         post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/files/{file_id}/verify": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Verify File
+         * @description Verify the stored bytes again: the server reads all of them; `state` and `verified_at` change when it has.
+         */
+        post: operations["verify_file"];
         delete?: never;
         options?: never;
         head?: never;
@@ -1017,7 +1017,7 @@ export interface paths {
         };
         /**
          * Get Me
-         * @description Say who asks, and what their credential is good for.
+         * @description Return who you are, and your credential.
          */
         get: operations["get_me"];
         put?: never;
@@ -1037,7 +1037,7 @@ export interface paths {
         };
         /**
          * Get Account
-         * @description Return one's own account: name, addresses, affiliations, and whether there is a password.
+         * @description Return your account: name, addresses, affiliations, and whether it has a password.
          */
         get: operations["get_account"];
         put?: never;
@@ -1057,7 +1057,7 @@ export interface paths {
         };
         /**
          * List Identities
-         * @description List under whose word one signs in.
+         * @description List the identities that are linked to your account.
          */
         get: operations["list_identities"];
         put?: never;
@@ -1080,7 +1080,7 @@ export interface paths {
         post?: never;
         /**
          * Unlink Identity
-         * @description Take a provider's word for oneself no more. The last way to sign in stays; nothing else ends.
+         * @description Unlink an identity from your account, unless it is your last sign-in method. Sessions and tokens stay valid.
          */
         delete: operations["unlink_identity"];
         options?: never;
@@ -1097,14 +1097,14 @@ export interface paths {
         };
         /**
          * List Sessions
-         * @description List the browsers that one is signed in with, latest first.
+         * @description List the browsers you are signed in with, latest first.
          */
         get: operations["list_sessions"];
         put?: never;
         post?: never;
         /**
          * End All Sessions
-         * @description Sign all of one's browsers out, this one too. Tokens stay as they are.
+         * @description Sign all your browsers out, including this one. Tokens stay valid.
          */
         delete: operations["end_all_sessions"];
         options?: never;
@@ -1124,7 +1124,7 @@ export interface paths {
         post?: never;
         /**
          * End Session
-         * @description Sign one of one's browsers out.
+         * @description Sign one of your browsers out.
          */
         delete: operations["end_session"];
         options?: never;
@@ -1143,12 +1143,12 @@ export interface paths {
         put?: never;
         /**
          * Begin Totp
-         * @description Make a secret for an authenticator app; it is in use once a code of it was confirmed.
+         * @description Create a secret for an authenticator app; it takes effect once one of its codes is confirmed.
          */
         post: operations["begin_totp"];
         /**
          * Disable Totp
-         * @description Sign in with the password alone from now on.
+         * @description Remove your second factor.
          */
         delete: operations["disable_totp"];
         options?: never;
@@ -1167,7 +1167,7 @@ export interface paths {
         put?: never;
         /**
          * Confirm Totp
-         * @description Take a second factor into use; one's other browsers are signed out. The recovery codes are shown this once.
+         * @description Confirm your second factor; your other browsers are signed out. The recovery codes are shown only once.
          */
         post: operations["confirm_totp"];
         delete?: never;
@@ -1187,7 +1187,7 @@ export interface paths {
         put?: never;
         /**
          * Renew Recovery Codes
-         * @description Make new recovery codes in place of those from before.
+         * @description Replace your recovery codes.
          */
         post: operations["renew_recovery_codes"];
         delete?: never;
@@ -1401,13 +1401,13 @@ export interface paths {
         };
         /**
          * List Open
-         * @description List your uploads under way into a mission.
+         * @description List your open uploads into a mission.
          */
         get: operations["list_uploads"];
         put?: never;
         /**
          * Begin
-         * @description Say what you want to upload, and hear what to send.
+         * @description Announce files to upload and learn what to send.
          */
         post: operations["begin_uploads"];
         delete?: never;
@@ -1553,7 +1553,7 @@ export interface paths {
         put?: never;
         /**
          * Create Reset Link
-         * @description Make a link by which somebody chooses a new password; whoever asks gives it to them.
+         * @description Create a password reset link, which you pass on to the person.
          */
         post: operations["create_reset_link"];
         delete?: never;
@@ -1574,7 +1574,7 @@ export interface paths {
         post?: never;
         /**
          * Reset Totp
-         * @description Take somebody's second factor away, who lost their device and their recovery codes.
+         * @description Remove the second factor of a person who lost their device and recovery codes.
          */
         delete: operations["reset_totp"];
         options?: never;
@@ -1593,7 +1593,7 @@ export interface paths {
         put?: never;
         /**
          * Invite Person
-         * @description Make a link by which somebody gets an account; whoever asks gives it to them.
+         * @description Create an invitation link, which you pass on to the person.
          */
         post: operations["invite_person"];
         delete?: never;
@@ -2423,14 +2423,14 @@ export interface paths {
         };
         /**
          * Get
-         * @description Get one of your uploads, with the parts that the store holds.
+         * @description Get one of your uploads, with the parts that the store has.
          */
         get: operations["get_upload"];
         put?: never;
         post?: never;
         /**
          * Abort
-         * @description Give up an upload.
+         * @description Abort an upload.
          */
         delete: operations["abort_upload"];
         options?: never;
@@ -2469,7 +2469,7 @@ export interface paths {
         put?: never;
         /**
          * Sign
-         * @description Get the addresses to send parts to; this also renews the leases of their uploads.
+         * @description Get the URLs to send parts to; this also renews the leases of their uploads.
          */
         post: operations["sign_parts"];
         delete?: never;
@@ -2687,6 +2687,20 @@ export interface components {
             verified_at: string;
             /** Verified By */
             verified_by: string;
+        };
+        /**
+         * AdminBootstrap
+         * @description Become the first admin of a new server: `POST /auth/bootstrap`. A signed-in person sends only the code.
+         */
+        AdminBootstrap: {
+            /** Code */
+            code: string;
+            /** Email */
+            email?: string | null;
+            /** Name */
+            name?: string | null;
+            /** Password */
+            password?: string | null;
         };
         /**
          * AdminHealth
@@ -2908,7 +2922,7 @@ export interface components {
          * @description What is known of the bytes: the store's checksums agreed; the server read them; gone; not what they were.
          * @enum {string}
          */
-        BlobState: "stored" | "proven" | "lost" | "corrupt";
+        BlobState: "stored" | "verified" | "lost" | "corrupt";
         /**
          * BrowserSignedIn
          * @description Who a browser is signed in as, from now on; the session itself is in a cookie that no script can read.
@@ -2956,27 +2970,13 @@ export interface components {
         };
         /**
          * ChecksumKind
-         * @description How the store proves what it received, as found by the server's probe when it started.
+         * @description How the store verifies what it received, as found by the server's probe when it started.
          *
          *     `crc64nvme`: every part by a signed CRC-64/NVME header, and the whole object by the full-object CRC-64/NVME.
          *     `sha256`: every part by a signed SHA-256 header. `md5`: every part by a signed Content-MD5, for old stores.
          * @enum {string}
          */
         ChecksumKind: "crc64nvme" | "sha256" | "md5";
-        /**
-         * Claim
-         * @description Become the first admin of a fresh server: `POST /auth/claim`. Who is signed in gives the code alone.
-         */
-        Claim: {
-            /** Code */
-            code: string;
-            /** Email */
-            email?: string | null;
-            /** Name */
-            name?: string | null;
-            /** Password */
-            password?: string | null;
-        };
         /**
          * ClaimReply
          * @description The answer to a claim; `run` is null where no run fits.
@@ -3198,7 +3198,7 @@ export interface components {
         };
         /**
          * DeviceRead
-         * @description Who asks by a code: `POST /auth/device/look`.
+         * @description Who asks by a code: `POST /auth/device/status`.
          */
         DeviceRead: {
             /** Address */
@@ -3272,7 +3272,7 @@ export interface components {
          * @description The closed set of failures.
          * @enum {string}
          */
-        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "sign_in_too_old" | "second_factor_needed" | "second_factor_wrong" | "code_gone" | "provider_unavailable" | "rate_limited" | "too_many_streams" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "last_way_in" | "group_fixed" | "wrong_client" | "not_found" | "ambiguous_name" | "name_taken" | "edit_conflict" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "no_runner" | "method_not_allowed" | "store_unavailable" | "database_unavailable" | "internal_error";
+        ErrorCode: "not_authenticated" | "sign_in_pending" | "slow_down" | "sign_in_denied" | "sign_in_expired" | "sign_in_failed" | "sign_in_refused" | "sign_in_too_old" | "second_factor_needed" | "second_factor_wrong" | "code_gone" | "provider_unavailable" | "last_sign_in_method" | "forbidden" | "scope_missing" | "token_too_wide" | "right_exceeded" | "last_owner" | "last_admin" | "group_fixed" | "not_found" | "wrong_client" | "ambiguous_name" | "name_taken" | "edit_conflict" | "invalid_request" | "invalid_query" | "invalid_cursor" | "yaml_invalid" | "fields_invalid" | "metadata_invalid" | "body_too_large" | "method_not_allowed" | "file_exists" | "path_conflict" | "name_leased" | "upload_gone" | "upload_incomplete" | "checksum_mismatch" | "file_unavailable" | "quota_exceeded" | "run_gone" | "no_inputs" | "no_runner" | "rate_limited" | "too_many_streams" | "store_unavailable" | "database_unavailable" | "internal_error";
         /**
          * ExecutorAbilities
          * @description What an executor supports. `images`: it runs container images, not only scripts.
@@ -3363,7 +3363,7 @@ export interface components {
         FetchPurpose: "download" | "look";
         /**
          * FieldProblem
-         * @description One thing wrong with one field of a request, a metadata document or a field definition.
+         * @description One invalid field of a request, a metadata document or a field definition.
          */
         FieldProblem: {
             /** Column */
@@ -3537,7 +3537,7 @@ export interface components {
          * FileRead
          * @description A file of a mission: its place, its bytes, and what they hold. Checksums are lower-case hex.
          *
-         *     `sha256` is the uploader's word until `state` is `proven`; `md5` is null until then. `summarised_at` is null until
+         *     `sha256` is the uploader's word until `state` is `verified`; `md5` is null until then. `summarised_at` is null until
          *     the server has looked at the content, whatever came of it. `depth` says how far it read; null until then.
          *     `damaged_at` is since when it is known to be lost or corrupt; `state_reason` says how that showed. `etag` names
          *     the path and labels that people gave it last, as with missions.
@@ -3585,8 +3585,6 @@ export interface components {
             path: string;
             /** Problems */
             problems: components["schemas"]["FileProblem"][];
-            /** Proven At */
-            proven_at: string | null;
             /** Recording Id */
             recording_id: string | null;
             /** Sha256 */
@@ -3601,6 +3599,8 @@ export interface components {
             /** Summarised At */
             summarised_at: string | null;
             uploaded_by: components["schemas"]["PersonRef"];
+            /** Verified At */
+            verified_at: string | null;
         };
         /**
          * FilesLabelled
@@ -3863,18 +3863,6 @@ export interface components {
         Heartbeats: {
             /** Runs */
             runs: components["schemas"]["Heartbeat"][];
-        };
-        /**
-         * HeldPart
-         * @description A part that the store already holds.
-         */
-        HeldPart: {
-            /** Etag */
-            etag: string;
-            /** Number */
-            number: number;
-            /** Size Bytes */
-            size_bytes: number;
         };
         /**
          * HomeRead
@@ -4352,7 +4340,7 @@ export interface components {
          *
          *     `start_ns` and `end_ns` (log clock, since 1970, UTC) span its recordings without suspect stamps.
          *     `metadata_problems` names what no longer satisfies the project's fields. `pending_file_count` counts the files whose
-         *     content nobody has read yet, those included that only the proof will read; `recordings_current` says whether
+         *     content nobody has read yet, those included that only the verification will read; `recordings_current` says whether
          *     recordings and span follow from today's files. `right` is the asker's own on it, from wherever it comes.
          *     `etag` names what people edited last: given back with a change, that is refused where somebody else came first.
          */
@@ -4551,7 +4539,7 @@ export interface components {
          * @description What needs somebody. The last four are of the whole server, and for admins.
          * @enum {string}
          */
-        Need: "files_corrupt" | "files_lost" | "files_broken" | "files_unread" | "files_recovered" | "runs_cannot_start" | "runs_failed" | "metadata_missing" | "scrub_stopped" | "proofs_late" | "jobs_failed" | "disk_low";
+        Need: "files_corrupt" | "files_lost" | "files_broken" | "files_unread" | "files_recovered" | "runs_cannot_start" | "runs_failed" | "metadata_missing" | "scrub_stopped" | "verifications_overdue" | "jobs_failed" | "disk_low";
         /**
          * Network
          * @description What a run can reach: nothing, the API and the store with its own token, or everything its machine reaches.
@@ -4889,16 +4877,6 @@ export interface components {
             upload_id: string;
         };
         /**
-         * PasswordAgain
-         * @description Prove once more who one is, in a browser that is signed in: `POST /auth/password/again`.
-         */
-        PasswordAgain: {
-            /** Password */
-            password: string;
-            /** Second Factor */
-            second_factor?: string | null;
-        };
-        /**
          * PasswordChange
          * @description Choose a new password: `POST /auth/password/change`. Other browsers are signed out.
          */
@@ -4907,6 +4885,16 @@ export interface components {
             new_password: string;
             /** Old Password */
             old_password: string;
+        };
+        /**
+         * PasswordReauthenticate
+         * @description Enter the password again in a signed-in browser: `POST /auth/password/reauthenticate`.
+         */
+        PasswordReauthenticate: {
+            /** Password */
+            password: string;
+            /** Second Factor */
+            second_factor?: string | null;
         };
         /**
          * PasswordReset
@@ -4998,7 +4986,7 @@ export interface components {
         };
         /**
          * ProblemDocument
-         * @description A failure on the wire (RFC 9457); the fields of the error's class stand beside these.
+         * @description A failure on the wire (RFC 9457), with the fields of the error's class beside these.
          */
         ProblemDocument: {
             code: components["schemas"]["ErrorCode"];
@@ -5859,7 +5847,7 @@ export interface components {
          * @description One comparison of what the store lists with what the database knows of it.
          *
          *     `lost` and `corrupt` are blobs that it newly found so, `found` lost ones whose objects are there again and are being
-         *     proven, `unknown` objects that nothing here speaks of. `stopped` says why it marked nothing, or not to the end.
+         *     verified, `unknown` objects that nothing here speaks of. `stopped` says why it marked nothing, or not to the end.
          *     Until it has `ended_at`, all this is of what it has compared so far.
          */
         ScrubRead: {
@@ -5914,7 +5902,8 @@ export interface components {
          *
          *     Of the lost and corrupt those count that something still refers to.
          *
-         *     `oldest_proof_at` is when the blob was proven whose proof is the oldest; `again_after_days` when one is proven anew.
+         *     `oldest_verification_at` is the oldest `verified_at` of all blobs. A blob is verified again `again_after_days` days
+         *     after its last verification.
          */
         ScrubState: {
             /** Again After Days */
@@ -5924,8 +5913,8 @@ export interface components {
             /** Every Hours */
             every_hours: number;
             last: components["schemas"]["ScrubRead"] | null;
-            /** Oldest Proof At */
-            oldest_proof_at: string | null;
+            /** Oldest Verification At */
+            oldest_verification_at: string | null;
         };
         /**
          * SearchRead
@@ -6028,10 +6017,10 @@ export interface components {
              * Format: date-time
              */
             last_used_at: string;
+            /** Method */
+            method: string;
             /** User Agent */
             user_agent: string | null;
-            /** Way */
-            way: string;
         };
         /**
          * SettingRead
@@ -6182,12 +6171,12 @@ export interface components {
             items: components["schemas"]["SignedPart"][];
         };
         /**
-         * SignInWays
-         * @description How one may sign in here: `GET /auth/ways`. `claim`: nobody is admin yet, and a code from the log makes one.
+         * SignInMethods
+         * @description The sign-in methods of a server: `GET /auth/methods`. `bootstrap`: it has no admin yet.
          */
-        SignInWays: {
-            /** Claim */
-            claim: boolean;
+        SignInMethods: {
+            /** Bootstrap */
+            bootstrap: boolean;
             /** Password */
             password: boolean;
             /** Providers */
@@ -6235,6 +6224,18 @@ export interface components {
             missions: number;
             /** Recordings */
             recordings: number;
+            /** Size Bytes */
+            size_bytes: number;
+        };
+        /**
+         * StoredPart
+         * @description A part that the store already holds.
+         */
+        StoredPart: {
+            /** Etag */
+            etag: string;
+            /** Number */
+            number: number;
             /** Size Bytes */
             size_bytes: number;
         };
@@ -6661,7 +6662,7 @@ export interface components {
              * Parts
              * @default []
              */
-            parts: components["schemas"]["HeldPart"][];
+            parts: components["schemas"]["StoredPart"][];
             /** Path */
             path: string;
             /** Size Bytes */
@@ -7270,7 +7271,7 @@ export interface operations {
             };
         };
     };
-    claim_server: {
+    bootstrap_admin: {
         parameters: {
             query?: never;
             header?: never;
@@ -7279,7 +7280,7 @@ export interface operations {
         };
         requestBody: {
             content: {
-                "application/json": components["schemas"]["Claim"];
+                "application/json": components["schemas"]["AdminBootstrap"];
             };
         };
         responses: {
@@ -7369,7 +7370,7 @@ export interface operations {
             };
         };
     };
-    look_at_code: {
+    get_code: {
         parameters: {
             query?: never;
             header?: never;
@@ -7501,7 +7502,7 @@ export interface operations {
             };
         };
     };
-    look_at_device_login: {
+    get_device_login: {
         parameters: {
             query?: never;
             header?: never;
@@ -7633,6 +7634,35 @@ export interface operations {
             };
         };
     };
+    list_sign_in_methods: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["SignInMethods"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
     create_owner_link: {
         parameters: {
             query?: never;
@@ -7695,7 +7725,7 @@ export interface operations {
             };
         };
     };
-    prove_password_again: {
+    change_password: {
         parameters: {
             query?: never;
             header?: never;
@@ -7704,7 +7734,7 @@ export interface operations {
         };
         requestBody: {
             content: {
-                "application/json": components["schemas"]["PasswordAgain"];
+                "application/json": components["schemas"]["PasswordChange"];
             };
         };
         responses: {
@@ -7726,7 +7756,7 @@ export interface operations {
             };
         };
     };
-    change_password: {
+    reauthenticate_by_password: {
         parameters: {
             query?: never;
             header?: never;
@@ -7735,7 +7765,7 @@ export interface operations {
         };
         requestBody: {
             content: {
-                "application/json": components["schemas"]["PasswordChange"];
+                "application/json": components["schemas"]["PasswordReauthenticate"];
             };
         };
         responses: {
@@ -7792,7 +7822,7 @@ export interface operations {
             };
         };
     };
-    begin_provider_sign_in_again: {
+    link_provider: {
         parameters: {
             query?: never;
             header?: never;
@@ -7827,7 +7857,7 @@ export interface operations {
             };
         };
     };
-    link_provider: {
+    begin_provider_reauthentication: {
         parameters: {
             query?: never;
             header?: never;
@@ -7922,41 +7952,12 @@ export interface operations {
             };
         };
     };
-    list_sign_in_ways: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["SignInWays"];
-                };
-            };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
-            default: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["ProblemDocument"];
-                };
-            };
-        };
-    };
     watch_events: {
         parameters: {
             query?: {
-                /** @description The id of the last event that is known, as in Last-Event-ID. */
+                /** @description The id of the last event received, as in Last-Event-ID. */
                 after?: string | null;
-                /** @description After how many seconds it ends. */
+                /** @description Duration of the stream in seconds. */
                 for_s?: number;
             };
             header?: {
@@ -7967,7 +7968,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description Server-sent events, as the text of a stream. */
+            /** @description Server-sent events. */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -8180,37 +8181,6 @@ export interface operations {
             };
         };
     };
-    prove_file: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                file_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description Successful Response */
-            202: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["FileRead"];
-                };
-            };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
-            default: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["ProblemDocument"];
-                };
-            };
-        };
-    };
     list_file_topics: {
         parameters: {
             query?: {
@@ -8232,6 +8202,37 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["Page_TopicRead_"];
+                };
+            };
+            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["ProblemDocument"];
+                };
+            };
+        };
+    };
+    verify_file: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                file_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Successful Response */
+            202: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["FileRead"];
                 };
             };
             /** @description A failure as a problem document (RFC 9457); `code` says which. */

@@ -42,7 +42,7 @@ export {
   mdiProgressClock as iconUnderWay,
   mdiPulse as iconTopic,
   mdiRestart as iconRetry,
-  mdiShieldCheckOutline as iconProven,
+  mdiShieldCheckOutline as iconVerified,
   mdiThemeLightDark as iconTheme,
   mdiTrayArrowUp as iconUpload,
   mdiWeatherNight as iconDark,

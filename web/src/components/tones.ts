@@ -23,7 +23,7 @@ export const contentTones: Readonly<Record<ContentState, Tone>> = {
 
 export const blobTones: Readonly<Record<BlobState, Tone>> = {
   stored: "plain",
-  proven: "good",
+  verified: "good",
   lost: "bad",
   corrupt: "bad",
 };

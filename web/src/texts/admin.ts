@@ -2,7 +2,7 @@
 import { counted } from "@/components/format";
 
 const states: Readonly<Record<string, string>> = {
-  stored: "Stored", proven: "Proven", lost: "Lost", corrupt: "Corrupt", doomed: "To be swept", todo: "Waits", doing: "Under way", failed: "Given up",
+  stored: "Stored", verified: "Verified", lost: "Lost", corrupt: "Corrupt", doomed: "To be swept", todo: "Waits", doing: "Under way", failed: "Given up",
 };
 
 export const texts = {
@@ -56,8 +56,8 @@ export const texts = {
     show: (state: string) => `Show files that are ${state}`,
     every: "Scrubs",
     everyHours: (hours: number) => (hours === 0 ? "only when asked for" : `every ${counted(hours, "hour")}, or when asked for`),
-    proof: "Oldest proof",
-    again: "Proven again",
+    verification: "Oldest verification",
+    again: "Verified again",
     againAfter: (days: number) => (days === 0 ? "only when asked for" : `after ${counted(days, "day")}`),
   },
   jobs: {
@@ -78,10 +78,10 @@ export const texts = {
     ready: "Everything that it needs answers.",
     facts: {
       version: "Kleinkram", schema: "Tables", database: "PostgreSQL", databaseSize: "Database holds", workers: "Workers", clock: "Clocks apart",
-      checksum: "The store proves by", once: "The store refuses to overwrite", pages: "Browsers may send to the store", now: "Server’s time",
+      checksum: "The store verifies", once: "The store refuses to overwrite", pages: "Browsers may send to the store", now: "Server’s time",
     },
     workers: (count: number) => counted(count, "worker"),
-    noWorkers: "None is heard of: nothing is read, proven or swept. See that one runs.",
+    noWorkers: "None is heard of: nothing is read, verified or swept. See that one runs.",
     heard: (count: number) => (count === 1 ? "last heard of" : "the quietest last heard of"),
     yes: "Yes",
     no: "No",

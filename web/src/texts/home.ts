@@ -14,7 +14,7 @@ const needs: Readonly<Record<Need, (count: number) => string>> = {
   runs_failed: (count) => `${counted(count, "action")} failed`,
   metadata_missing: (count) => `${counted(count, "value")} of metadata missing or wrong`,
   scrub_stopped: () => "The store looks like another one: nothing was compared with it",
-  proofs_late: (count) => `${counted(count, "file")} not proven in time`,
+  verifications_overdue: (count) => `${counted(count, "file")} not verified in time`,
   jobs_failed: (count) => `${counted(count, "job")} failed`,
   disk_low: () => "The store’s disk is almost full",
 };

@@ -12,7 +12,7 @@ const remedies: Readonly<Partial<Record<string, string>>> = {
   metadata_invalid: "Correct the fields that are named, then try again.",
   last_owner: "Give somebody else the right to delete first.",
   last_admin: "Make somebody else an admin first.",
-  last_way_in: "Link another provider first, or ask an admin for a link to a password.",
+  last_sign_in_method: "Link another provider first, or ask an admin for a link to a password.",
   store_unavailable: "The store of the bytes does not answer; try again in a minute.",
   database_unavailable: "The database does not answer; try again in a minute.",
   invalid_cursor: "Load the page anew.",

@@ -17,7 +17,7 @@ export const contentTexts: Readonly<Record<ContentState, Named>> = {
 
 export const blobTexts: Readonly<Record<BlobState, Named>> = {
   stored: { label: "Stored", why: "The store's own checksums agreed when it came in." },
-  proven: { label: "Proven", why: "The server has read every byte and holds their checksums." },
+  verified: { label: "Verified", why: "The server has read every byte and holds their checksums." },
   lost: { label: "Lost", why: "The store no longer has these bytes." },
   corrupt: { label: "Corrupt", why: "The bytes in the store are not those that came in." },
 };

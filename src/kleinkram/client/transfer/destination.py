@@ -1,18 +1,81 @@
-"""From files of missions to places on this machine, before a byte is fetched."""
+"""Where downloaded files go: always inside the destination, whatever the server says their names are."""
 
+import os
+import stat
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 from kleinkram.client.errors import DestinationRefused, PathsCollide
-from kleinkram.client.transfer._place import check_relative
 from kleinkram.client.transfer.plan import distinct_text
 from kleinkram.contract.files import FileRead
+from kleinkram.contract.names import MAX_PATH_PART_BYTES, check_file_path
 from kleinkram.contract.runs import ArtifactRead
+
+PART_SUFFIX = ".klein-part"
+JOURNAL_SUFFIX = ".klein-journal"
+
+
+def check_relative(path: str) -> str:
+    """Return a path from the server, if it stays inside what it is put under.
+
+    Raises:
+        DestinationRefused: it does not, or cannot be a file's name here.
+    """
+    try:
+        return check_file_path(path)
+    except ValueError as error:
+        raise DestinationRefused(path=path, reason=f"the server's name for it {error}") from None
+
+
+def make_folders(dest: Path, relative: str) -> Path:
+    """Make the folders that a file needs below `dest`, and return where the file goes.
+
+    A link that is there already may be followed as long as it stays inside `dest`.
+
+    Raises:
+        DestinationRefused: a link leads outside, or a file is where a folder is needed.
+    """
+    target = dest / relative
+    root = Path(os.path.realpath(dest))
+    for folder in [*reversed(target.relative_to(dest).parents)][1:]:
+        here = dest / folder
+        try:
+            here.mkdir()
+        except FileExistsError:
+            _check_folder(here, root, relative)
+        except OSError as error:
+            raise DestinationRefused(path=str(target), reason=error.strerror or str(error)) from None
+    return target
+
+
+def _check_folder(folder: Path, root: Path, relative: str) -> None:
+    real = Path(os.path.realpath(folder))
+    if root != real and root not in real.parents:
+        raise DestinationRefused(path=relative, reason=f"{str(folder)!r} is a link that leads out of the destination")
+    if not folder.is_dir():
+        raise DestinationRefused(path=relative, reason=f"{str(folder)!r} is a file, and a folder is needed there")
+
+
+def partial_path(target: Path, suffix: str) -> Path:
+    """Return the name beside a target under which it is kept until it is whole."""
+    name = target.name
+    while len((name + suffix).encode()) > MAX_PATH_PART_BYTES:
+        name = name[:-1]
+    return target.with_name(name + suffix)
+
+
+def regular_size(target: Path) -> int | None:
+    """Return the size of what is at a place: None for nothing, -1 for something that is not a plain file."""
+    try:
+        status = target.lstat()
+    except FileNotFoundError:
+        return None
+    return status.st_size if stat.S_ISREG(status.st_mode) else -1
 
 
 @dataclass(frozen=True)
-class Target:
+class DownloadTarget:
     """A file of a mission, or an artifact of a run, and where it goes: `relative` below `dest`."""
 
     file: FileRead | ArtifactRead
@@ -29,7 +92,7 @@ class Target:
 class DownloadPlan:
     """What would be downloaded, and which files have a name that cannot be written here."""
 
-    targets: list[Target] = field(default_factory=list)
+    targets: list[DownloadTarget] = field(default_factory=list)
     left_out: list[DestinationRefused] = field(default_factory=list)
 
     @property
@@ -45,11 +108,11 @@ def plan_download(files: Iterable[FileRead], dest: Path, *, nested: bool = False
         PathsCollide: two files would have the same place, or one would be a folder of the other; names both.
     """
     plan = DownloadPlan()
-    places: dict[str, tuple[FileRead, Target]] = {}
+    places: dict[str, tuple[FileRead, DownloadTarget]] = {}
     for file in files:
         above = f"{file.mission.project.name}/{file.mission.name}/" if nested else ""
         try:
-            target = Target(file, dest, check_relative(above + file.path))
+            target = DownloadTarget(file, dest, check_relative(above + file.path))
         except DestinationRefused as error:
             plan.left_out.append(error)
             continue
@@ -69,7 +132,7 @@ def plan_artifacts(artifacts: Iterable[ArtifactRead], dest: Path) -> DownloadPla
     plan = DownloadPlan()
     for artifact in artifacts:
         try:
-            target = Target(artifact, dest, check_relative(artifact.path))
+            target = DownloadTarget(artifact, dest, check_relative(artifact.path))
         except DestinationRefused as error:
             plan.left_out.append(error)
             continue
@@ -77,7 +140,7 @@ def plan_artifacts(artifacts: Iterable[ArtifactRead], dest: Path) -> DownloadPla
     return plan
 
 
-def _collision(target: Target, file: FileRead, other: FileRead, *, nested: bool) -> PathsCollide:
+def _collision(target: DownloadTarget, file: FileRead, other: FileRead, *, nested: bool) -> PathsCollide:
     collision = PathsCollide(
         path=distinct_text(str(target.local)), first=distinct_text(_place(other)), second=distinct_text(_place(file))
     )

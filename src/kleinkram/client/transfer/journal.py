@@ -3,7 +3,7 @@
 One append-only file an upload: a head line, then a line a part. A torn last line is ignored, so nothing needs undoing
 after a crash. The parts written here are a hint only: a part is skipped when its bytes, hashed again, still have the
 checksum written here and the store still has the etag. The file is locked: two processes never share one. Small
-uploads of one run use each other's files, once these are empty again (`Spares`).
+uploads of one run use each other's files, once these are empty again (`SpareFiles`).
 """
 
 import fcntl
@@ -49,7 +49,7 @@ class JournalPart(BaseModel):
 
 
 @dataclass(frozen=True)
-class Remembered:
+class SavedUpload:
     """What a journal says of an upload begun earlier."""
 
     upload_id: uuid.UUID
@@ -62,7 +62,7 @@ def journals_dir() -> Path:
     return state_dir() / "uploads"
 
 
-class Spares:
+class SpareFiles:
     """Files of journals that ended, for those of small files to come: each empty, locked, and under a name of its own.
 
     To make and remove a file costs more than to send a small one, the more so the faster they follow each other: file
@@ -130,7 +130,7 @@ class Journal:
     """
 
     def __init__(
-        self, handle: int, file: Path, remembered: Remembered | None, spares: Spares, own: Path | None = None
+        self, handle: int, file: Path, remembered: SavedUpload | None, spares: SpareFiles, own: Path | None = None
     ) -> None:
         self._handle = handle
         self._file = file
@@ -184,7 +184,7 @@ class Journals:
 
     def __init__(self, folder: Path | None = None) -> None:
         self._folder = folder or journals_dir()
-        self._spares = Spares(self._folder)
+        self._spares = SpareFiles(self._folder)
 
     def open(self, server: str, mission_id: uuid.UUID, file: LocalFile) -> Journal:
         """Open the journal of uploading one file to one place, making it where there is none.
@@ -236,7 +236,7 @@ def _is_at(handle: int, path: Path) -> bool:
         return False
 
 
-def _read(handle: int) -> Remembered | None:
+def _read(handle: int) -> SavedUpload | None:
     size = os.fstat(handle).st_size
     if size == 0:
         return None
@@ -252,4 +252,4 @@ def _read(handle: int) -> Remembered | None:
         parts = [JournalPart.model_validate_json(line) for line in lines[1:]]
     except ValidationError:
         return None
-    return Remembered(head.upload_id, head.size_bytes, {part.number: part for part in parts})
+    return SavedUpload(head.upload_id, head.size_bytes, {part.number: part for part in parts})

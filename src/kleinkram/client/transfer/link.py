@@ -1,7 +1,7 @@
 """How a transfer adapts to its link, what it reports about it, and what a person can do about a bad one.
 
 `Window` decides how many bytes may be on their way at once, `Lane` makes the threads of a transfer keep to it, and
-`LinkWatch` counts lost connections and tells a person about them while they wait.
+`LinkMonitor` counts lost connections and tells a person about them while they wait.
 """
 
 import contextlib
@@ -20,8 +20,8 @@ from kleinkram.client._http import reason_of
 from kleinkram.client._network import SILENCE_S
 from kleinkram.client._retry import Backoff
 from kleinkram.client.errors import ServerUnreachable, StoreUnreachable
-from kleinkram.client.transfer._flow import Stop
-from kleinkram.client.transfer._store import PATIENCE_S
+from kleinkram.client.transfer.store import PATIENCE_S
+from kleinkram.client.transfer.threads import Stop
 from kleinkram.contract.uploads import MIN_PART_BYTES
 
 # A part that takes less leaves room for another beside it; one that takes more has too many beside it.
@@ -187,18 +187,18 @@ class LinkReport:
         return f"The network was unsteady: {', '.join(facts)}. If this is frequent: {remedy}."
 
 
-class LinkWatch:
+class LinkMonitor:
     """Tells a person while the link or the store keeps a transfer waiting. Shared by the threads of the transfer."""
 
-    def __init__(self, said: Callable[[str], None], *, clock: Callable[[], float] = time.monotonic) -> None:
-        self._said = said
+    def __init__(self, notify: Callable[[str], None], *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._notify = notify
         self._clock = clock
         self._lock = threading.Lock()
         self._connections_lost = self._network_changes = self._resent_bytes = 0
         self._longest_outage_s = 0.0
         self._outage_since: float | None = None
         self._moved_at = float("-inf")
-        self._said_at: dict[str, float] = {}
+        self._notified_at: dict[str, float] = {}
         self._store_url: str | None = None
 
     def report(self) -> LinkReport:
@@ -262,9 +262,9 @@ class LinkWatch:
     def explain(self, failure: BaseException, api_url: str) -> None:
         """Tell why a transfer ended, where the network or a server ended it: which part of the way does not work."""
         if isinstance(failure, ServerUnreachable | StoreUnreachable):
-            self._said(diagnose(api_url, self._store_url))
+            self._notify(diagnose(api_url, self._store_url))
         if (advice := self.report().advice()) is not None:
-            self._said(advice)
+            self._notify(advice)
 
     def arrived(self, took_s: float = 0.0) -> None:
         """Take note that bytes arrived, by a try that took so long."""
@@ -277,21 +277,21 @@ class LinkWatch:
             self._longest_outage_s = max(self._longest_outage_s, outage_s)
             self._outage_since = None
         if outage_s >= _WORTH_SAYING_S:
-            self._said(f"connected again after {outage_s:.0f} s")
-            self._said_at.clear()
+            self._notify(f"connected again after {outage_s:.0f} s")
+            self._notified_at.clear()
 
     def _say(self, kind: str, text: str, *, again_after_s: float = _WORTH_SAYING_S) -> None:
         with self._lock:
             now = self._clock()
-            is_new = now - self._said_at.get(kind, float("-inf")) >= again_after_s
+            is_new = now - self._notified_at.get(kind, float("-inf")) >= again_after_s
             if is_new:
-                self._said_at[kind] = now
+                self._notified_at[kind] = now
         if is_new:
-            self._said(text)
+            self._notify(text)
 
 
 def is_silence(error: BaseException | None) -> bool:
-    """Say whether a connection ended because the other side was silent, and not because it said so."""
+    """Say whether a connection ended because the other side was silent, and not because it notify so."""
     if has_no_network(error):
         return False
     for cause in _causes(error):

@@ -32,7 +32,7 @@ _RECENT_NS = 10 * 1_000_000_000
 _WATCH_S = 1.0
 
 
-class Identity(NamedTuple):
+class FileIdentity(NamedTuple):
     """What tells that a file is still the one that was planned."""
 
     size_bytes: int
@@ -47,7 +47,7 @@ class LocalFile:
 
     source: Path
     path: str
-    identity: Identity
+    identity: FileIdentity
 
     @property
     def size_bytes(self) -> int:
@@ -145,9 +145,9 @@ def is_excluded(path: str, globs: Iterable[str]) -> bool:
     return any(fnmatchcase(name, glob.rstrip("/")) for glob in globs for name in names)
 
 
-def identity_of(status: os.stat_result) -> Identity:
+def identity_of(status: os.stat_result) -> FileIdentity:
     """Return a file's identity from its status."""
-    return Identity(status.st_size, status.st_mtime_ns, status.st_ino, status.st_dev)
+    return FileIdentity(status.st_size, status.st_mtime_ns, status.st_ino, status.st_dev)
 
 
 def _walk(paths: Iterable[str | os.PathLike[str]], left_out: list[ClientError]) -> Iterator[tuple[Path, str]]:

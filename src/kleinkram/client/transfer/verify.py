@@ -1,4 +1,4 @@
-"""Are these the same bytes? Local files against what the server says of its own, by checksum."""
+"""Verification: local files against the checksums of a mission's files, and stored bytes by the server itself."""
 
 import enum
 import os
@@ -10,7 +10,7 @@ from pathlib import Path
 
 from kleinkram.client.errors import FileUnreadable, TimedOut
 from kleinkram.client.files import Files
-from kleinkram.client.transfer._source import WholeHash, read_slice
+from kleinkram.client.transfer.local_file import FileHashes, read_slice
 from kleinkram.client.transfer.plan import UploadPlan
 from kleinkram.contract.files import BlobState, FileFilter, FileRead
 from kleinkram.contract.names import name_key
@@ -33,7 +33,7 @@ class Verdict(str, enum.Enum):
 
 
 @dataclass(frozen=True)
-class Verified:
+class FileVerdict:
     """What was found of one file. `error`: why it is unreadable."""
 
     path: str
@@ -44,7 +44,7 @@ class Verified:
     error: FileUnreadable | None = None
 
 
-def verify_local(files: Files, mission_id: uuid.UUID, plan: UploadPlan) -> list[Verified]:
+def verify_local(files: Files, mission_id: uuid.UUID, plan: UploadPlan) -> list[FileVerdict]:
     """Compare the planned local files with the mission's, reading every local byte; in the plan's order."""
     there = {name_key(file.path): file for file in files.list(FileFilter(mission_id=mission_id))}
     found = []
@@ -53,24 +53,26 @@ def verify_local(files: Files, mission_id: uuid.UUID, plan: UploadPlan) -> list[
         try:
             sums = _sums(local.source, lambda: None)
         except FileUnreadable as error:
-            found.append(Verified(local.path, Verdict.unreadable, local.size_bytes, None, file, error))
+            found.append(FileVerdict(local.path, Verdict.unreadable, local.size_bytes, None, file, error))
             continue
         found.append(
-            Verified(local.path, _judge(file, local.size_bytes, sums), local.size_bytes, sums.sha256.hexdigest(), file)
+            FileVerdict(
+                local.path, _judge(file, local.size_bytes, sums), local.size_bytes, sums.sha256.hexdigest(), file
+            )
         )
     return found
 
 
-def verify_remote(files: Files, asked: Sequence[FileRead], *, timeout_s: float) -> list[Verified]:
+def verify_remote(files: Files, asked: Sequence[FileRead], *, timeout_s: float) -> list[FileVerdict]:
     """Have the server read the bytes of these files again, wait until it has, and return what it found.
 
     Raises:
         TimedOut: it took longer; the server goes on.
     """
     deadline = time.monotonic() + timeout_s
-    before = {file.id: file.proven_at for file in asked}
+    before = {file.id: file.verified_at for file in asked}
     for file in asked:
-        files.prove(file.id)
+        files.verify(file.id)
     waiting = [file.id for file in asked]
     answers: dict[uuid.UUID, FileRead] = {}
     while waiting:
@@ -80,10 +82,10 @@ def verify_remote(files: Files, asked: Sequence[FileRead], *, timeout_s: float) 
                 answers[file_id] = now
         waiting = [file_id for file_id in waiting if file_id not in answers]
         if waiting and time.monotonic() > deadline:
-            raise TimedOut(what=f"Proving {len(waiting)} of {len(asked)} files", seconds=timeout_s)
+            raise TimedOut(what=f"Verifying {len(waiting)} of {len(asked)} files", seconds=timeout_s)
         if waiting:
             time.sleep(_POLL_S)
-    return [_proven(answers[file.id]) for file in asked]
+    return [_verified(answers[file.id]) for file in asked]
 
 
 def is_same(file: FileRead | ArtifactRead, local: Path, check: Callable[[], None]) -> bool:
@@ -99,13 +101,13 @@ def is_same(file: FileRead | ArtifactRead, local: Path, check: Callable[[], None
         return False
 
 
-def all_same(found: Iterable[Verified]) -> bool:
+def all_same(found: Iterable[FileVerdict]) -> bool:
     """Say whether nothing differs."""
     return all(one.verdict is Verdict.same for one in found)
 
 
-def _sums(local: Path, check: Callable[[], None]) -> WholeHash:
-    whole, offset = WholeHash(), 0
+def _sums(local: Path, check: Callable[[], None]) -> FileHashes:
+    whole, offset = FileHashes(), 0
     try:
         handle = os.open(local, os.O_RDONLY | os.O_CLOEXEC)
     except OSError as error:
@@ -122,7 +124,7 @@ def _sums(local: Path, check: Callable[[], None]) -> WholeHash:
     return whole
 
 
-def _judge(file: FileRead | None, size_bytes: int, sums: WholeHash) -> Verdict:
+def _judge(file: FileRead | None, size_bytes: int, sums: FileHashes) -> Verdict:
     if file is None:
         return Verdict.missing
     if file.sha256 is not None:
@@ -135,9 +137,9 @@ def _judge(file: FileRead | None, size_bytes: int, sums: WholeHash) -> Verdict:
 
 
 def _is_later(file: FileRead, before: object) -> bool:
-    return file.state is BlobState.proven and file.proven_at is not None and file.proven_at != before
+    return file.state is BlobState.verified and file.verified_at is not None and file.verified_at != before
 
 
-def _proven(file: FileRead) -> Verified:
-    verdict = Verdict.same if file.state is BlobState.proven else Verdict.damaged
-    return Verified(file.path, verdict, file.size_bytes, file.sha256, file)
+def _verified(file: FileRead) -> FileVerdict:
+    verdict = Verdict.same if file.state is BlobState.verified else Verdict.damaged
+    return FileVerdict(file.path, verdict, file.size_bytes, file.sha256, file)

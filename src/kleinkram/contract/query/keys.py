@@ -54,7 +54,7 @@ _KEYS = (
     Key("format", "format", "format:mcap", is_list=True),
     Key("content", "content", "content:broken", is_list=True, check=one_of(ContentState)),
     Key("problem", "problem", "problem:long-gap", is_list=True),
-    Key("state", "state", "state:proven", is_list=True, check=one_of(BlobState)),
+    Key("state", "state", "state:verified", is_list=True, check=one_of(BlobState)),
     Key("month", "month", "month:2026-05", is_list=True, check=read_month),
     Key("size", "size_bytes", "size>1GB", _COMPARED),
     Key("duration", "duration_ns", "duration>10m", _COMPARED),

@@ -1,21 +1,162 @@
-"""From a channel's schema to the function that decodes its messages."""
+"""Choosing and building the decoder of a channel: ROS 1, CDR, JSON or protobuf."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 from kleinkram.recordings.decoding.errors import DecodeError, ReadingExtraMissing, SchemaError, Undecodable
 from kleinkram.recordings.decoding.generate import Decode, generate
-from kleinkram.recordings.decoding.idl_text import parse_idl
-from kleinkram.recordings.decoding.limits import MAX_SCHEMA_BYTES
-from kleinkram.recordings.decoding.msg_text import Ros, parse_msg
-from kleinkram.recordings.decoding.other_encodings import json_decode, protobuf_decode
-from kleinkram.recordings.decoding.schema import Layout, Struct, layout_of
+from kleinkram.recordings.decoding.idl_definitions import parse_idl
+from kleinkram.recordings.decoding.msg_definitions import Ros, parse_msg, well_known_definitions
+from kleinkram.recordings.decoding.types import (
+    MAX_JSON_DEPTH,
+    MAX_JSON_VALUES,
+    MAX_SCHEMA_BYTES,
+    MAX_TYPES,
+    Layout,
+    Struct,
+    layout_of,
+)
 from kleinkram.recordings.decoding.values import Value
-from kleinkram.recordings.decoding.well_known import well_known_definitions
 from kleinkram.recordings.decoding.wire import CDR_LE, ENCAPSULATIONS, OTHER_ENCAPSULATIONS, ROS1
+
+
+def json_decode(name: str) -> Callable[[bytes], Any]:
+    """Return a function that decodes JSON messages, whatever their schema."""
+
+    def decode(data: bytes) -> Any:
+        raw = bytes(data)
+        if sum(map(raw.count, (b",", b"[", b"{"))) > MAX_JSON_VALUES:
+            raise DecodeError(name, f"more than {MAX_JSON_VALUES} values in one JSON message")
+        try:
+            value = json.loads(raw)
+        except json.JSONDecodeError as error:
+            raise DecodeError(name, f"it is not JSON: {error.msg}", offset=error.pos) from None
+        except RecursionError:
+            raise DecodeError(name, "its JSON nests too deeply") from None
+        except ValueError:  # no text, or a number of thousands of digits
+            raise DecodeError(name, "its JSON cannot be read") from None
+        if raw.count(b"[") + raw.count(b"{") > MAX_JSON_DEPTH and _is_deep(value):
+            raise DecodeError(name, f"its JSON nests more than {MAX_JSON_DEPTH} deep")
+        return value
+
+    return decode
+
+
+def _is_deep(value: Any) -> bool:
+    level = [value]
+    for _ in range(MAX_JSON_DEPTH):
+        level = [
+            part
+            for whole in level
+            if isinstance(whole, (dict, list))
+            for part in (whole.values() if isinstance(whole, dict) else whole)
+            if isinstance(part, (dict, list))
+        ]
+        if not level:
+            return False
+    return True
+
+
+def protobuf_decode(name: str, schema: bytes) -> tuple[Callable[[bytes], Any], Layout]:
+    """Return a function that decodes messages of a type in a serialised `FileDescriptorSet`, and the type's layout.
+
+    Every schema has a pool of its own: two recordings may define one name differently. Google's own files
+    (`google/protobuf/timestamp.proto`) may be left out of the set.
+
+    Raises:
+        SchemaError: it is no such set, or does not define the type.
+        ReadingExtraMissing: protobuf is not installed.
+    """
+    try:
+        from google.protobuf import descriptor_pb2, descriptor_pool, message, message_factory
+    except ImportError:
+        raise ReadingExtraMissing("protobuf") from None
+    try:
+        files = descriptor_pb2.FileDescriptorSet.FromString(schema).file
+    except message.DecodeError:
+        raise SchemaError("it is not a FileDescriptorSet") from None
+    pool = descriptor_pool.DescriptorPool()
+    try:
+        for file in _in_order({file.name: file for file in files}):
+            pool.Add(file)
+        made = message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
+    except (TypeError, KeyError, ValueError) as error:
+        raise SchemaError(f"its definitions are inconsistent: {str(error)[:200]}") from None
+
+    def decode(data: bytes) -> Any:
+        try:
+            return made.FromString(bytes(data))
+        except message.DecodeError:
+            raise DecodeError(name, f"the {len(data)} bytes are not such a protobuf message") from None
+
+    return decode, _layout_of(made.DESCRIPTOR)
+
+
+def _layout_of(root: Any) -> Layout:
+    """Return names, numbers and types of all fields that a message can have, type by type in the order of use."""
+    types = {root.full_name: root}
+    layout: list[object] = []
+    waiting = [root]
+    while waiting:
+        kind = waiting.pop()
+        for field in kind.fields:
+            part = field.message_type
+            has_many = isinstance(field.default_value, list)
+            layout.append((kind.full_name, field.name, field.number, field.type, has_many, part and part.full_name))
+            if part is not None and part.full_name not in types:
+                types[part.full_name] = part
+                waiting.append(part)
+    return tuple(layout)
+
+
+def _in_order(files: dict[str, Any]) -> list[Any]:
+    """Return files in dependency order; Google's own are added where they are missing."""
+    ordered: list[Any] = []
+    seen: set[str] = set()
+    waiting = [(name, False) for name in reversed(list(files))]
+    while waiting:
+        name, is_ready = waiting.pop()
+        if is_ready:
+            ordered.append(files[name])
+            continue
+        if name in seen:
+            continue
+        seen.add(name)
+        if len(seen) > MAX_TYPES:
+            raise SchemaError(f"more than {MAX_TYPES} files")
+        if name not in files:
+            files[name] = _known_file(name)
+        waiting.append((name, True))
+        waiting += [(needed, False) for needed in files[name].dependency]
+    return ordered
+
+
+def _known_file(name: str) -> Any:
+    """Return the description of one of Google's own files."""
+    from google.protobuf import (  # noqa: F401  # importing them makes them known to the default pool
+        any_pb2,
+        descriptor_pb2,
+        descriptor_pool,
+        duration_pb2,
+        empty_pb2,
+        field_mask_pb2,
+        struct_pb2,
+        timestamp_pb2,
+        wrappers_pb2,
+    )
+
+    try:
+        descriptor = descriptor_pool.Default().FindFileByName(name)
+    except KeyError:
+        raise SchemaError(f"it needs {name[:100]}, which is missing") from None
+    described = descriptor_pb2.FileDescriptorProto()
+    descriptor.CopyToProto(described)
+    return described
 
 
 @dataclass(frozen=True)
@@ -45,7 +186,7 @@ def decoder_for(
 ) -> Decoder | Undecodable:
     """Return the decoder of a channel's messages, or why there is none. Cached.
 
-    Where CDR messages have no definition, those of `well_known` count, if there are any.
+    CDR messages without a definition use those of `well_known.txt`, if it has any.
     The encodings are spelled as in MCAP; a ROS 1 bag is ("ros1", type, "ros1msg", message_definition).
     """
     if len(schema_data) > MAX_SCHEMA_BYTES:
@@ -67,7 +208,7 @@ def _decoder(message_encoding: str, name: str, schema_encoding: str, data: bytes
     if message_encoding == "cdr" and not data.strip():
         texts = well_known_definitions(name)
         if not texts and not schema_encoding:
-            return Undecodable(name, "the recording holds no definition of it, and it is none of the common types")
+            return Undecodable(name, "the recording has no definition of it, and it is not one of the common types")
         if texts:
             return _well_known(name, [parse_msg(name, text, Ros.two) for text in texts])
     parse = _PARSERS.get((message_encoding, schema_encoding))
@@ -75,7 +216,7 @@ def _decoder(message_encoding: str, name: str, schema_encoding: str, data: bytes
         how = f"with a schema in '{schema_encoding}'" if schema_encoding else "without a schema"
         return Undecodable(name, f"messages encoded as '{message_encoding}' {how} are not decoded")
     if not data.strip() and name.rpartition("/")[2] not in _EMPTY_NAMES:
-        return Undecodable(name, "its definition is missing: the recording holds an empty one")
+        return Undecodable(name, "its definition is missing: the recording has an empty one")
     struct = parse(name, data.decode("utf-8", "replace"))
     decode = generate(struct, ROS1) if message_encoding == "ros1" else _cdr(struct)
     return Decoder(name, message_encoding, decode, struct, layout_of(struct))
@@ -88,7 +229,7 @@ _EMPTY_NAMES = frozenset(
 
 
 def _well_known(name: str, structs: list[Struct]) -> Decoder:
-    """Return the decoder of a type whose recording has no definition: by the first that explains a message."""
+    """Return the decoder of a well-known type: the first of several definitions that fits a message."""
     first, *others = [_cdr(struct) for struct in structs]
 
     def decode(data: bytes) -> Value:
@@ -119,13 +260,13 @@ _PARSERS: dict[tuple[str, str], Callable[[str, str], Struct]] = {
 
 
 def _cdr(struct: Struct) -> Decode:
-    """Return a decoder for any of CDR's plain forms: the usual one first, others made when one is met."""
+    """Return a decoder for all plain forms of CDR; the unusual ones are generated on first use."""
     functions = {1: generate(struct, CDR_LE)}
     usual = functions[1]
 
     def decode(data: bytes) -> object:
         if len(data) < 4 or data[0]:
-            raise DecodeError(struct.name, "it does not begin with the header of a CDR message", offset=0)
+            raise DecodeError(struct.name, "it does not start with a CDR header", offset=0)
         kind = data[1]
         if kind == 1:
             return usual(data)

@@ -1,13 +1,13 @@
-"""Making one Python function a type: the decoder's speed comes from here.
+"""Generates one Python function per type, which is what makes decoding fast.
 
-The generated function reads runs of numbers with one `struct` call each, works alignment out beforehand wherever the
-position is known, and puts nested types in line. A schema is untrusted text, and this is `exec`: so nothing of a
+The generated function reads runs of numbers with one `struct` call each, computes alignment in advance wherever the
+position is known, and inlines nested types. A schema is untrusted text, and this is `exec`: so nothing of a
 schema enters the code except the names of fields, each of which `schema.identifier` has held to letters, digits and
 underscores with a letter in front, never a word of Python, and only ever behind a dot (`v3.frame_id = ...`). Classes,
 formats and dtypes enter as objects in the function's namespace, under names made here (`c0`, `u1`); lengths enter as
 integers. Builtins are out of reach. The size of the code is bounded by `MAX_FIELDS`.
 
-The generated function checks every length against the bytes that are there before anything is made of it, and counts
+The generated function checks every length against the bytes that are there before it allocates anything, and counts
 objects against `MAX_OBJECTS`.
 """
 
@@ -17,12 +17,18 @@ import struct
 from collections.abc import Callable
 from typing import Any, NoReturn
 
-from kleinkram.recordings.decoding.buffers import NumberReader, number_reader, read_wide
 from kleinkram.recordings.decoding.errors import DecodeError
-from kleinkram.recordings.decoding.limits import MAX_OBJECTS
-from kleinkram.recordings.decoding.schema import PRIMITIVES, Array, Primitive, Struct, Type
+from kleinkram.recordings.decoding.types import MAX_OBJECTS, PRIMITIVES, Array, Primitive, Struct, Type
 from kleinkram.recordings.decoding.values import Value, value_class
-from kleinkram.recordings.decoding.wire import Wire, is_numbers, least_size, object_count
+from kleinkram.recordings.decoding.wire import (
+    NumberReader,
+    Wire,
+    is_numbers,
+    least_size,
+    number_reader,
+    object_count,
+    read_wide,
+)
 
 Decode = Callable[[bytes], Value]
 _COUNT = PRIMITIVES["uint32"]
@@ -42,7 +48,7 @@ def decode(data):
 def generate(root: Struct, wire: Wire) -> Decode:
     """Return the function that decodes a message of a type; it raises `DecodeError` and nothing else."""
     reads = number_reader(wire.order)
-    writer = _Writer(wire, reads)
+    writer = _CodeWriter(wire, reads)
     writer.namespace.update(
         errors=(struct.error, ValueError, IndexError, OverflowError, TypeError),
         fail=_fail_for(root.name),
@@ -69,14 +75,16 @@ def generate(root: Struct, wire: Wire) -> Decode:
 
 def _fail_for(name: str) -> Callable[[bytes, int, Exception | None], NoReturn]:
     def fail(data: bytes, offset: int, error: Exception | None) -> NoReturn:
-        raise DecodeError(name, f"the {len(data)} bytes end too early or are no such message", offset=offset) from error
+        raise DecodeError(
+            name, f"the {len(data)} bytes end too early or are not such a message", offset=offset
+        ) from error
 
     return fail
 
 
 def _short_for(name: str) -> Callable[[int, int, int], NoReturn]:
     def short(claimed: int, size: int, offset: int) -> NoReturn:
-        message = f"{claimed} elements or bytes are claimed; the message has {size} bytes in all"
+        message = f"{claimed} elements or bytes are claimed; the message has {size} bytes"
         raise DecodeError(name, message, offset=offset)
 
     return short
@@ -84,14 +92,14 @@ def _short_for(name: str) -> Callable[[int, int, int], NoReturn]:
 
 def _left_over_for(name: str) -> Callable[[int, int], NoReturn]:
     def left_over(size: int, offset: int) -> NoReturn:
-        message = f"{size - offset} of its {size} bytes are left over: the definition is not that of the message"
+        message = f"{size - offset} of its {size} bytes are left over: the definition does not match the message"
         raise DecodeError(name, message, offset=offset)
 
     return left_over
 
 
-class _Writer:
-    """The lines of one function, and what is known of the position while it runs.
+class _CodeWriter:
+    """Collects the lines of one function and tracks what is known of the read position.
 
     The position is `o + ahead`; `modulus` and `residue` say what is known of it, counted from the start.
     """
@@ -233,8 +241,8 @@ class _Writer:
         least, objects = least_size(kind.element, self._wire), 1 + object_count(kind.element)
         self.line(f"left -= {count} * {objects}")
         self.line(f"if left < 0 or {count} * {least} > size - o: short({count}, size, o)")
-        found, part = self._name("a"), self._name("p")
-        self.line(f"{found} = []")
+        elements, part = self._name("a"), self._name("p")
+        self.line(f"{elements} = []")
         self.line(f"for {self._name('i')} in range({count}):")
         self._indent += 1
         self._modulus, self._residue = 1, 0
@@ -243,9 +251,9 @@ class _Writer:
         else:
             self._read(kind.element, part)
         self._settle(1)
-        self.line(f"{found}.append({part})")
+        self.line(f"{elements}.append({part})")
         self._indent -= 1
-        self.line(f"{target} = {found}")
+        self.line(f"{target} = {elements}")
 
     def _numbers(self, kind: Primitive, length: int | None, target: str) -> None:
         take = "flags" if kind.code == "?" else "numbers"

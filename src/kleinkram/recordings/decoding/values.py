@@ -1,17 +1,19 @@
 """Decoded messages: light objects with the fields of their type.
 
 Values compare by type name and fields (arrays element by element; NaN is unequal to itself, as in Python), print like
-constructors, copy and pickle. They are the caller's to change; arrays are views of the message's bytes and read-only.
+constructors, copy and pickle. The caller may change them; arrays are views of the message's bytes and read-only.
 """
 
 from __future__ import annotations
 
+import base64
+import binascii
 from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from typing import Any, ClassVar
 
 from kleinkram.recordings.decoding.errors import DecodeError
-from kleinkram.recordings.decoding.schema import ConstantValue, Struct
+from kleinkram.recordings.decoding.types import ConstantValue, Struct
 
 NS = 1_000_000_000
 Constants = tuple[tuple[str, ConstantValue], ...]
@@ -117,13 +119,13 @@ def _protobuf_fields(message: Any) -> Iterator[tuple[str, object]]:
 
 
 def stamp_ns(value: object) -> int | None:
-    """Return the time that a message says it was taken, in nanoseconds since 1970 (of whatever clock set it).
+    """Return the time stamp that a message carries, in nanoseconds since 1970 by the clock that set it.
 
-    It is taken from `header.stamp`, else from `stamp` or `timestamp`, of a ROS 1, ROS 2, JSON or protobuf message; a
-    time itself works too. None where there is none. This is not the log time.
+    Reads `header.stamp`, else `stamp` or `timestamp`, of a ROS 1, ROS 2, JSON or protobuf message, or a time itself.
+    None where there is none. This is not the log time.
 
     Raises:
-        DecodeError: there is one, and it is no time.
+        DecodeError: the stamp is not a time.
     """
     return _time(_stamp(value))
 
@@ -137,9 +139,9 @@ def _stamp(value: object) -> object:
     header = part(value, "header")
     for place in (header, value):
         for name in ("stamp", "timestamp"):
-            found = part(place, name)
-            if found is not None and not callable(found):
-                return found
+            stamp = part(place, name)
+            if stamp is not None and not callable(stamp):
+                return stamp
     return value
 
 
@@ -151,5 +153,40 @@ def _time(stamp: object) -> int | None:
         try:
             return int(whole) * NS + int(rest)
         except (TypeError, ValueError, OverflowError):
-            raise DecodeError("", f"'{whole!s:.40}' and '{rest!s:.40}' are no time") from None
+            raise DecodeError("", f"'{whole!s:.40}' and '{rest!s:.40}' are not a time") from None
     return None
+
+
+def type_name(value: Any) -> str:
+    """Return the name of a decoded message's type, for errors."""
+    return str(getattr(value, "_type", "") or getattr(getattr(value, "DESCRIPTOR", None), "full_name", ""))
+
+
+def payload(value: object) -> Any:
+    """Return the field `data` as a buffer with a length in bytes; JSON carries it in base64.
+
+    Raises:
+        DecodeError: it is neither bytes nor base64.
+    """
+    data = part(value, "data")
+    if isinstance(data, str):
+        try:
+            return base64.b64decode(data, validate=True)
+        except binascii.Error:
+            raise DecodeError(type_name(value), "its data is not base64") from None
+    try:
+        return memoryview(data).cast("B") if len(data) else b""
+    except (TypeError, ValueError):
+        raise DecodeError(type_name(value), "its data is not bytes") from None
+
+
+def whole_number(value: object, name: str) -> int:
+    """Return a field that is a size.
+
+    Raises:
+        DecodeError: it is missing, not an integer, or negative.
+    """
+    number = part(value, name)
+    if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < 2**32:
+        raise DecodeError(type_name(value), f"its {name} is {str(number)[:40]}, which is not a size")
+    return number

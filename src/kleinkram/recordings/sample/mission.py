@@ -12,9 +12,9 @@ from enum import Enum
 from pathlib import Path
 from typing import NamedTuple
 
-from kleinkram.recordings.bag.writer import BagWriter
-from kleinkram.recordings.mcap.writer import McapWriter
-from kleinkram.recordings.rosbag2.db3_writer import Db3Writer
+from kleinkram.recordings.formats.mcap.writer import McapWriter
+from kleinkram.recordings.formats.rosbag1.writer import BagWriter
+from kleinkram.recordings.formats.rosbag2.writer import Db3Writer
 from kleinkram.recordings.sample import definitions
 from kleinkram.recordings.sample.layout import Encoding
 from kleinkram.recordings.sample.truth import FileTruth, MissionTruth, TruthKeeper

@@ -14,7 +14,6 @@ from sqlalchemy import ColumnElement, Row, Select, bindparam, case, exists, func
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import Right, Scope, TokenKind
 from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID, OWNER_TOKEN_NAME
-from kleinkram.server.access.looked import NOTHING_LOOKED_UP, Looked
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import membership, mission, person, project, session, share, share_file, token, token_limit
 
@@ -70,10 +69,6 @@ class Actor:
     sign_in_age_s: float | None = None
     # The row of the table of operations under which this request came in.
     operation: str | None = None
-    # All missions that they see, where that was asked and these are few; or that they see many.
-    few_mission_ids: frozenset[uuid.UUID] | None = None
-    sees_many: bool = False
-    looked: Looked = NOTHING_LOOKED_UP
 
     @property
     def ref(self) -> PersonRef | None:

@@ -8,7 +8,7 @@ from sqlalchemy.dialects.postgresql import insert as upsert
 from kleinkram.contract.emails import email_key
 from kleinkram.contract.names import name_key
 from kleinkram.contract.rights import GroupKind, Right
-from kleinkram.server.access.belonging import join_by_address
+from kleinkram.server.access.email_groups import join_email_groups
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import access_grant, access_group, membership, person, person_email
 
@@ -53,7 +53,7 @@ async def prove_address(db: Connection, person_id: uuid.UUID, email: str, *, by:
     )
     if (await db.execute(proven.returning(person_email.c.email_key))).first() is None:
         return False
-    await join_by_address(db, person_id, email)
+    await join_email_groups(db, person_id, email)
     return True
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from kleinkram.contract.rights import Right, Scope
 
 
-class On(str, enum.Enum):
+class ResourceKind(str, enum.Enum):
     """What an operation's right must be held on."""
 
     anything = "anything"  # whatever one may see: lists show just that
@@ -20,7 +20,7 @@ class On(str, enum.Enum):
 
 
 @dataclass(frozen=True)
-class Need:
+class Permission:
     """What an operation takes. `guests`: also without an account, on what is public or shared by a link.
 
     `runners`: also of a runner, for the runs that it holds, whatever its scopes; `only_runners`: of nobody else.
@@ -30,7 +30,7 @@ class Need:
     `boundless`: only by a credential without limits, since it is about all that its person has.
     """
 
-    on: On
+    on: ResourceKind
     right: Right | None
     scopes: frozenset[Scope]
     guests: bool = False
@@ -51,84 +51,84 @@ _RUN = frozenset({Scope.run})
 _ANY = frozenset(Scope)
 
 
-def _seen(scopes: frozenset[Scope] = _READ, *, guests: bool = True) -> Need:
-    return Need(On.anything, Right.read, scopes, guests)
+def _seen(scopes: frozenset[Scope] = _READ, *, guests: bool = True) -> Permission:
+    return Permission(ResourceKind.anything, Right.read, scopes, guests)
 
 
-def _door() -> Need:
-    return Need(On.nothing, None, _ANY, guests=True)
+def _public_endpoint() -> Permission:
+    return Permission(ResourceKind.nothing, None, _ANY, guests=True)
 
 
-def _runner() -> Need:
-    return Need(On.nothing, None, _RUN, runners=True, only_runners=True)
+def _runner() -> Permission:
+    return Permission(ResourceKind.nothing, None, _RUN, runners=True, only_runners=True)
 
 
-OPERATIONS: dict[str, Need] = {
+OPERATIONS: dict[str, Permission] = {
     # Projects
     "list_projects": _seen(_NAMES),
-    "create_project": Need(On.nothing, None, _WRITE),
-    "get_project": Need(On.project, Right.read, _NAMES, guests=True),
-    "update_project": Need(On.project, Right.write, _WRITE),
-    "publish_project": Need(On.project, Right.delete, _ADMIN),
-    "set_project_quota": Need(On.server, None, _ADMIN),
-    "delete_project": Need(On.project, Right.delete, _WRITE),
-    "get_mission_template": Need(On.project, Right.read, _NAMES),
+    "create_project": Permission(ResourceKind.nothing, None, _WRITE),
+    "get_project": Permission(ResourceKind.project, Right.read, _NAMES, guests=True),
+    "update_project": Permission(ResourceKind.project, Right.write, _WRITE),
+    "publish_project": Permission(ResourceKind.project, Right.delete, _ADMIN),
+    "set_project_quota": Permission(ResourceKind.server, None, _ADMIN),
+    "delete_project": Permission(ResourceKind.project, Right.delete, _WRITE),
+    "get_mission_template": Permission(ResourceKind.project, Right.read, _NAMES),
     # Missions
-    "create_mission": Need(On.project, Right.create, _UPLOAD),
+    "create_mission": Permission(ResourceKind.project, Right.create, _UPLOAD),
     "list_missions": _seen(_NAMES),
-    "get_mission": Need(On.mission, Right.read, _NAMES, guests=True),
-    "update_mission": Need(On.mission, Right.write, _WRITE),
-    "move_mission": Need(On.mission, Right.delete, _WRITE),
-    "delete_mission": Need(On.mission, Right.delete, _WRITE),
-    "list_recordings": Need(On.mission, Right.read, _READ, guests=True),
-    "get_recording": Need(On.mission, Right.read, _READ, guests=True),
-    "get_project_stats": Need(On.project, Right.read, _READ, guests=True),
+    "get_mission": Permission(ResourceKind.mission, Right.read, _NAMES, guests=True),
+    "update_mission": Permission(ResourceKind.mission, Right.write, _WRITE),
+    "move_mission": Permission(ResourceKind.mission, Right.delete, _WRITE),
+    "delete_mission": Permission(ResourceKind.mission, Right.delete, _WRITE),
+    "list_recordings": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
+    "get_recording": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
+    "get_project_stats": Permission(ResourceKind.project, Right.read, _READ, guests=True),
     "get_overview": _seen(),
-    "list_mission_topics": Need(On.mission, Right.read, _READ, guests=True),
-    "get_mission_timeline": Need(On.mission, Right.read, _READ, guests=True),
+    "list_mission_topics": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
+    "get_mission_timeline": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
     # Files
     "list_files": _seen(),
-    "get_file": Need(On.mission, Right.read, _READ, guests=True),
-    "download_files": Need(On.mission, Right.read, _READ, guests=True),
-    "list_file_topics": Need(On.mission, Right.read, _READ, guests=True),
-    "prove_file": Need(On.mission, Right.read, _READ),
-    "update_file": Need(On.mission, Right.write, _WRITE),
-    "move_file": Need(On.mission, Right.delete, _WRITE),
-    "delete_file": Need(On.mission, Right.delete, _WRITE),
-    "label_files": Need(On.mission, Right.write, _WRITE),
+    "get_file": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
+    "download_files": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
+    "list_file_topics": Permission(ResourceKind.mission, Right.read, _READ, guests=True),
+    "verify_file": Permission(ResourceKind.mission, Right.read, _READ),
+    "update_file": Permission(ResourceKind.mission, Right.write, _WRITE),
+    "move_file": Permission(ResourceKind.mission, Right.delete, _WRITE),
+    "delete_file": Permission(ResourceKind.mission, Right.delete, _WRITE),
+    "label_files": Permission(ResourceKind.mission, Right.write, _WRITE),
     "search": _seen(),
     "get_facets": _seen(),
     "list_topics": _seen(),
     "get_stats": _seen(),
     # Uploads
-    "begin_uploads": Need(On.mission, Right.create, _UPLOAD),
-    "list_uploads": Need(On.mission, Right.create, _UPLOAD),
-    "get_upload": Need(On.mission, Right.create, _UPLOAD),
-    "sign_parts": Need(On.mission, Right.create, _UPLOAD, runners=True),
-    "complete_uploads": Need(On.mission, Right.create, _UPLOAD, runners=True),
-    "abort_upload": Need(On.mission, Right.create, _UPLOAD, runners=True),
+    "begin_uploads": Permission(ResourceKind.mission, Right.create, _UPLOAD),
+    "list_uploads": Permission(ResourceKind.mission, Right.create, _UPLOAD),
+    "get_upload": Permission(ResourceKind.mission, Right.create, _UPLOAD),
+    "sign_parts": Permission(ResourceKind.mission, Right.create, _UPLOAD, runners=True),
+    "complete_uploads": Permission(ResourceKind.mission, Right.create, _UPLOAD, runners=True),
+    "abort_upload": Permission(ResourceKind.mission, Right.create, _UPLOAD, runners=True),
     # Actions: a project's, or the whole lab's, which everybody with an account sees
     "list_actions": _seen(guests=False),
-    "create_action": Need(On.project, Right.write, _WRITE),
-    "get_action": Need(On.project, Right.read, _READ),
-    "update_action": Need(On.project, Right.write, _WRITE),
-    "list_action_versions": Need(On.project, Right.read, _READ),
-    "publish_action_version": Need(On.project, Right.write, _WRITE),
+    "create_action": Permission(ResourceKind.project, Right.write, _WRITE),
+    "get_action": Permission(ResourceKind.project, Right.read, _READ),
+    "update_action": Permission(ResourceKind.project, Right.write, _WRITE),
+    "list_action_versions": Permission(ResourceKind.project, Right.read, _READ),
+    "publish_action_version": Permission(ResourceKind.project, Right.write, _WRITE),
     # Runs. To start one takes what its action asks for too; to cancel another's takes DELETE.
-    "create_runs": Need(On.mission, Right.create, _RUN, reads=True),
+    "create_runs": Permission(ResourceKind.mission, Right.create, _RUN, reads=True),
     "list_runs": _seen(guests=False),
-    "get_run": Need(On.mission, Right.read, _READ),
-    "cancel_run": Need(On.mission, Right.create, _RUN, reads=True),
-    "retry_run": Need(On.mission, Right.create, _RUN, reads=True),
-    "list_run_inputs": Need(On.mission, Right.read, _READ),
-    "list_artifacts": Need(On.mission, Right.read, _READ),
-    "download_artifacts": Need(On.mission, Right.read, _READ),
-    "get_run_log": Need(On.mission, Right.read, _READ),
+    "get_run": Permission(ResourceKind.mission, Right.read, _READ),
+    "cancel_run": Permission(ResourceKind.mission, Right.create, _RUN, reads=True),
+    "retry_run": Permission(ResourceKind.mission, Right.create, _RUN, reads=True),
+    "list_run_inputs": Permission(ResourceKind.mission, Right.read, _READ),
+    "list_artifacts": Permission(ResourceKind.mission, Right.read, _READ),
+    "download_artifacts": Permission(ResourceKind.mission, Right.read, _READ),
+    "get_run_log": Permission(ResourceKind.mission, Right.read, _READ),
     "list_findings": _seen(guests=False),
     "list_run_metrics": _seen(guests=False),
-    "get_lineage": Need(On.mission, Right.read, _READ),
+    "get_lineage": Permission(ResourceKind.mission, Right.read, _READ),
     # Runners, which say all of this of runs that they hold
-    "list_runners": Need(On.server, None, _ADMIN),
+    "list_runners": Permission(ResourceKind.server, None, _ADMIN),
     "register_runner": _runner(),
     "claim_run": _runner(),
     "send_heartbeats": _runner(),
@@ -139,100 +139,100 @@ OPERATIONS: dict[str, Need] = {
     "create_artifact_uploads": _runner(),
     "finish_run": _runner(),
     # Rights. Who may change them on a place sees all of them there; anybody else sees what is their own.
-    "list_project_grants": Need(On.project, Right.write, _READ),
-    "list_mission_grants": Need(On.mission, Right.write, _READ),
-    "create_project_grant": Need(On.project, Right.write, _ADMIN),
-    "create_mission_grant": Need(On.mission, Right.write, _ADMIN),
-    "update_project_grant": Need(On.project, Right.write, _ADMIN),
-    "update_mission_grant": Need(On.mission, Right.write, _ADMIN),
-    "delete_project_grant": Need(On.project, Right.write, _ADMIN),
-    "delete_mission_grant": Need(On.mission, Right.write, _ADMIN),
-    "get_project_access": Need(On.project, Right.read, _READ),
-    "get_mission_access": Need(On.mission, Right.read, _READ),
+    "list_project_grants": Permission(ResourceKind.project, Right.write, _READ),
+    "list_mission_grants": Permission(ResourceKind.mission, Right.write, _READ),
+    "create_project_grant": Permission(ResourceKind.project, Right.write, _ADMIN),
+    "create_mission_grant": Permission(ResourceKind.mission, Right.write, _ADMIN),
+    "update_project_grant": Permission(ResourceKind.project, Right.write, _ADMIN),
+    "update_mission_grant": Permission(ResourceKind.mission, Right.write, _ADMIN),
+    "delete_project_grant": Permission(ResourceKind.project, Right.write, _ADMIN),
+    "delete_mission_grant": Permission(ResourceKind.mission, Right.write, _ADMIN),
+    "get_project_access": Permission(ResourceKind.project, Right.read, _READ),
+    "get_mission_access": Permission(ResourceKind.mission, Right.read, _READ),
     # Groups: seen by whoever is in them, changed by their editors
-    "list_groups": Need(On.nothing, None, _READ),
-    "create_group": Need(On.nothing, None, _ADMIN),
-    "get_group": Need(On.nothing, None, _READ),
-    "update_group": Need(On.nothing, None, _ADMIN),
-    "delete_group": Need(On.nothing, None, _ADMIN),
-    "list_group_members": Need(On.nothing, None, _READ),
-    "set_group_member": Need(On.nothing, None, _ADMIN),
-    "remove_group_member": Need(On.nothing, None, _ADMIN),
+    "list_groups": Permission(ResourceKind.nothing, None, _READ),
+    "create_group": Permission(ResourceKind.nothing, None, _ADMIN),
+    "get_group": Permission(ResourceKind.nothing, None, _READ),
+    "update_group": Permission(ResourceKind.nothing, None, _ADMIN),
+    "delete_group": Permission(ResourceKind.nothing, None, _ADMIN),
+    "list_group_members": Permission(ResourceKind.nothing, None, _READ),
+    "set_group_member": Permission(ResourceKind.nothing, None, _ADMIN),
+    "remove_group_member": Permission(ResourceKind.nothing, None, _ADMIN),
     # People: seen by whoever shares a group or a project with them
-    "list_people": Need(On.nothing, None, _READ),
-    "get_person": Need(On.nothing, None, _READ),
-    "make_admin": Need(On.server, None, _ADMIN, fresh=True),
-    "unmake_admin": Need(On.server, None, _ADMIN),
-    "deactivate_person": Need(On.server, None, _ADMIN),
-    "reactivate_person": Need(On.server, None, _ADMIN),
+    "list_people": Permission(ResourceKind.nothing, None, _READ),
+    "get_person": Permission(ResourceKind.nothing, None, _READ),
+    "make_admin": Permission(ResourceKind.server, None, _ADMIN, fresh=True),
+    "unmake_admin": Permission(ResourceKind.server, None, _ADMIN),
+    "deactivate_person": Permission(ResourceKind.server, None, _ADMIN),
+    "reactivate_person": Permission(ResourceKind.server, None, _ADMIN),
     # Trash
-    "list_trash": Need(On.anything, Right.delete, _READ),
-    "restore_from_trash": Need(On.mission, Right.delete, _WRITE),
+    "list_trash": Permission(ResourceKind.anything, Right.delete, _READ),
+    "restore_from_trash": Permission(ResourceKind.mission, Right.delete, _WRITE),
     # Tokens. Any may be ended with itself; all else about them takes the scope admin, which no robot's has.
-    "create_token": Need(On.nothing, None, _ADMIN),
-    "list_tokens": Need(On.nothing, None, _ADMIN, boundless=True),
-    "revoke_token": Need(On.nothing, None, _ANY),
+    "create_token": Permission(ResourceKind.nothing, None, _ADMIN),
+    "list_tokens": Permission(ResourceKind.nothing, None, _ADMIN, boundless=True),
+    "revoke_token": Permission(ResourceKind.nothing, None, _ANY),
     # Links. Who has one sees what it shows; to make one is to let others in, which takes the scope admin.
-    "create_share": Need(On.mission, Right.write, _ADMIN),
-    "list_shares": Need(On.anything, Right.write, _READ),
-    "revoke_share": Need(On.mission, Right.write, _WRITE),
+    "create_share": Permission(ResourceKind.mission, Right.write, _ADMIN),
+    "list_shares": Permission(ResourceKind.anything, Right.write, _READ),
+    "revoke_share": Permission(ResourceKind.mission, Right.write, _WRITE),
     "get_share": _seen(),
     # Signing in: whoever has a password or a code needs no account yet
-    "list_sign_in_ways": _door(),
-    "sign_in_by_password": _door(),
-    "sign_in_by_link": _door(),
-    "look_at_code": _door(),
-    "accept_invitation": _door(),
-    "reset_password": _door(),
-    "claim_server": _door(),
-    "begin_provider_sign_in": _door(),
-    "end_provider_sign_in": _door(),
-    "begin_device_login": _door(),
-    "exchange_device_code": _door(),
-    "exchange_cli_code": _door(),
-    "sign_out": _door(),
+    "list_sign_in_methods": _public_endpoint(),
+    "sign_in_by_password": _public_endpoint(),
+    "sign_in_by_link": _public_endpoint(),
+    "get_code": _public_endpoint(),
+    "accept_invitation": _public_endpoint(),
+    "reset_password": _public_endpoint(),
+    "bootstrap_admin": _public_endpoint(),
+    "begin_provider_sign_in": _public_endpoint(),
+    "end_provider_sign_in": _public_endpoint(),
+    "begin_device_login": _public_endpoint(),
+    "exchange_device_code": _public_endpoint(),
+    "exchange_cli_code": _public_endpoint(),
+    "sign_out": _public_endpoint(),
     # Oneself
-    "get_me": Need(On.nothing, None, _ANY, runners=True),
-    "list_sessions": Need(On.nothing, None, _ADMIN, boundless=True),
-    "end_session": Need(On.nothing, None, _ADMIN, boundless=True),
-    "end_all_sessions": Need(On.nothing, None, _ADMIN, boundless=True),
-    "get_account": Need(On.nothing, None, _ADMIN, boundless=True),
-    "list_identities": Need(On.nothing, None, _ADMIN, boundless=True),
-    "unlink_identity": Need(On.nothing, None, _ADMIN, boundless=True, fresh=True),
-    "create_owner_link": Need(On.server, None, _ADMIN, fresh=True),
-    "change_password": Need(On.nothing, None, _ADMIN, browsers=True, fresh=True),
-    "link_provider": Need(On.nothing, None, _ADMIN, browsers=True, fresh=True),
-    "approve_cli_login": Need(On.nothing, None, _ADMIN, browsers=True, fresh=True),
-    "look_at_device_login": Need(On.nothing, None, _ADMIN, browsers=True),
-    "approve_device_login": Need(On.nothing, None, _ADMIN, browsers=True, fresh=True),
-    "deny_device_login": Need(On.nothing, None, _ADMIN, browsers=True),
-    "prove_password_again": Need(On.nothing, None, _ADMIN, browsers=True),
-    "begin_provider_sign_in_again": Need(On.nothing, None, _ADMIN, browsers=True),
-    "begin_totp": Need(On.nothing, None, _ADMIN, browsers=True, fresh=True),
-    "confirm_totp": Need(On.nothing, None, _ADMIN, browsers=True, fresh=True),
-    "disable_totp": Need(On.nothing, None, _ADMIN, browsers=True, fresh=True),
-    "renew_recovery_codes": Need(On.nothing, None, _ADMIN, browsers=True, fresh=True),
+    "get_me": Permission(ResourceKind.nothing, None, _ANY, runners=True),
+    "list_sessions": Permission(ResourceKind.nothing, None, _ADMIN, boundless=True),
+    "end_session": Permission(ResourceKind.nothing, None, _ADMIN, boundless=True),
+    "end_all_sessions": Permission(ResourceKind.nothing, None, _ADMIN, boundless=True),
+    "get_account": Permission(ResourceKind.nothing, None, _ADMIN, boundless=True),
+    "list_identities": Permission(ResourceKind.nothing, None, _ADMIN, boundless=True),
+    "unlink_identity": Permission(ResourceKind.nothing, None, _ADMIN, boundless=True, fresh=True),
+    "create_owner_link": Permission(ResourceKind.server, None, _ADMIN, fresh=True),
+    "change_password": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True, fresh=True),
+    "link_provider": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True, fresh=True),
+    "approve_cli_login": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True, fresh=True),
+    "get_device_login": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True),
+    "approve_device_login": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True, fresh=True),
+    "deny_device_login": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True),
+    "reauthenticate_by_password": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True),
+    "begin_provider_reauthentication": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True),
+    "begin_totp": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True, fresh=True),
+    "confirm_totp": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True, fresh=True),
+    "disable_totp": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True, fresh=True),
+    "renew_recovery_codes": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True, fresh=True),
     # Accounts
-    "invite_person": Need(On.server, None, _ADMIN),
+    "invite_person": Permission(ResourceKind.server, None, _ADMIN),
     # With these, whoever sits at an admin's open browser would take over the account of that admin, or another.
-    "create_reset_link": Need(On.server, None, _ADMIN, fresh=True),
-    "reset_totp": Need(On.server, None, _ADMIN, fresh=True),
+    "create_reset_link": Permission(ResourceKind.server, None, _ADMIN, fresh=True),
+    "reset_totp": Permission(ResourceKind.server, None, _ADMIN, fresh=True),
     # The record and the service
-    "list_audit_events": Need(On.project, Right.delete, _READ),
-    "export_audit_events": Need(On.project, Right.delete, _READ),
-    "get_home": Need(On.nothing, None, _READ),
-    "get_home_storage": Need(On.nothing, None, _READ),
-    "watch_events": Need(On.nothing, None, _READ),
+    "list_audit_events": Permission(ResourceKind.project, Right.delete, _READ),
+    "export_audit_events": Permission(ResourceKind.project, Right.delete, _READ),
+    "get_home": Permission(ResourceKind.nothing, None, _READ),
+    "get_home_storage": Permission(ResourceKind.nothing, None, _READ),
+    "watch_events": Permission(ResourceKind.nothing, None, _READ),
     # The whole server
-    "get_admin_storage": Need(On.server, None, _ADMIN),
-    "get_admin_jobs": Need(On.server, None, _ADMIN),
-    "retry_job": Need(On.server, None, _ADMIN),
-    "retry_jobs": Need(On.server, None, _ADMIN),
-    "get_admin_scrub": Need(On.server, None, _ADMIN),
-    "begin_scrub": Need(On.server, None, _ADMIN),
-    "get_admin_health": Need(On.server, None, _ADMIN),
-    "get_admin_settings": Need(On.server, None, _ADMIN),
-    "get_service": Need(On.nothing, None, _ANY, guests=True, runners=True),
+    "get_admin_storage": Permission(ResourceKind.server, None, _ADMIN),
+    "get_admin_jobs": Permission(ResourceKind.server, None, _ADMIN),
+    "retry_job": Permission(ResourceKind.server, None, _ADMIN),
+    "retry_jobs": Permission(ResourceKind.server, None, _ADMIN),
+    "get_admin_scrub": Permission(ResourceKind.server, None, _ADMIN),
+    "begin_scrub": Permission(ResourceKind.server, None, _ADMIN),
+    "get_admin_health": Permission(ResourceKind.server, None, _ADMIN),
+    "get_admin_settings": Permission(ResourceKind.server, None, _ADMIN),
+    "get_service": Permission(ResourceKind.nothing, None, _ANY, guests=True, runners=True),
 }
 
 # The first words of the app's addresses; web/src/router/routes.ts says what is shown there.

@@ -13,7 +13,6 @@ from typing import Any
 from sqlalchemy import (
     ColumnElement,
     CompoundSelect,
-    FromClause,
     Select,
     and_,
     any_,
@@ -31,7 +30,7 @@ from sqlalchemy.dialects.postgresql import aggregate_order_by
 
 from kleinkram.contract.rights import GroupKind, Right, Scope
 from kleinkram.server.access.actor import Actor, ActorKind, unexpired
-from kleinkram.server.db import among, among_given
+from kleinkram.server.db import among
 from kleinkram.server.tables import (
     access_grant,
     access_group,
@@ -50,7 +49,7 @@ Still = Callable[[ColumnElement[Any]], ColumnElement[bool]]
 Place = tuple[ColumnElement[Any], ColumnElement[Any]]
 # Putting these into words again with each request would cost about as much as asking the database for them: so much is
 # kept of who asked last.
-_KEPT = 1000
+_CACHE_SIZE = 1000
 # Whoever is in one of these together knows of each other; all admins of a server need not.
 _SHARED = (GroupKind.custom.value, GroupKind.affiliation.value)
 _GROUPS = (*_SHARED, GroupKind.admins.value)
@@ -68,62 +67,10 @@ def visible_missions(actor: Actor, right: Right = Right.read) -> Select[Any]:
     return joined_missions().where(*live, _reaches_mission(actor, right))
 
 
-def missions_by_project(actor: Actor) -> Select[Any]:
-    """Return what `visible_missions` does, to be walked project by project: it is looked up once what is granted."""
-    live = (mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
-    return joined_missions().where(*live, _reaches_mission(actor, Right.read, _granted_once(actor.person_id)))
-
-
-def add_up_missions(actor: Actor, number: ColumnElement[Any]) -> Select[Any]:
-    """Return an aggregate of all missions that `visible_missions` returns, such as their count.
-
-    It is looked up once for each project what is granted.
-    """
-    mine = true() if actor.is_admin else project.c.id.in_(_my_projects(actor.person_id, Right.read))
-    live = select(project.c.id, mine.label("mine")).where(project.c.deleted_at.is_(None))
-    here = live.cte("here").prefix_with("MATERIALIZED")
-    granted = or_(here.c.mine, _granted_itself(actor.person_id, Right.read))
-    stmt = select(number).select_from(mission).join(here, here.c.id == mission.c.project_id)
-    return stmt.where(mission.c.deleted_at.is_(None), _reaches_mission(actor, Right.read, granted))
-
-
 def visible_files(actor: Actor, right: Right = Right.read) -> Select[Any]:
     """Return the files on which `actor` has a right, joined with their missions, projects and blobs."""
-    return joined_files().where(file_is_visible(actor, right))
-
-
-def files_by_time(actor: Actor) -> Select[Any]:
-    """Return what `visible_files` does, to be walked by time: it is looked up once what is granted."""
-    if actor.is_admin or actor.kind is ActorKind.share:
-        return visible_files(actor)
-    # Behind a fence, asked once of each mission met: else the database would rather read all missions first, by its
-    # reckoning that what is granted is looked up anew for each.
-    its = mission.alias("its_mission")
-    granted = _granted_once(actor.person_id, its).label("is_granted")
-    asked = select(granted).where(its.c.id == file.c.mission_id).correlate(file).offset(0).lateral("granted_around")
-    return joined_files().outerjoin(asked, true()).where(_is_visible(actor, Right.read, asked.c.is_granted))
-
-
-def file_is_visible(actor: Actor, right: Right = Right.read) -> ColumnElement[bool]:
-    """Say of each `file` of `joined_files` whether it is one of `visible_files`."""
-    visible = _is_visible(actor, right)
-    return visible if actor.few_mission_ids is None else visible & among(file.c.mission_id, actor.few_mission_ids)
-
-
-def _is_visible(actor: Actor, right: Right, granted: ColumnElement[bool] | None = None) -> ColumnElement[bool]:
     live = (file.c.deleted_at.is_(None), mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
-    return and_(*live, _reaches_mission(actor, right, granted), shown_files(actor))
-
-
-def files_of_seen(actor: Actor, given: str) -> Select[Any]:
-    """Return what `visible_files` would of missions that this very request has found among the visible ones.
-
-    Their ids are `given` by a name. Their grants are not looked up again.
-    """
-    live = (file.c.deleted_at.is_(None), mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
-    # Said of both, so that the database may begin with either.
-    inside = (among_given(mission.c.id, given), among_given(file.c.mission_id, given))
-    return joined_files().where(*live, shown_files(actor), *inside)
+    return joined_files().where(*live, _reaches_file(actor, right))
 
 
 @functools.cache
@@ -341,8 +288,7 @@ def _is_beyond(actor: Actor, right: Right) -> bool:
     return actor.most is not None and right.level > actor.most.level
 
 
-def _reaches_mission(actor: Actor, right: Right, granted: ColumnElement[bool] | None = None) -> ColumnElement[bool]:
-    """Say so of each `mission` of a select; what is granted by `granted`, where that is asked in other words."""
+def _reaches_mission(actor: Actor, right: Right) -> ColumnElement[bool]:
     if _is_beyond(actor, right):
         return false()
     within: ColumnElement[bool] = true()
@@ -353,15 +299,15 @@ def _reaches_mission(actor: Actor, right: Right, granted: ColumnElement[bool] | 
         return within if right is Right.read else false()
     if actor.is_admin:
         return within
-    return and_(within, _granted_on_mission(actor.person_id, right) if granted is None else granted)
+    return and_(within, _granted_on_mission(actor.person_id, right))
 
 
-@functools.lru_cache(maxsize=_KEPT)
+@functools.lru_cache(maxsize=_CACHE_SIZE)
 def _granted_on_mission(person_id: uuid.UUID | None, right: Right) -> ColumnElement[bool]:
     return or_(mission.c.project_id.in_(_my_projects(person_id, right)), _granted_itself(person_id, right))
 
 
-@functools.lru_cache(maxsize=_KEPT)
+@functools.lru_cache(maxsize=_CACHE_SIZE)
 def _granted_itself(person_id: uuid.UUID | None, right: Right) -> ColumnElement[bool]:
     return mission.c.id.in_(_granted_to(person_id, access_grant.c.mission_id, right))
 
@@ -379,7 +325,7 @@ def _public_level() -> ColumnElement[int]:
     return case((project.c.is_public, Right.read.level), else_=0)
 
 
-@functools.lru_cache(maxsize=_KEPT)
+@functools.lru_cache(maxsize=_CACHE_SIZE)
 def _memberships(person_id: uuid.UUID | None, still: Still = unexpired) -> ColumnElement[Any]:
     mine = select(membership.c.group_id).where(membership.c.person_id == person_id, still(membership.c.expires_at))
     return func.array(mine.correlate(None).scalar_subquery())
@@ -391,32 +337,18 @@ def _lasting(until: datetime.datetime | None) -> Still:
     return lambda expires_at: or_(expires_at.is_(None), expires_at >= until)
 
 
-@functools.lru_cache(maxsize=_KEPT)
-def _granted_once(person_id: uuid.UUID | None, of: FromClause = mission) -> ColumnElement[bool]:
-    """Say what `_granted_on_mission` does, where few of very many missions are soon met in their order."""
-    on_project = _my_projects(person_id, Right.read)
-    on_mission = _granted_to(person_id, access_grant.c.mission_id, Right.read)
-    # Otherwise the database takes it to be looked up with each row, and reads everything before it sorts.
-    projects, missions = _once("my_projects", on_project), _once("my_missions", on_mission)
-    return or_(of.c.project_id.in_(projects), of.c.id.in_(missions))
-
-
-def _once(name: str, found: Select[Any] | CompoundSelect[Any]) -> Select[Any]:
-    return select(found.cte(name).prefix_with("MATERIALIZED").c[0])
-
-
 def _granted(actor: Actor, place: ColumnElement[Any], right: Right) -> Select[Any]:
     return _granted_to(actor.person_id, place, right)
 
 
-@functools.lru_cache(maxsize=_KEPT)
+@functools.lru_cache(maxsize=_CACHE_SIZE)
 def _granted_to(person_id: uuid.UUID | None, place: ColumnElement[Any], right: Right) -> Select[Any]:
     # Asked with IN and of nothing outside: found once a statement and hashed, however many grants there are.
     mine = (access_grant.c.group_id == any_(_memberships(person_id))) & unexpired(access_grant.c.expires_at)
     return select(place).where(mine, place.is_not(None), access_grant.c.level >= right.level).correlate(None)
 
 
-@functools.lru_cache(maxsize=_KEPT)
+@functools.lru_cache(maxsize=_CACHE_SIZE)
 def _public_or_granted_level(person_id: uuid.UUID | None) -> ColumnElement[int]:
     return func.greatest(_public_level(), *_levels_granted_on_mission(person_id))
 
@@ -437,7 +369,7 @@ def _granted_level(
     return level(person_id, place, outer, still)
 
 
-@functools.lru_cache(maxsize=_KEPT)
+@functools.lru_cache(maxsize=_CACHE_SIZE)
 def _level_granted_to(person_id: uuid.UUID | None, place: Place, outer: Any, still: Still) -> ColumnElement[int]:
     granted_on, here = place
     mine = (access_grant.c.group_id == any_(_memberships(person_id, still))) & still(access_grant.c.expires_at)

@@ -15,9 +15,9 @@ from kleinkram.contract.actions import (
 )
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.server.actions import service
-from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Reading, Transaction
-from kleinkram.server.etags import IfMatch
-from kleinkram.server.pages import PageRequest
+from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Reading, Transaction
+from kleinkram.server.http.etags import IfMatch
+from kleinkram.server.paging import PageRequest
 
 router = APIRouter(prefix="/api/v1/actions", tags=["actions"])
 

@@ -21,13 +21,13 @@ from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
 from kleinkram.contract.paging import Page
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.creating import require_creator
+from kleinkram.server.access.creation import require_creator
 from kleinkram.server.access.rights import require_project
 from kleinkram.server.actions import queries
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
-from kleinkram.server.etags import require_match
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.http.etags import require_match
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.settings import Creators
 from kleinkram.server.tables import action, action_version
 
@@ -162,7 +162,7 @@ async def get_version(db: Connection, actor: Actor, *, action_id: uuid.UUID, num
     return queries.to_version(found)
 
 
-async def keep_unpublished(db: Connection, actor: Actor, definition: ActionDefinition) -> tuple[uuid.UUID, str | None]:
+async def store_unpublished(db: Connection, actor: Actor, definition: ActionDefinition) -> tuple[uuid.UUID, str | None]:
     """Keep a definition that is run without being published, once; return its version's id, and its image's digest."""
     values = _stored(definition)
     stmt = upsert(action_version).values(id=uuid.uuid4(), created_by_id=actor.person_id, **values)
@@ -177,7 +177,7 @@ async def _changeable(db: Connection, actor: Actor, action_id: uuid.UUID) -> Act
     await db.execute(locked)
     found = await get_action(db, actor, action_id)
     if not found.may_change:
-        needs = "WRITE on its project" if found.project else "its maker or an admin"
+        needs = "WRITE on its project" if found.project else "admin rights, or to be the person who created it"
         raise Forbidden(noun="action", operation="change the action", needs=needs)
     return found
 

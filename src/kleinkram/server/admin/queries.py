@@ -5,7 +5,7 @@ from typing import Any
 from sqlalchemy import Select, exists, func, select, text
 
 from kleinkram.contract.runs import RunState
-from kleinkram.server.runners.fitting import Needs
+from kleinkram.server.runners.scheduling import Needs
 from kleinkram.server.tables import blob, file, mission, project, run, upload
 from kleinkram.server.tables.upload import UNDER_WAY
 

@@ -15,7 +15,7 @@ from kleinkram.contract.admin import (
     ScrubState,
 )
 from kleinkram.server.admin import service
-from kleinkram.server.dependencies import CurrentActor, CurrentSettings, CurrentSite, Transaction
+from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, CurrentSettings, Transaction
 
 router = APIRouter(prefix="/api/v1/admin", tags=["admin"])
 JobId = Annotated[int, Path(ge=1, le=2**63 - 1)]
@@ -60,7 +60,7 @@ async def begin_scrub(
 
 
 @router.get("/health", operation_id="get_admin_health")
-async def get_admin_health(request: Request, context: CurrentSite, _actor: CurrentActor) -> AdminHealth:
+async def get_admin_health(request: Request, context: CurrentContext, _actor: CurrentActor) -> AdminHealth:
     """Say how database, store and workers are."""
     return await service.get_health(context, takes_pages=request.app.state.pages_may_send)
 

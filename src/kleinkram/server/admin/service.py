@@ -25,14 +25,20 @@ from kleinkram.contract.metadata import Metadata
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.admin import queries
 from kleinkram.server.audit.service import Event, record
-from kleinkram.server.blobs import scrubs
+from kleinkram.server.blobs import scrub
+from kleinkram.server.blobs.scrub import ScrubRow
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from kleinkram.server.health.readiness import readiness
+from kleinkram.server.health.worker_heartbeat import find_workers
 from kleinkram.server.home.service import is_low, store_use
-from kleinkram.server.jobs.heartbeat import find_workers
 from kleinkram.server.migrations import HEAD
-from kleinkram.server.runners.fitting import invitation_warning, is_owners_alone, known_runners, runs_problem
+from kleinkram.server.runners.scheduling import (
+    has_single_person,
+    invitation_warning,
+    known_runners,
+    runs_problem,
+)
 from kleinkram.server.settings import Settings, is_secret
 
 
@@ -84,22 +90,22 @@ async def retry_jobs(db: Connection, actor: Actor) -> RetriedJobs:
 
 async def get_scrub(db: Connection, settings: Settings) -> ScrubState:
     """Return the last scrub, and how the blobs are."""
-    last = await scrubs.last_scrub(db, settings.store_id)
-    rows = await scrubs.blobs_by_state(db)
+    last = await scrub.last_scrub(db, settings.store_id)
+    rows = await scrub.blobs_by_state(db)
     return ScrubState(
         last=None if last is None else _scrub(last),
         every_hours=settings.scrub_hours,
-        again_after_days=settings.prove_again_days,
-        oldest_proof_at=await scrubs.oldest_proof_at(db),
-        blobs=[_amount(row.state, row) for row in rows],
+        again_after_days=settings.reverify_days,
+        oldest_verification_at=await scrub.oldest_verification(db),
+        blobs=[StateAmount(state=row.state, count=row.number, size_bytes=row.size_bytes) for row in rows],
     )
 
 
 async def begin_scrub(db: Connection, actor: Actor, settings: Settings, *, believe: bool) -> ScrubRead:
     """Have the store's list compared with the database, and return the scrub: the one under way, or one that begins."""
     if actor.person_id is None:
-        raise NotAuthenticated(reason="a scrub is asked for by somebody")
-    row = await scrubs.ask_for_scrub(db, settings.store_id, by_id=actor.person_id, believes=believe)
+        raise NotAuthenticated(reason="starting a scrub requires an account")
+    row = await scrub.request_scrub(db, settings.store_id, by_id=actor.person_id, believes=believe)
     after: Metadata = {"believe": believe}
     await record(db, actor, Event("store.scrub", "store", None, settings.store_id, None, after=after, by_power=True))
     return _scrub(row)
@@ -112,7 +118,7 @@ async def get_health(context: AppContext, *, takes_pages: bool) -> AdminHealth:
         server = (await db.execute(queries.SERVER)).one()
         here = datetime.datetime.now(datetime.timezone.utc)
         workers = await find_workers(db)
-        known, alone = await known_runners(db), await is_owners_alone(db)
+        known, alone = await known_runners(db), await has_single_person(db)
         queued = (await db.execute(queries.queued_runs())).all()
     return AdminHealth(
         not_ready=found.missing,
@@ -125,10 +131,10 @@ async def get_health(context: AppContext, *, takes_pages: bool) -> AdminHealth:
         clock_skew_s=(here - server.now).total_seconds(),
         workers_at=workers.seen_at,
         worker_last_at=workers.last_seen_at,
-        runs_problem=runs_problem(queued, known, owners_alone=alone),
-        invitation_warning=invitation_warning(known, owners_alone=alone),
+        runs_problem=runs_problem(queued, known, single_person=alone),
+        invitation_warning=invitation_warning(known, single_person=alone),
         store_checksum=context.storage.checksum.value,
-        store_writes_once=context.storage.abilities.writes_once,
+        store_writes_once=context.storage.capabilities.writes_once,
         store_takes_pages=takes_pages,
     )
 
@@ -149,7 +155,7 @@ def get_settings(settings: Settings) -> AdminSettings:
     )
 
 
-def _scrub(row: Row[Any]) -> ScrubRead:
+def _scrub(row: ScrubRow) -> ScrubRead:
     return ScrubRead.model_validate({name: getattr(row, name) for name in ScrubRead.model_fields})
 
 

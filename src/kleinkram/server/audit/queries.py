@@ -27,9 +27,9 @@ from kleinkram.contract.people import PersonRef
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import level_on_mission, level_on_project, trashed_projects, visible_projects
-from kleinkram.server.bulk import unnest_rows
+from kleinkram.server.db import unnest_rows
 from kleinkram.server.filters.patterns import matches
-from kleinkram.server.pages import Order
+from kleinkram.server.paging import Order
 from kleinkram.server.tables import audit_event, mission, person, project, share, token
 
 # Latest first; an export is the other way round.

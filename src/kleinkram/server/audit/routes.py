@@ -9,8 +9,8 @@ from fastapi.responses import StreamingResponse
 from kleinkram.contract.audit import AuditFilter, AuditRead
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.server.audit import service
-from kleinkram.server.dependencies import CurrentActor, CurrentDatabase, Transaction
-from kleinkram.server.pages import PageRequest
+from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, Transaction
+from kleinkram.server.paging import PageRequest
 
 router = APIRouter(prefix="/api/v1/audit", tags=["audit"])
 

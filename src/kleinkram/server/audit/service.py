@@ -12,12 +12,11 @@ from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.paging import Page
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.operations import OPERATIONS, On
+from kleinkram.server.access.operations import OPERATIONS, ResourceKind
 from kleinkram.server.audit import queries
-from kleinkram.server.bulk import insert_rows, unnest_rows
 from kleinkram.server.change_events import ChangeEvent, publish
-from kleinkram.server.db import Connection, Database
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.db import Connection, Database, insert_rows, unnest_rows
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.tables import audit_event
 
 _AT_ONCE = 500
@@ -80,10 +79,10 @@ def _insert_marked(admin: Actor, rows: Sequence[Mapping[str, object]], places: S
     return insert(audit_event).from_select([*rows[0], "as_admin"], values)
 
 
-_CREATED = frozenset({"create", "give", "upload", "link", "arrive", "restore", "claim", "put_back"})
+_CREATED = frozenset({"create", "give", "upload", "link", "arrive", "restore", "bootstrap", "put_back"})
 _REMOVED = frozenset({"delete", "revoke", "leave", "abort", "purge"})
 # What is only asked for, looked at or refused leaves all as it was.
-_NO_CHANGE = frozenset({"download", "prove", "look", "denied", "refused", "limited", "approve", "reset_link"})
+_NO_CHANGE = frozenset({"download", "verify", "look", "denied", "refused", "limited", "approve", "reset_link"})
 
 
 def _notice(actor: Actor | None, event: Event) -> ChangeEvent | None:
@@ -118,7 +117,7 @@ def _needed(actor: Actor, event: Event) -> int:
     """Return the level that an event took on its place."""
     operation = event.takes or actor.operation
     need = None if operation is None else OPERATIONS[operation]
-    if event.by_power or (need is not None and need.on is On.server):
+    if event.by_power or (need is not None and need.on is ResourceKind.server):
         return _POWER
     if need is None:
         return Right.delete.level  # nobody said what it took: no less is enough

@@ -1,89 +1,108 @@
-"""The pages of signing in: plain HTML, one script and one stylesheet of ours, nothing inline or from elsewhere.
+"""The sign-in pages: plain HTML with one script and stylesheet of this server, and the callback of providers.
 
-Pages change nothing by being looked at; what they do goes through the JSON API. What others sent is escaped.
+Loading a page changes nothing; actions go through the JSON API. Everything that others sent is escaped.
 """
 
+from collections.abc import Callable
+from functools import cache
 from html import escape
+from importlib import resources
+from typing import Annotated
 
-from fastapi.responses import HTMLResponse
+from fastapi import APIRouter, Query, Request, Response
+from fastapi.responses import HTMLResponse, RedirectResponse
+from pydantic import BaseModel, ConfigDict, Field
 
-from kleinkram.contract.errors import KleinkramError
-from kleinkram.server.headers import PAGE_POLICY
+from kleinkram.contract.errors import KleinkramError, NotFound, SignInRefused
+from kleinkram.server.auth import identities
+from kleinkram.server.auth.authorization_request import bound_browser, take_request
+from kleinkram.server.auth.sign_in import CurrentSignIn, SignInContext
+from kleinkram.server.http.dependencies import CurrentSettings
+from kleinkram.server.http.errors import record_refusal
+from kleinkram.server.http.headers import PAGE_POLICY
+from kleinkram.server.http.pages import PAGE_HEAD, brand
 from kleinkram.server.settings import Settings
-from kleinkram.server.web.serving import LOOK, brand
 
-HEADERS = {
+# Pages for people, not part of the API.
+router = APIRouter(prefix="/sign-in", include_in_schema=False)
+_STATIC = {"sign-in.js": "text/javascript", "sign-in.css": "text/css"}
+_Text = Annotated[str, Field(max_length=2000)]
+_HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": PAGE_POLICY,
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
 }
-_EMAIL = '<label>E-mail address<input name="email" type="email" autocomplete="username" required></label>'
-_CHOSEN = (
+_EMAIL_FIELD = '<label>E-mail address<input name="email" type="email" autocomplete="username" required></label>'
+_CHOOSE_FIELD = (
     '<label>New password, at least 10 characters<input name="password" type="password" autocomplete="new-password" '
     'minlength="10" maxlength="256" required></label>'
 )
-_SECOND_FACTOR = (
+_SECOND_FACTOR_FIELD = (
     '<label id="second-factor" hidden>Code from your authenticator app, or a recovery code<input name="second_factor" '
     'autocomplete="one-time-code" spellcheck="false" maxlength="40"></label>'
 )
-_NAME = '<label>Your name<input name="name" autocomplete="name" maxlength="128" required></label>'
+_NAME_FIELD = '<label>Your name<input name="name" autocomplete="name" maxlength="128" required></label>'
 
 
 def sign_in_page(settings: Settings) -> HTMLResponse:
-    """Return the page that offers the ways to sign in."""
-    ways = [_provider_button(each.name, f"Sign in with {each.title}") for each in settings.oidc_providers]
+    """Return the page with the sign-in methods."""
+    methods = [
+        _provider_button(provider.name, f"Sign in with {provider.title}") for provider in settings.oidc_providers
+    ]
     if settings.local_accounts:
-        form = f'{_EMAIL}<label>Password<input name="password" type="password" autocomplete="current-password"'
-        ways.append(_form("password", f"{form} required></label>{_SECOND_FACTOR}", "Sign in"))
-        ways.append('<p class="small">Forgotten it? An admin of this server can give you a link to a new one.</p>')
-    claim = (
-        '<p class="small" id="claim" hidden>Nobody is admin yet: <a href="/sign-in/claim">claim this server</a>.</p>'
+        form = f'{_EMAIL_FIELD}<label>Password<input name="password" type="password" autocomplete="current-password"'
+        methods.append(_form("password", f"{form} required></label>{_SECOND_FACTOR_FIELD}", "Sign in"))
+        methods.append('<p class="small">Forgotten it? Ask an admin of this server for a reset link.</p>')
+    methods.append(
+        '<p class="small" id="bootstrap" hidden>This server has no admin yet: '
+        '<a href="/sign-in/bootstrap">become its first admin</a>.</p>'
     )
-    return _page(settings, "Sign in", "sign-in", "".join(ways) + claim)
+    return _page(settings, "Sign in", "sign-in", "".join(methods))
 
 
 def link_page(settings: Settings) -> HTMLResponse:
-    """Return the page that a one-time link of the owner opens."""
+    """Return the page that the owner's one-time link opens."""
     return _page(settings, "Signing in", "link", '<p id="doing">One moment.</p>')
 
 
 def invitation_page(settings: Settings) -> HTMLResponse:
     """Return the page that an invitation opens."""
-    fields = '<p id="for"></p>' + _NAME + _CHOSEN
-    return _page(settings, "Your account", "invitation", _form("invitation", fields, "Make my account"))
+    fields = '<p id="for"></p>' + _NAME_FIELD + _CHOOSE_FIELD
+    return _page(settings, "Your account", "invitation", _form("invitation", fields, "Create my account"))
 
 
 def reset_page(settings: Settings) -> HTMLResponse:
     """Return the page on which a new password is chosen."""
-    form = _form("reset", f'<p id="for"></p>{_CHOSEN}{_SECOND_FACTOR}', "Keep this password")
+    form = _form("reset", f'<p id="for"></p>{_CHOOSE_FIELD}{_SECOND_FACTOR_FIELD}', "Set this password")
     return _page(settings, "A new password", "reset", form)
 
 
-def claim_page(settings: Settings) -> HTMLResponse:
+def bootstrap_page(settings: Settings) -> HTMLResponse:
     """Return the page on which the first admin proves that they can read the server's log."""
-    code = '<label>Claim code, from the server’s log<input name="code" autocomplete="off" required></label>'
-    form = _form("claim", code + _NAME + _EMAIL + _CHOSEN, "Become admin")
-    return _page(settings, "Claim this server", "claim", form)
+    code = '<label>Bootstrap code, from the server’s log<input name="code" autocomplete="off" required></label>'
+    form = _form("bootstrap", code + _NAME_FIELD + _EMAIL_FIELD + _CHOOSE_FIELD, "Become admin")
+    return _page(settings, "First admin", "bootstrap", form)
 
 
 def device_page(settings: Settings) -> HTMLResponse:
-    """Return the page on which the code is typed that a program shows."""
+    """Return the page for typing the code that a program shows."""
     code = (
-        '<label>The code that it shows<input name="user_code" autocomplete="off" spellcheck="false" required></label>'
+        "<label>The code that the program shows"
+        '<input name="user_code" autocomplete="off" spellcheck="false" required></label>'
     )
-    form = _form("device", code, "Go on")
+    form = _form("device", code, "Continue")
     return _page(settings, "Sign a program in", "device", form + _decision())
 
 
 def cli_page(settings: Settings) -> HTMLResponse:
-    """Return the page on which somebody agrees that a program on their machine signs in."""
+    """Return the page for approving a program on this machine."""
     return _page(settings, "Sign a program in", "cli", _decision())
 
 
 def error_page(settings: Settings, error: KleinkramError) -> HTMLResponse:
-    """Return the page that says what went wrong, in the error's own sentence."""
+    """Return the page that shows an error."""
     body = f'<p role="alert">{escape(error.sentence())}</p><p><a href="/sign-in">Sign in</a></p>'
     return _page(settings, "Not signed in", "error", body, status=error.status)
 
@@ -92,31 +111,123 @@ def _page(settings: Settings, title: str, name: str, body: str, *, status: int =
     html = (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(title)} · {escape(settings.lab_name)}</title>{LOOK}"
+        f"<title>{escape(title)} · {escape(settings.lab_name)}</title>{PAGE_HEAD}"
         '<link rel="stylesheet" href="/sign-in/static/sign-in.css">'
         '<script src="/sign-in/static/sign-in.js" defer></script></head>'
         f'<body data-page="{name}" data-origin="{escape(settings.public_origin)}">{brand(settings)}'
         f"<main><h1>{escape(title)}</h1>"
-        f'<p id="said" role="status" hidden></p>{body}<noscript><p>These pages need JavaScript.</p></noscript>'
+        f'<p id="message" role="status" hidden></p>{body}<noscript><p>These pages need JavaScript.</p></noscript>'
         "</main></body></html>"
     )
-    return HTMLResponse(html, status_code=status, headers=HEADERS)
+    return HTMLResponse(html, status_code=status, headers=_HEADERS)
 
 
-# Buttons are disabled until the script is there: pressed before, one would do nothing, or send its form by itself.
+# Buttons are disabled until the script has loaded: before, they would do nothing or submit the form themselves.
 def _form(name: str, fields: str, button: str) -> str:
-    pressed = f'<button class="primary" disabled>{escape(button)}</button>'
-    return f'<form method="post" data-form="{name}">{fields}{pressed}</form>'
+    submit = f'<button class="primary" disabled>{escape(button)}</button>'
+    return f'<form method="post" data-form="{name}">{fields}{submit}</form>'
 
 
 def _provider_button(name: str, text: str) -> str:
-    return f'<button type="button" disabled data-act="begin" data-provider="{escape(name)}">{escape(text)}</button>'
+    return f'<button type="button" disabled data-act="start" data-provider="{escape(name)}">{escape(text)}</button>'
 
 
 def _decision() -> str:
     return (
-        '<section id="decision" hidden><p id="asks"></p><p class="small">It will be able to do all that you may do. '
-        "Agree only if you started it yourself just now.</p>"
-        '<button type="button" class="primary" disabled data-act="approve">Agree</button>'
-        '<button type="button" disabled data-act="deny">Refuse</button></section>'
+        '<section id="decision" hidden><p id="asks"></p><p class="small">It will be able to do everything you can do. '
+        "Approve only a program that you have just started yourself.</p>"
+        '<button type="button" class="primary" disabled data-act="approve">Approve</button>'
+        '<button type="button" disabled data-act="deny">Deny</button></section>'
     )
+
+
+_PAGES: dict[str, Callable[[Settings], HTMLResponse]] = {
+    "link": link_page,
+    "invitation": invitation_page,
+    "reset": reset_page,
+    "bootstrap": bootstrap_page,
+    "device": device_page,
+    "cli": cli_page,
+}
+
+
+class CallbackQuery(BaseModel):
+    """Query parameters with which a provider sends a browser back; providers may add others."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    state: _Text = ""
+    code: _Text | None = None
+    error: _Text | None = None
+    iss: _Text | None = None
+
+
+@router.get("")
+async def sign_in(settings: CurrentSettings) -> HTMLResponse:
+    """Show the sign-in page."""
+    return sign_in_page(settings)
+
+
+@router.get("/static/{name}")
+async def static(name: str) -> Response:
+    """Return the script or stylesheet of the pages."""
+    if name not in _STATIC:
+        raise NotFound(noun="page", ref=name)
+    return Response(_read(name), media_type=_STATIC[name], headers={"X-Content-Type-Options": "nosniff"})
+
+
+@router.get("/callback/{provider}", operation_id="end_provider_sign_in")
+async def end_provider_sign_in(
+    provider: str, query: Annotated[CallbackQuery, Query()], request: Request, context: CurrentSignIn
+) -> Response:
+    """Finish a sign-in with a provider, or show an error page."""
+    try:
+        return await _handle_callback(context, provider, query)
+    except KleinkramError as error:
+        await record_refusal(request, error)
+        return error_page(context.settings, error)
+
+
+@router.get("/{name}")
+async def page(name: str, settings: CurrentSettings) -> HTMLResponse:
+    """Show one of the other pages."""
+    if name not in _PAGES:
+        raise NotFound(noun="page", ref=name)
+    return _PAGES[name](settings)
+
+
+async def _handle_callback(context: SignInContext, name: str, query: CallbackQuery) -> Response:
+    provider = context.providers.get(name)
+    browser_secret = bound_browser(context.request, context.settings)
+    async with context.database.begin() as db:  # the request is used up, whatever happens afterwards
+        request = await take_request(db, provider=name, state=query.state, browser_secret=browser_secret)
+    code = _require_code(query, provider.settings.title, provider.settings.issuer)
+    verified = await provider.verify_callback(code, request)
+    response = RedirectResponse(request.return_to, status_code=303, headers={"Cache-Control": "no-store"})
+    actor, settings = context.actor, provider.settings
+    async with context.database.begin() as db:
+        if request.session_id is None:
+            person_id = await identities.open_account(db, actor, verified=verified, provider=settings)
+            await context.start_session(db, response, person_id=person_id, method=verified.issuer)
+        elif request.session_id != actor.session_id:
+            raise SignInRefused(reason="you signed out meanwhile, so nothing changed. Sign in and start again.")
+        elif request.reauthenticates:
+            await identities.reauthenticate(db, actor, verified=verified, provider=settings)
+        else:
+            await identities.link_identity(db, actor, verified=verified, provider=settings)
+    return response
+
+
+def _require_code(query: CallbackQuery, title: str, issuer: str) -> str:
+    if query.error == "access_denied":
+        raise SignInRefused(reason=f"you or {title} denied access. Start again if you want to.")
+    if query.error is not None or query.code is None:
+        raise SignInRefused(reason=f"{title} sent you back with an error ({(query.error or 'no code')[:60]}).")
+    if query.iss is not None and query.iss != issuer:  # RFC 9207
+        raise SignInRefused(reason=f"the response is not from {title}. Start again.")
+    return query.code
+
+
+@cache
+def _read(name: str) -> bytes:
+    return (resources.files("kleinkram.server.auth") / "static" / name).read_bytes()

@@ -1,177 +1,388 @@
-"""Signing in over HTTP: what pages and programs ask for. What gives a browser a session comes from our pages only."""
+"""Routes of signing in, one's own account, and logins of programs.
 
-from fastapi import APIRouter, Depends, Response
+Routes that give a browser a session accept requests only from pages of this server.
+"""
+
+import uuid
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Query, Response
+from pydantic import BaseModel, ConfigDict
 
 from kleinkram.contract.accounts import (
+    AccountRead,
+    AdminBootstrap,
     BrowserSignedIn,
-    Claim,
     CodeRead,
     CodeSignIn,
+    DeviceDecision,
+    DeviceRead,
+    IdentityRead,
     InvitationAccept,
+    InvitationCreate,
+    LoopbackApproval,
+    LoopbackApproved,
     OneTimeLink,
-    PasswordAgain,
     PasswordChange,
+    PasswordReauthenticate,
     PasswordReset,
     PasswordSignIn,
     ProviderBegin,
     ProviderBegun,
     ProviderRef,
-    SignInWays,
+    RecoveryCodes,
+    SignInMethods,
+    TotpConfirm,
+    TotpEnrolment,
 )
-from kleinkram.server.auth import claiming, codes, journeys, local
-from kleinkram.server.auth.cookies import bind_browser, drop_session
-from kleinkram.server.auth.door import CurrentDoor, Door
-from kleinkram.server.auth.sessions import end_session, renew_session
-from kleinkram.server.auth.totp import see_second_factor
-from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Transaction, refuse_foreign_page
+from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.signing_in import (
+    CliExchange,
+    DeviceBegin,
+    DeviceCode,
+    DeviceExchange,
+    MeRead,
+    SessionRead,
+    SignedIn,
+)
+from kleinkram.server.auth import account as accounts
+from kleinkram.server.auth import bootstrap_admin, local_accounts, one_time_codes, program_logins, sessions, totp
+from kleinkram.server.auth.authorization_request import AuthorizationRequest, bind_browser, store_request
+from kleinkram.server.auth.sign_in import CurrentSignIn, SignInContext, delete_session_cookie
+from kleinkram.server.auth.totp import require_second_factor
+from kleinkram.server.http.dependencies import (
+    CurrentActor,
+    CurrentDatabase,
+    CurrentSettings,
+    Transaction,
+    require_same_origin,
+)
+from kleinkram.server.paging import PageRequest
 from kleinkram.server.tables.signing_in import CodePurpose
 
 router = APIRouter(prefix="/api/v1/auth", tags=["signing in"])
-# A foreign page must not sign somebody in as somebody else either: with a cookie or not, it takes a page of ours.
-_FROM_OUR_PAGE = [Depends(refuse_foreign_page)]
+me_router = APIRouter(prefix="/api/v1/me", tags=["me"])
+people_router = APIRouter(prefix="/api/v1/people", tags=["people"])
+# Also without a cookie: another site's page must not sign a person in as somebody else.
+_SAME_ORIGIN = [Depends(require_same_origin)]
 
 
-@router.get("/ways", operation_id="list_sign_in_ways")
-async def list_sign_in_ways(db: Transaction, settings: CurrentSettings) -> SignInWays:
-    """Say how one may sign in here."""
-    providers = [ProviderRef(name=each.name, title=each.title) for each in settings.oidc_providers]
-    is_claimed = await claiming.has_admin(db)
-    return SignInWays(password=settings.local_accounts, providers=providers, claim=not is_claimed)
+class SessionListQuery(BaseModel):
+    """Query parameters of the list of sessions."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    limit: PageSize = 100
+    cursor: Cursor | None = None
 
 
-@router.post("/password", operation_id="sign_in_by_password", dependencies=_FROM_OUR_PAGE)
-async def sign_in_by_password(given: PasswordSignIn, door: CurrentDoor, response: Response) -> BrowserSignedIn:
+@router.get("/methods", operation_id="list_sign_in_methods")
+async def list_sign_in_methods(db: Transaction, settings: CurrentSettings) -> SignInMethods:
+    """List the methods with which people sign in to this server."""
+    providers = [ProviderRef(name=provider.name, title=provider.title) for provider in settings.oidc_providers]
+    has_admin = await bootstrap_admin.has_admin(db)
+    return SignInMethods(password=settings.local_accounts, providers=providers, bootstrap=not has_admin)
+
+
+@router.post("/password", operation_id="sign_in_by_password", dependencies=_SAME_ORIGIN)
+async def sign_in_by_password(sign_in: PasswordSignIn, context: CurrentSignIn, response: Response) -> BrowserSignedIn:
     """Sign a browser in with a local account."""
-    door.see_that_passwords_are_taken()
-    await door.count_try(given.email)
-    proven = await local.prove_password(door.database, door.passwords, given)
-    await see_second_factor(door.database, proven.person_id, given.second_factor, door.asker)
-    async with door.database.begin() as db:
-        await local.see_that_it_still_is(db, proven)
-        return await door.let_in(db, response, person_id=proven.person_id, way="password")
+    context.require_local_accounts()
+    await context.count_attempt(sign_in.email)
+    verified = await local_accounts.verify_password(context.database, context.hasher, sign_in)
+    await require_second_factor(context.database, verified.person_id, sign_in.second_factor, context.actor)
+    async with context.database.begin() as db:
+        await local_accounts.require_unchanged_password(db, verified)
+        return await context.start_session(db, response, person_id=verified.person_id, method="password")
 
 
 @router.post("/password/change", operation_id="change_password", status_code=204)
-async def change_password(wanted: PasswordChange, door: CurrentDoor) -> None:
-    """Choose a new password; one's other browsers are signed out."""
-    door.see_that_passwords_are_taken()
-    await door.count_try(str(door.asker.person_id))
-    proven = await local.prove_own_password(door.database, door.passwords, door.asker, wanted.old_password)
-    hashed = await door.hash_new(wanted.new_password, field="new_password", about=(door.asker.name,))
-    async with door.database.begin() as db:
-        await local.change_password(db, door.asker, proven=proven, new=wanted.new_password, hashed=hashed)
+async def change_password(change: PasswordChange, context: CurrentSignIn) -> None:
+    """Change your password; your other browsers are signed out."""
+    context.require_local_accounts()
+    await context.count_attempt(str(context.actor.person_id))
+    verified = await local_accounts.verify_own_password(
+        context.database, context.hasher, context.actor, change.old_password
+    )
+    password_hash = await context.hash_new(change.new_password, field="new_password", about=(context.actor.name,))
+    async with context.database.begin() as db:
+        await local_accounts.change_password(
+            db, context.actor, verified=verified, new=change.new_password, password_hash=password_hash
+        )
 
 
-@router.post("/password/again", operation_id="prove_password_again", status_code=204)
-async def prove_password_again(given: PasswordAgain, door: CurrentDoor) -> None:
-    """Prove once more who one is, so that this browser may do what takes a fresh sign-in."""
-    door.see_that_passwords_are_taken()
-    await door.count_try(str(door.asker.person_id))
-    proven = await local.prove_own_password(door.database, door.passwords, door.asker, given.password)
-    await see_second_factor(door.database, proven.person_id, given.second_factor, door.asker)
-    async with door.database.begin() as db:
-        await local.see_that_it_still_is(db, proven)
-        await renew_session(db, door.asker, way="password")
+@router.post("/password/reauthenticate", operation_id="reauthenticate_by_password", status_code=204)
+async def reauthenticate_by_password(entered: PasswordReauthenticate, context: CurrentSignIn) -> None:
+    """Enter your password again, for operations that require a recent sign-in."""
+    context.require_local_accounts()
+    await context.count_attempt(str(context.actor.person_id))
+    verified = await local_accounts.verify_own_password(
+        context.database, context.hasher, context.actor, entered.password
+    )
+    await require_second_factor(context.database, verified.person_id, entered.second_factor, context.actor)
+    async with context.database.begin() as db:
+        await local_accounts.require_unchanged_password(db, verified)
+        await sessions.renew_session(db, context.actor, method="password")
 
 
-@router.post("/link", operation_id="sign_in_by_link", dependencies=_FROM_OUR_PAGE)
-async def sign_in_by_link(given: CodeSignIn, door: CurrentDoor, response: Response, db: Transaction) -> BrowserSignedIn:
-    """Sign a browser in by a link that is good once."""
-    row = await codes.use_code(db, given.code, CodePurpose.owner)
-    return await door.let_in(db, response, person_id=row.person_id, way="link")
+@router.post("/link", operation_id="sign_in_by_link", dependencies=_SAME_ORIGIN)
+async def sign_in_by_link(
+    link: CodeSignIn, context: CurrentSignIn, response: Response, db: Transaction
+) -> BrowserSignedIn:
+    """Sign a browser in with a one-time link."""
+    person_id = one_time_codes.require_person(await one_time_codes.use_code(db, link.code, CodePurpose.owner))
+    return await context.start_session(db, response, person_id=person_id, method="link")
 
 
-@router.post("/codes", operation_id="look_at_code")
-async def look_at_code(given: CodeSignIn, door: CurrentDoor) -> CodeRead:
-    """Say for whom a link is; it stays good."""
-    await door.count_try()
-    async with door.database.begin() as db:
-        return await codes.look_at_code(db, given.code)
+@router.post("/codes", operation_id="get_code")
+async def get_code(link: CodeSignIn, context: CurrentSignIn) -> CodeRead:
+    """Return the purpose and recipient of a one-time link without using it."""
+    await context.count_attempt()
+    async with context.database.begin() as db:
+        return await one_time_codes.describe_code(db, link.code)
 
 
-@router.post("/invitation", operation_id="accept_invitation", dependencies=_FROM_OUR_PAGE)
-async def accept_invitation(accepted: InvitationAccept, door: CurrentDoor, response: Response) -> BrowserSignedIn:
-    """Get the account that one is invited to, and sign in."""
-    door.see_that_passwords_are_taken()
-    await door.count_try()
-    hashed = await door.hash(accepted.password, code=accepted.code, about=(accepted.name,))
-    async with door.database.begin() as db:
-        person_id = await local.accept_invitation(db, door.asker, accepted=accepted, hashed=hashed)
-        return await door.let_in(db, response, person_id=person_id, way="password")
+@router.post("/invitation", operation_id="accept_invitation", dependencies=_SAME_ORIGIN)
+async def accept_invitation(accepted: InvitationAccept, context: CurrentSignIn, response: Response) -> BrowserSignedIn:
+    """Create the account that an invitation is for, and sign in."""
+    context.require_local_accounts()
+    await context.count_attempt()
+    password_hash = await context.hash_with_code(accepted.password, code=accepted.code, about=(accepted.name,))
+    async with context.database.begin() as db:
+        person_id = await local_accounts.accept_invitation(
+            db, context.actor, accepted=accepted, password_hash=password_hash
+        )
+        return await context.start_session(db, response, person_id=person_id, method="password")
 
 
-@router.post("/reset", operation_id="reset_password", dependencies=_FROM_OUR_PAGE)
-async def reset_password(reset: PasswordReset, door: CurrentDoor, response: Response) -> BrowserSignedIn:
-    """Choose a new password by an admin's link; all other browsers are signed out, and all personal tokens end.
+@router.post("/reset", operation_id="reset_password", dependencies=_SAME_ORIGIN)
+async def reset_password(reset: PasswordReset, context: CurrentSignIn, response: Response) -> BrowserSignedIn:
+    """Choose a new password with an admin's link; your browsers are signed out and your personal tokens revoked.
 
-    Those of robots and runners stay.
+    Tokens of robots and runners stay valid.
     """
-    door.see_that_passwords_are_taken()
-    await door.count_try()
-    hashed = await door.hash(reset.password, code=reset.code)
-    async with door.database.begin() as db:
-        whose = await local.whose_reset(db, reset.code)
-    await see_second_factor(door.database, whose, reset.second_factor, door.asker)
-    async with door.database.begin() as db:
-        person_id = await local.reset_password(db, door.asker, reset=reset, hashed=hashed)
-        return await door.let_in(db, response, person_id=person_id, way="password")
+    context.require_local_accounts()
+    await context.count_attempt()
+    password_hash = await context.hash_with_code(reset.password, code=reset.code)
+    async with context.database.begin() as db:
+        owner_id = await local_accounts.get_reset_person(db, reset.code)
+    await require_second_factor(context.database, owner_id, reset.second_factor, context.actor)
+    async with context.database.begin() as db:
+        person_id = await local_accounts.reset_password(db, context.actor, reset=reset, password_hash=password_hash)
+        return await context.start_session(db, response, person_id=person_id, method="password")
 
 
-@router.post("/claim", operation_id="claim_server", dependencies=_FROM_OUR_PAGE)
-async def claim_server(claimed: Claim, door: CurrentDoor, response: Response) -> BrowserSignedIn:
-    """Become the first admin of a fresh server, by the code from its log."""
-    await door.count_try()
-    hashed = None
-    if claimed.password is not None:
-        about = (claimed.name, claimed.email)
-        hashed = await door.hash(claimed.password, code=claimed.code, about=about)
-    async with door.database.begin() as db:
-        person_id = await claiming.claim(db, door.asker, claimed=claimed, hashed=hashed)
-        return await door.let_in(db, response, person_id=person_id, way="claim")
+@router.post("/bootstrap", operation_id="bootstrap_admin", dependencies=_SAME_ORIGIN)
+async def create_first_admin(bootstrap: AdminBootstrap, context: CurrentSignIn, response: Response) -> BrowserSignedIn:
+    """Become the first admin of a new server with the code from its log."""
+    await context.count_attempt()
+    password_hash = None
+    if bootstrap.password is not None:
+        about = (bootstrap.name, bootstrap.email)
+        password_hash = await context.hash_with_code(bootstrap.password, code=bootstrap.code, about=about)
+    async with context.database.begin() as db:
+        person_id = await bootstrap_admin.bootstrap_admin(
+            db, context.actor, bootstrap=bootstrap, password_hash=password_hash
+        )
+        return await context.start_session(db, response, person_id=person_id, method="bootstrap")
 
 
-@router.post("/providers/{name}", operation_id="begin_provider_sign_in", dependencies=_FROM_OUR_PAGE)
+@router.post("/providers/{name}", operation_id="begin_provider_sign_in", dependencies=_SAME_ORIGIN)
 async def begin_provider_sign_in(
-    name: str, wanted: ProviderBegin, door: CurrentDoor, response: Response
+    name: str, target: ProviderBegin, context: CurrentSignIn, response: Response
 ) -> ProviderBegun:
-    """Begin to sign in by a provider: the browser goes where this says."""
-    return await _begin(door, response, provider=name, journey=journeys.new_journey(wanted.return_to))
+    """Start to sign in with a provider: the browser goes to the returned URL."""
+    return await _redirect_to_provider(context, response, name, AuthorizationRequest(target.return_to))
 
 
 @router.post("/providers/{name}/link", operation_id="link_provider")
-async def link_provider(name: str, wanted: ProviderBegin, door: CurrentDoor, response: Response) -> ProviderBegun:
-    """Begin to add a provider to one's account, as another way to sign in."""
-    journey = journeys.new_journey(wanted.return_to, session_id=door.asker.session_id)
-    return await _begin(door, response, provider=name, journey=journey)
+async def link_provider(name: str, target: ProviderBegin, context: CurrentSignIn, response: Response) -> ProviderBegun:
+    """Start to link an identity of a provider to your account."""
+    request = AuthorizationRequest(target.return_to, context.actor.session_id)
+    return await _redirect_to_provider(context, response, name, request)
 
 
-@router.post("/providers/{name}/again", operation_id="begin_provider_sign_in_again")
-async def begin_provider_sign_in_again(
-    name: str, wanted: ProviderBegin, door: CurrentDoor, response: Response
+@router.post("/providers/{name}/reauthenticate", operation_id="begin_provider_reauthentication")
+async def begin_provider_reauthentication(
+    name: str, target: ProviderBegin, context: CurrentSignIn, response: Response
 ) -> ProviderBegun:
-    """Begin to prove once more who one is, by a provider, which is asked to ask for the password anew."""
-    journey = journeys.new_journey(wanted.return_to, session_id=door.asker.session_id, renews=True)
-    return await _begin(door, response, provider=name, journey=journey)
+    """Start to reauthenticate with a provider, which is asked to require the password."""
+    request = AuthorizationRequest(target.return_to, context.actor.session_id, reauthenticates=True)
+    return await _redirect_to_provider(context, response, name, request)
 
 
 @router.post("/owner-link", operation_id="create_owner_link")
 async def create_owner_link(db: Transaction, actor: CurrentActor, settings: CurrentSettings) -> OneTimeLink:
-    """Make a link by which the owner of `klein up` signs a browser in."""
-    return await claiming.owner_link(db, actor, settings=settings)
+    """Create a link with which the owner of `klein up` signs in."""
+    return await bootstrap_admin.create_owner_link(db, actor, settings=settings)
 
 
-@router.post("/sign-out", operation_id="sign_out", status_code=204, dependencies=_FROM_OUR_PAGE)
+@router.post("/sign-out", operation_id="sign_out", status_code=204, dependencies=_SAME_ORIGIN)
 async def sign_out(response: Response, db: Transaction, actor: CurrentActor, settings: CurrentSettings) -> None:
     """Sign this browser out."""
     if actor.session_id is not None:
-        await end_session(db, actor, session_id=actor.session_id)
-    drop_session(response, settings)
+        await sessions.end_session(db, actor, session_id=actor.session_id)
+    delete_session_cookie(response, settings)
 
 
-async def _begin(door: Door, response: Response, *, provider: str, journey: journeys.Journey) -> ProviderBegun:
-    await door.count_try()
-    url = await door.providers.get(provider).authorization_url(journey.challenge, again=journey.renews)
-    browser = bind_browser(door.request, response, door.settings)
-    async with door.database.begin() as db:
-        await journeys.begin_journey(db, provider=provider, journey=journey, browser=browser)
+@router.post("/cli/approve", operation_id="approve_cli_login")
+async def approve_cli_login(approval: LoopbackApproval, db: Transaction, actor: CurrentActor) -> LoopbackApproved:
+    """Approve a program on the machine of this browser."""
+    return await program_logins.approve_loopback(db, actor, approval=approval)
+
+
+@router.post("/cli/token", operation_id="exchange_cli_code")
+async def exchange_cli_code(exchange: CliExchange, context: CurrentSignIn) -> SignedIn:
+    """Exchange the code that the browser delivered to the loopback for a token."""
+    await context.count_attempt()
+    async with context.database.begin() as db:
+        return await program_logins.exchange_loopback(db, context.actor, exchange=exchange, settings=context.settings)
+
+
+@router.post("/device", operation_id="begin_device_login")
+async def begin_device_login(begin: DeviceBegin, context: CurrentSignIn) -> DeviceCode:
+    """Start a login with a code that is typed on another machine."""
+    await context.count_attempt()
+    async with context.database.begin() as db:
+        return await program_logins.start_device_login(
+            db, context.actor, client=begin.client, settings=context.settings
+        )
+
+
+@router.post("/device/token", operation_id="exchange_device_code")
+async def exchange_device_code(
+    exchange: DeviceExchange, database: CurrentDatabase, actor: CurrentActor, settings: CurrentSettings
+) -> SignedIn:
+    """Exchange a device code for a token, once it is approved."""
+    return await program_logins.exchange_device_code(
+        database, actor, device_code=exchange.device_code, settings=settings
+    )
+
+
+@router.post("/device/status", operation_id="get_device_login")
+async def get_device_login(login: DeviceDecision, context: CurrentSignIn) -> DeviceRead:
+    """Return the program that shows a code."""
+    await context.count_attempt(str(context.actor.person_id))
+    async with context.database.begin() as db:
+        return await program_logins.get_device_login(db, login.user_code)
+
+
+@router.post("/device/approve", operation_id="approve_device_login")
+async def approve_device_login(login: DeviceDecision, context: CurrentSignIn) -> DeviceRead:
+    """Approve the program that shows a code."""
+    await context.count_attempt(str(context.actor.person_id))
+    async with context.database.begin() as db:
+        return await program_logins.approve_device(db, context.actor, login.user_code)
+
+
+@router.post("/device/deny", operation_id="deny_device_login")
+async def deny_device_login(login: DeviceDecision, context: CurrentSignIn) -> DeviceRead:
+    """Deny the program that shows a code."""
+    await context.count_attempt(str(context.actor.person_id))
+    async with context.database.begin() as db:
+        return await program_logins.deny_device(db, context.actor, login.user_code)
+
+
+@me_router.get("", operation_id="get_me")
+async def get_me(db: Transaction, actor: CurrentActor) -> MeRead:
+    """Return who you are, and your credential."""
+    return await accounts.get_me(db, actor)
+
+
+@me_router.get("/sessions", operation_id="list_sessions")
+async def list_sessions(
+    query: Annotated[SessionListQuery, Query()], db: Transaction, actor: CurrentActor, settings: CurrentSettings
+) -> Page[SessionRead]:
+    """List the browsers you are signed in with, latest first."""
+    page = PageRequest(query.limit, query.cursor)
+    return await sessions.list_sessions(db, actor, settings=settings, page=page)
+
+
+@me_router.delete("/sessions", operation_id="end_all_sessions", status_code=204)
+async def end_all_sessions(db: Transaction, actor: CurrentActor) -> None:
+    """Sign all your browsers out, including this one. Tokens stay valid."""
+    await sessions.end_sessions(db, actor)
+
+
+@me_router.delete("/sessions/{session_id}", operation_id="end_session", status_code=204)
+async def end_session(session_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> None:
+    """Sign one of your browsers out."""
+    await sessions.end_session(db, actor, session_id=session_id)
+
+
+@me_router.get("/account", operation_id="get_account")
+async def get_account(db: Transaction, actor: CurrentActor, settings: CurrentSettings) -> AccountRead:
+    """Return your account: name, addresses, affiliations, and whether it has a password."""
+    return await accounts.get_account(db, actor, settings=settings)
+
+
+@me_router.get("/identities", operation_id="list_identities")
+async def list_identities(db: Transaction, actor: CurrentActor, settings: CurrentSettings) -> list[IdentityRead]:
+    """List the identities that are linked to your account."""
+    return await accounts.list_identities(db, actor, settings=settings)
+
+
+@me_router.delete("/identities/{identity_id}", operation_id="unlink_identity", status_code=204)
+async def unlink_identity(
+    identity_id: uuid.UUID, db: Transaction, actor: CurrentActor, settings: CurrentSettings
+) -> None:
+    """Unlink an identity from your account, unless it is your last sign-in method. Sessions and tokens stay valid."""
+    await accounts.unlink_identity(db, actor, identity_id=identity_id, settings=settings)
+
+
+@me_router.post("/totp", operation_id="begin_totp", status_code=201)
+async def begin_totp(db: Transaction, actor: CurrentActor, settings: CurrentSettings) -> TotpEnrolment:
+    """Create a secret for an authenticator app; it takes effect once one of its codes is confirmed."""
+    return await totp.begin_totp(db, actor, settings=settings)
+
+
+@me_router.post("/totp/confirm", operation_id="confirm_totp")
+async def confirm_totp(confirmation: TotpConfirm, context: CurrentSignIn) -> RecoveryCodes:
+    """Confirm your second factor; your other browsers are signed out. The recovery codes are shown only once."""
+    await context.count_attempt(str(context.actor.person_id))
+    return await totp.confirm_totp(context.database, context.actor, code=confirmation.code)
+
+
+@me_router.post("/totp/recovery-codes", operation_id="renew_recovery_codes")
+async def renew_recovery_codes(db: Transaction, actor: CurrentActor) -> RecoveryCodes:
+    """Replace your recovery codes."""
+    return await totp.renew_recovery_codes(db, actor)
+
+
+@me_router.delete("/totp", operation_id="disable_totp", status_code=204)
+async def disable_totp(db: Transaction, actor: CurrentActor) -> None:
+    """Remove your second factor."""
+    await totp.disable_totp(db, actor)
+
+
+@people_router.delete("/{person_id}/totp", operation_id="reset_totp", status_code=204)
+async def reset_totp(person_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> None:
+    """Remove the second factor of a person who lost their device and recovery codes."""
+    await totp.reset_totp(db, actor, person_id=person_id)
+
+
+@people_router.post("/invitations", operation_id="invite_person", status_code=201)
+async def invite_person(
+    invitation: InvitationCreate, db: Transaction, actor: CurrentActor, settings: CurrentSettings
+) -> OneTimeLink:
+    """Create an invitation link, which you pass on to the person."""
+    return await local_accounts.create_invitation(db, actor, invitation=invitation, settings=settings)
+
+
+@people_router.post("/{person_id}/reset", operation_id="create_reset_link", status_code=201)
+async def create_reset_link(
+    person_id: uuid.UUID, db: Transaction, actor: CurrentActor, settings: CurrentSettings
+) -> OneTimeLink:
+    """Create a password reset link, which you pass on to the person."""
+    return await local_accounts.create_reset_link(db, actor, person_id=person_id, settings=settings)
+
+
+async def _redirect_to_provider(
+    context: SignInContext, response: Response, provider: str, request: AuthorizationRequest
+) -> ProviderBegun:
+    await context.count_attempt()
+    url = await context.providers.get(provider).authorization_url(request)
+    browser_secret = bind_browser(context.request, response, context.settings)
+    async with context.database.begin() as db:
+        await store_request(db, request, provider=provider, browser_secret=browser_secret)
     return ProviderBegun(url=url)

@@ -1,4 +1,4 @@
-"""Sessions of browsers: begun anew by every sign-in, listed, and ended."""
+"""Browser sessions: every sign-in starts a new one; people list and end theirs."""
 
 import datetime
 import secrets
@@ -11,84 +11,86 @@ from kleinkram.contract.errors import NotFound, SignInRefused
 from kleinkram.contract.paging import Page
 from kleinkram.contract.signing_in import SessionRead
 from kleinkram.server.access.actor import Actor, find_person, secret_hash
-from kleinkram.server.access.rights import see_that_they_stay
+from kleinkram.server.access.rights import ensure_active_person
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection
-from kleinkram.server.pages import Order, PageRequest, fetch_page
+from kleinkram.server.paging import Order, PageRequest, fetch_page
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import session
 
 SESSION_ORDER = Order([session.c.created_at, session.c.id], descending=True)
 _SECRET_BYTES = 32
-_MOST_CHARACTERS = 300
+_MAX_USER_AGENT_CHARACTERS = 300
 
 
 @dataclass(frozen=True)
 class Browser:
-    """What is known of a browser that signs in: `held` is the secret of the session that it had until now."""
+    """A browser that signs in, and the secret of its previous session."""
 
     user_agent: str | None
-    held: str | None
+    previous_secret: str | None
 
 
 @dataclass(frozen=True)
 class NewSession:
-    """A session just begun: whose, and the secret for the browser's cookie."""
+    """A new session: the signed-in person, and the secret for the browser's cookie."""
 
     actor: Actor
     secret: str
 
 
-async def begin_session(
-    db: Connection, asker: Actor, *, person_id: uuid.UUID, way: str, browser: Browser, lasts_s: float
+async def start_session(
+    db: Connection, guest: Actor, *, person_id: uuid.UUID, method: str, browser: Browser, lifetime_s: float
 ) -> NewSession:
-    """Sign a browser in, under a new secret; what it was signed in as before ends.
+    """Sign a browser in with a new secret and end its previous session.
 
     Raises:
-        SignInRefused: that person left.
-        NotAuthenticated: they left just now.
+        SignInRefused: the account is deactivated.
+        NotAuthenticated: it was deactivated just now.
     """
-    found = await find_person(db, person_id)
-    if found is None:
-        raise SignInRefused(reason="this account was deactivated. An admin of this server can say why.")
-    await see_that_they_stay(db, person_id)
+    person = await find_person(db, person_id)
+    if person is None:
+        raise SignInRefused(reason="this account is deactivated. Ask an admin of this server.")
+    await ensure_active_person(db, person_id)
     session_id, secret = uuid.uuid4(), secrets.token_urlsafe(_SECRET_BYTES)
     actor = replace(
-        found,
+        person,
         session_id=session_id,
-        operation=asker.operation,
-        request_id=asker.request_id,
-        address=asker.address,
+        operation=guest.operation,
+        request_id=guest.request_id,
+        address=guest.address,
     )
     await db.execute(
         insert(session).values(
             id=session_id,
             person_id=person_id,
             secret_sha256=secret_hash(secret),
-            way=way,
-            address=asker.address,
-            user_agent=(browser.user_agent or "")[:_MOST_CHARACTERS] or None,
-            expires_at=func.now() + datetime.timedelta(seconds=lasts_s),
+            method=method,
+            address=guest.address,
+            user_agent=(browser.user_agent or "")[:_MAX_USER_AGENT_CHARACTERS] or None,
+            expires_at=func.now() + datetime.timedelta(seconds=lifetime_s),
         )
     )
-    await record(db, actor, Event("session.create", "session", session_id, found.name, None, after={"way": way}))
-    if browser.held:
-        await _end(db, actor, session.c.secret_sha256 == secret_hash(browser.held))
+    await record(db, actor, Event("session.create", "session", session_id, person.name, None, after={"method": method}))
+    if browser.previous_secret:
+        await _end(db, actor, session.c.secret_sha256 == secret_hash(browser.previous_secret))
     return NewSession(actor, secret)
 
 
-async def renew_session(db: Connection, actor: Actor, *, way: str) -> None:
-    """Note that whoever is signed in by this browser has just proven once more who they are."""
-    mine = update(session).where(session.c.id == actor.session_id)
-    await db.execute(mine.values(authenticated_at=func.now()))
-    await record(db, actor, Event("session.renew", "session", actor.session_id, actor.name, None, after={"way": way}))
+async def renew_session(db: Connection, actor: Actor, *, method: str) -> None:
+    """Record that the person has just reauthenticated in this session."""
+    stmt = update(session).where(session.c.id == actor.session_id)
+    await db.execute(stmt.values(authenticated_at=func.now()))
+    await record(
+        db, actor, Event("session.renew", "session", actor.session_id, actor.name, None, after={"method": method})
+    )
 
 
 async def list_sessions(db: Connection, actor: Actor, *, settings: Settings, page: PageRequest) -> Page[SessionRead]:
-    """Return a page of the browsers that somebody is signed in with, latest first.
+    """Return a page of the actor's sessions, latest first.
 
     Raises:
-        InvalidCursor: the cursor is not of this list.
+        InvalidCursor: the cursor is not one of this list.
     """
     idle = datetime.timedelta(seconds=settings.session_idle_s)
     ends = func.least(session.c.expires_at, session.c.last_used_at + idle).label("ends_at")
@@ -98,7 +100,7 @@ async def list_sessions(db: Connection, actor: Actor, *, settings: Settings, pag
     items = [
         SessionRead(
             id=row.id,
-            way=row.way,
+            method=row.method,
             address=row.address,
             user_agent=row.user_agent,
             created_at=row.created_at,
@@ -112,24 +114,26 @@ async def list_sessions(db: Connection, actor: Actor, *, settings: Settings, pag
 
 
 async def end_session(db: Connection, actor: Actor, *, session_id: uuid.UUID) -> None:
-    """Sign one of one's own browsers out.
+    """End one of the actor's sessions.
 
     Raises:
-        NotFound: none of one's own, that is still signed in, has that id.
+        NotFound: the actor has no active session with this id.
     """
     own = (session.c.person_id == actor.person_id) & (session.c.id == session_id)
     if not await _end(db, actor, own):
         raise NotFound(noun="session", ref=str(session_id))
 
 
-async def end_sessions(db: Connection, actor: Actor, *, besides: uuid.UUID | None = None) -> int:
-    """Sign all of one's browsers out, except one where that is wanted; returns how many that were."""
+async def end_sessions(db: Connection, actor: Actor, *, except_session_id: uuid.UUID | None = None) -> int:
+    """End all sessions of the actor, except one if given; returns the number."""
     own = session.c.person_id == actor.person_id
-    return await _end(db, actor, own if besides is None else own & (session.c.id != besides))
+    return await _end(db, actor, own if except_session_id is None else own & (session.c.id != except_session_id))
 
 
-async def _end(db: Connection, actor: Actor, which: ColumnElement[bool]) -> int:
-    stmt = update(session).where(which, session.c.revoked_at.is_(None)).values(revoked_at=func.now())
-    ended = (await db.execute(stmt.returning(session.c.id))).scalars().all()
-    await record(db, actor, *(Event("session.revoke", "session", each, actor.name, None) for each in ended))
-    return len(ended)
+async def _end(db: Connection, actor: Actor, condition: ColumnElement[bool]) -> int:
+    stmt = update(session).where(condition, session.c.revoked_at.is_(None)).values(revoked_at=func.now())
+    session_ids = (await db.execute(stmt.returning(session.c.id))).scalars().all()
+    await record(
+        db, actor, *(Event("session.revoke", "session", session_id, actor.name, None) for session_id in session_ids)
+    )
+    return len(session_ids)

@@ -25,7 +25,7 @@ from kleinkram.server.backup.errors import (
 from kleinkram.server.backup.lock import repeating
 from kleinkram.server.backup.objects import NamedObject
 from kleinkram.server.backup.repository import DumpedTable, PackedWriter, Snapshot
-from kleinkram.server.blobs.holding import HOLD
+from kleinkram.server.blobs.garbage_collection import DELETION_LOCK
 from kleinkram.server.migrations import alembic_config, development_schema_problem
 
 Connection = psycopg.Connection[tuple[object, ...]]
@@ -93,7 +93,7 @@ class RestoreTarget(NamedTuple):
 
 
 class DeletionLock:
-    """Keeps the server from deleting objects (see `blobs.holding`) for as long as its connection lasts."""
+    """Keeps the server from deleting objects (see `blobs.garbage_collection`) for as long as its connection lasts."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
@@ -123,7 +123,7 @@ def deletion_lock(dsn: str) -> Iterator[DeletionLock]:
     with psycopg.connect(dsn, autocommit=True, application_name=_APPLICATION) as connection:
         # A process that hangs must not keep objects for ever: the database ends connections that are silent.
         connection.execute(f"SET idle_session_timeout = {_SILENT_MS}")
-        connection.execute("SELECT pg_advisory_lock_shared(%s)", (HOLD,))
+        connection.execute("SELECT pg_advisory_lock_shared(%s)", (DELETION_LOCK,))
         lock = DeletionLock(connection)
         with repeating(_CONFIRM_S, lock.confirm):
             yield lock

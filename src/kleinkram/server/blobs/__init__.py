@@ -1,1 +1,1 @@
-"""Blobs: reading what arrived, proving it, and letting go of what nobody refers to."""
+"""Blobs: reading what arrived, verifying it, and letting go of what nobody refers to."""

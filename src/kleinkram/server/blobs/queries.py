@@ -1,9 +1,9 @@
-"""What is asked of blobs."""
+"""Database queries about blobs. Functions return statements and conditions; they touch no connection."""
 
 import datetime
 import uuid
 from collections.abc import Collection, Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 from sqlalchemy import ARRAY, ColumnElement, Select, Text, exists, func, literal, or_, select, text
 
@@ -12,28 +12,60 @@ from kleinkram.server.db import among
 from kleinkram.server.tables import blob, file, log_chunk, run, run_artifact, run_input, upload
 from kleinkram.server.tables.run import ACTIVE
 
-# Read whole and at once, many after one another: what is in it and its proof are then one thing to do.
 SMALL_BYTES = 100_000
+"""Up to this size, a blob is read whole, once, for its summary and its verification."""
+
+
+class BlobRow(NamedTuple):
+    """A blob that is not marked for deletion, with the path of its oldest file (None if it has none)."""
+
+    id: uuid.UUID
+    store_id: str
+    key: str
+    size_bytes: int
+    sha256: bytes
+    crc64nvme: bytes | None
+    uploaded_by_id: uuid.UUID
+    created_at: datetime.datetime
+    content: str
+    depth: str | None
+    path: str | None
+
+
+class SqliteLog(NamedTuple):
+    """A log or journal beside an SQLite database: its recorder was killed. `suffix` follows the database's path."""
+
+    suffix: str
+    key: str
+    size_bytes: int
+
+
+class ExpectedBlob(NamedTuple):
+    """A blob that a listing of the store must show."""
+
+    id: uuid.UUID
+    key: str
+    size_bytes: int
+    state: str
 
 
 def blobs_with_path(blob_ids: Iterable[uuid.UUID]) -> Select[Any]:
-    """Return those blobs that are not doomed, each with the path of its oldest file (null where all are swept)."""
-    path = (
-        select(file.c.path).where(file.c.blob_id == blob.c.id).order_by(file.c.created_at, file.c.id).limit(1)
-    ).scalar_subquery()
-    return select(blob, path.label("path")).where(among(blob.c.id, blob_ids), blob.c.doomed_at.is_(None))
+    """Select blobs as `BlobRow`."""
+    path = select(file.c.path).where(file.c.blob_id == blob.c.id).order_by(file.c.created_at, file.c.id).limit(1)
+    columns = (blob.c[name] for name in BlobRow._fields[:-1])
+    statement = select(*columns, path.scalar_subquery().label("path"))
+    return statement.where(among(blob.c.id, blob_ids), blob.c.doomed_at.is_(None))
 
 
-# The log and journal of an SQLite database, and what follows the database's own path in theirs.
 LOG_SUFFIXES = ("-wal", "-journal")
 _DATABASE = ".db3"
 
 
-def logs_beside(blob_id: uuid.UUID) -> Select[Any]:
-    """Return suffix, key and size of the logs beside a database: beside the oldest file of its blob.
+def sqlite_logs(blob_id: uuid.UUID) -> Select[Any]:
+    """Select, as `SqliteLog`, the logs beside the oldest file of a database's blob.
 
-    All missions that hold the blob share what is said of it. So a later copy with a log of its own, in a mission that
-    others may not see, changes nothing.
+    All missions with this blob share its summary. So a later copy with a log of its own, in a mission that others may
+    not see, must not change it.
     """
     database, log, log_blob = file.alias("database"), file.alias("log"), blob.alias("log_blob")
     suffix = func.substr(log.c.path, func.length(database.c.path) + 1)
@@ -50,7 +82,7 @@ def logs_beside(blob_id: uuid.UUID) -> Select[Any]:
         .where(
             database.c.id == oldest.scalar_subquery(),
             database.c.path.endswith(_DATABASE),
-            log.c.path.in_([database.c.path + each for each in LOG_SUFFIXES]),
+            log.c.path.in_([database.c.path + log_suffix for log_suffix in LOG_SUFFIXES]),
             log.c.deleted_at.is_(None),
             log_blob.c.size_bytes > 0,
             log_blob.c.doomed_at.is_(None),
@@ -58,16 +90,16 @@ def logs_beside(blob_id: uuid.UUID) -> Select[Any]:
     )
 
 
-def databases_of_logs(blob_ids: Iterable[uuid.UUID]) -> Select[Any]:
-    """Return ids of the blobs of databases beside which these blobs are logs."""
+def databases_with_logs(blob_ids: Iterable[uuid.UUID]) -> Select[Any]:
+    """Select the ids of the databases whose logs these blobs are."""
     database, log = file.alias("database"), file.alias("log")
-    beside = or_(*(log.c.path == database.c.path + each for each in LOG_SUFFIXES))
+    beside = or_(*(log.c.path == database.c.path + suffix for suffix in LOG_SUFFIXES))
     return (
         select(database.c.blob_id)
         .join_from(log, database, database.c.mission_id == log.c.mission_id)
         .where(
             among(log.c.blob_id, blob_ids),
-            or_(*(log.c.path.endswith(f"{_DATABASE}{each}") for each in LOG_SUFFIXES)),
+            or_(*(log.c.path.endswith(f"{_DATABASE}{suffix}") for suffix in LOG_SUFFIXES)),
             beside,
             database.c.deleted_at.is_(None),
         )
@@ -75,83 +107,87 @@ def databases_of_logs(blob_ids: Iterable[uuid.UUID]) -> Select[Any]:
 
 
 def small_among(blob_ids: Iterable[uuid.UUID]) -> Select[Any]:
-    """Return ids of the small ones among some blobs."""
+    """Select the ids of the small blobs among these."""
     return select(blob.c.id).where(among(blob.c.id, blob_ids), is_small())
 
 
 def is_small() -> ColumnElement[bool]:
-    """Say of a blob whether it is read whole at once."""
+    """Return the condition that a blob is small."""
     return blob.c.size_bytes <= SMALL_BYTES
 
 
-def is_referred() -> ColumnElement[bool]:
-    """Say of a blob whether anything refers to it: a file, in the trash or out of it; a run that is not over and was
-    given it; what a run left, and its log.
+def is_referenced() -> ColumnElement[bool]:
+    """Return the condition that something refers to a blob.
+
+    That is a file, also in the trash; an unfinished run of which it is an input; a run of which it is an artifact or
+    the log.
     """
-    given = exists().where(run_input.c.blob_id == blob.c.id, run.c.id == run_input.c.run_id, run.c.state.in_(ACTIVE))
-    left = exists().where(run_artifact.c.blob_id == blob.c.id)
-    written = exists().where(run.c.log_blob_id == blob.c.id)
-    return or_(exists().where(file.c.blob_id == blob.c.id), left, written, given)
+    by_file = exists().where(file.c.blob_id == blob.c.id)
+    is_input = exists().where(run_input.c.blob_id == blob.c.id, run.c.id == run_input.c.run_id, run.c.state.in_(ACTIVE))
+    is_artifact = exists().where(run_artifact.c.blob_id == blob.c.id)
+    is_log = exists().where(run.c.log_blob_id == blob.c.id)
+    return or_(by_file, is_artifact, is_log, is_input)
 
 
-def unread() -> ColumnElement[bool]:
-    """Say of a blob that nobody summarised it for ten minutes, or that we failed to read it a day ago."""
+def is_unread() -> ColumnElement[bool]:
+    """Return the condition that a blob has had no summary for ten minutes, or that reading it failed a day ago."""
     late = blob.c.summarised_at.is_(None) & (blob.c.created_at < func.now() - text("interval '10 minutes'"))
     failed = blob.c.content == ContentState.error.value
     again = failed & (blob.c.summarised_at < func.now() - text("interval '1 day'"))
     return late | again
 
 
-def unproven() -> ColumnElement[bool]:
-    """Say of a blob that nobody has proven it for ten minutes."""
+def is_unverified() -> ColumnElement[bool]:
+    """Return the condition that a blob arrived over ten minutes ago and is not verified yet."""
     late = blob.c.created_at < func.now() - text("interval '10 minutes'")
     return (blob.c.state == BlobState.stored.value) & late
 
 
-# How many old proofs wait to be made anew.
-WAITING_AT_LEISURE = text(
-    "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'prove_blob' AND status = 'todo' AND priority < 0"
+COUNT_REVERIFICATIONS = text(
+    "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'verify_blob' AND status = 'todo' AND priority < 0"
 )
 
 
-def wanted_by_state() -> Select[Any]:
-    """Return number and bytes of blobs by state; of the lost and corrupt, those that something still refers to."""
-    said = (blob.c.state, func.count().label("number"), func.coalesce(func.sum(blob.c.size_bytes), 0))
-    well = blob.c.state.in_((BlobState.stored.value, BlobState.proven.value))
-    stmt = select(*said[:2], said[2].label("size_bytes")).where(blob.c.doomed_at.is_(None), or_(well, is_referred()))
-    return stmt.group_by(blob.c.state).order_by(blob.c.state)
+def counts_by_state() -> Select[Any]:
+    """Select number and bytes of blobs by state; of damaged blobs, only those that something still refers to."""
+    total = func.coalesce(func.sum(blob.c.size_bytes), 0).label("size_bytes")
+    is_sound = blob.c.state.in_((BlobState.stored.value, BlobState.verified.value))
+    statement = select(blob.c.state, func.count().label("number"), total)
+    statement = statement.where(blob.c.doomed_at.is_(None), or_(is_sound, is_referenced()))
+    return statement.group_by(blob.c.state).order_by(blob.c.state)
 
 
-def oldest_proof() -> Select[Any]:
-    """Return when the blob was proven whose proof is the oldest."""
-    proven = (blob.c.state == BlobState.proven.value, blob.c.doomed_at.is_(None))
-    return select(func.min(blob.c.proven_at)).where(*proven)
+def oldest_verification() -> Select[Any]:
+    """Return the oldest `verified_at` of all blobs."""
+    verified = (blob.c.state == BlobState.verified.value, blob.c.doomed_at.is_(None))
+    return select(func.min(blob.c.verified_at)).where(*verified)
 
 
-def proven_before(at: ColumnElement[datetime.datetime]) -> Select[Any]:
-    """Return ids of the blobs whose proof is older, the oldest first."""
-    old = (blob.c.state == BlobState.proven.value, blob.c.proven_at < at)
-    return select(blob.c.id).where(blob.c.doomed_at.is_(None), *old).order_by(blob.c.proven_at)
+def verified_before(at: ColumnElement[datetime.datetime]) -> Select[Any]:
+    """Select the ids of blobs that were verified before a time, the oldest first."""
+    old = (blob.c.state == BlobState.verified.value, blob.c.verified_at < at)
+    return select(blob.c.id).where(blob.c.doomed_at.is_(None), *old).order_by(blob.c.verified_at)
 
 
-def kept_between(
+def expected_between(
     store_id: str, after: str, until: str | None, *, since_before: datetime.datetime, limit: int
 ) -> Select[Any]:
-    """Return blobs with keys above `after` up to `until` (None: to the last), by key: what a list of them must show.
+    """Select, as `ExpectedBlob`, blobs with keys above `after` up to `until` (None: the last), ordered by key.
 
-    Not those that came at `since_before` or later, which it need not, nor the doomed, which it must not. Keys are
-    compared by their bytes, as stores list them, whatever the database's collation; an index does the same.
+    Blobs that arrived at `since_before` or later are left out, since the listing may have passed their place, and so
+    are blobs marked for deletion. Keys are compared by their bytes, as stores list them, whatever the database's
+    collation; an index does the same.
     """
-    kept = select(blob.c.id, blob.c.key, blob.c.size_bytes, blob.c.state)
-    kept = kept.where(blob.c.store_id == store_id, blob.c.doomed_at.is_(None), blob.c.created_at < since_before)
-    kept = kept.where(blob.c.key.op("~>~", is_comparison=True)(after))
+    expected = select(blob.c.id, blob.c.key, blob.c.size_bytes, blob.c.state)
+    expected = expected.where(blob.c.store_id == store_id, blob.c.doomed_at.is_(None))
+    expected = expected.where(blob.c.created_at < since_before, blob.c.key.op("~>~", is_comparison=True)(after))
     if until is not None:
-        kept = kept.where(blob.c.key.op("~<=~", is_comparison=True)(until))
-    return kept.order_by(text("blob.key USING ~<~")).limit(limit)
+        expected = expected.where(blob.c.key.op("~<=~", is_comparison=True)(until))
+    return expected.order_by(text("blob.key USING ~<~")).limit(limit)
 
 
 def unknown_among(store_id: str, keys: Collection[str]) -> Select[Any]:
-    """Return how many of some keys no row of ours holds."""
+    """Select how many of these keys no row of the database has."""
     key = func.unnest(literal([*keys], ARRAY(Text))).column_valued("key")
     ours = [exists().where(table.c.store_id == store_id, table.c.key == key) for table in (blob, upload, log_chunk)]
     return select(func.count(key)).where(~or_(*ours))

@@ -1,6 +1,6 @@
-"""What this process hears of changes and passes on to its streams: by one connection, however many streams there are.
+"""Distributes the changes that PostgreSQL announces (LISTEN) to the streams and long polls of this process.
 
-Holds some thousand notices in memory, and no database connection for a stream. Decides nothing about rights.
+Uses one database connection for all of them and keeps the last events in memory. Does not check rights.
 """
 
 import asyncio
@@ -20,17 +20,16 @@ from kleinkram.server.change_events import CHANNEL, EVERYTHING, ChangeEvent, rea
 from kleinkram.server.settings import Settings, plain_dsn
 
 _log = logging.getLogger("kleinkram.events")
-MOST_STREAMS = 16
-_MOST_STREAMS_OF_ALL = 1000
-# Requests that wait for something to happen (long polls): of one account or runner, and of all together.
-MOST_LONG_POLLS = 32
-_MOST_LONG_POLLS_OF_ALL = 1000
-MOST_WAITING = 500
-# What a client that comes back after a moment is told of the time between.
-_REMEMBERED = 2000
-_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 5.0
-# A peer that is gone without a word is noticed after 30 s; what it would have told was missed.
-_WAITING: dict[str, str | int] = {
+MAX_STREAMS_PER_PERSON = 16
+_MAX_STREAMS = 1000
+MAX_LONG_POLLS_PER_ACCOUNT = 32
+_MAX_LONG_POLLS = 1000
+MAX_PENDING = 500
+# Events that are kept for clients that reconnect.
+_HISTORY_LENGTH = 2000
+_MIN_RECONNECT_S, _MAX_RECONNECT_S = 0.1, 5.0
+# With these keepalives, a dead connection is eventd after 30 s.
+_CONNECTION: dict[str, str | int] = {
     "application_name": "kleinkram events",
     "connect_timeout": 5,
     "keepalives_idle": 15,
@@ -40,209 +39,211 @@ _WAITING: dict[str, str | int] = {
 
 
 @dataclass(frozen=True)
-class Heard:
-    """What a stream has to tell: notices, or that there were more than it could wait with. `until` is its place."""
+class PendingEvents:
+    """The events that a stream has not sent yet; `has_overflowed` if there were too many to keep."""
 
-    notices: list[ChangeEvent]
-    until: str
-    was_too_much: bool
+    events: list[ChangeEvent]
+    last_event_id: str
+    has_overflowed: bool
     was_missed: bool
 
 
 @dataclass(frozen=True)
-class Topic:
-    """Which changes wake a listener: those of these nouns and, with `noun_id`, of this one or of several at once."""
+class EventFilter:
+    """Events of these nouns and, with `noun_id`, of this object or of several objects at once."""
 
     nouns: frozenset[str]
     noun_id: uuid.UUID | None = None
 
-    def includes(self, notice: ChangeEvent) -> bool:
-        """Whether the listener is to be woken by this change."""
-        return notice.noun in self.nouns and (None in (self.noun_id, notice.id) or notice.id == self.noun_id)
+    def includes(self, event: ChangeEvent) -> bool:
+        """Whether an event passes the filter."""
+        return event.noun in self.nouns and (None in (self.noun_id, event.id) or event.id == self.noun_id)
 
 
-class Listener:
-    """What one stream or long poll has heard and not told yet; bounded."""
+class EventSubscription:
+    """The bounded queue of events of one stream or long poll."""
 
-    def __init__(self, topic: Topic | None = None) -> None:
-        self._topic = topic
-        self._waiting: dict[ChangeEvent, None] = {}
-        self._was_too_much = False
+    def __init__(self, event_filter: EventFilter | None = None) -> None:
+        self._filter = event_filter
+        self._pending: dict[ChangeEvent, None] = {}
+        self._has_overflowed = False
         self._was_missed = False
-        self._woken = asyncio.Event()
+        self._wakeup = asyncio.Event()
 
-    def hear(self, notice: ChangeEvent) -> None:
-        """Keep a notice until it is told; the same one again changes nothing."""
-        if self._topic is not None and not self._topic.includes(notice):
+    def add(self, event: ChangeEvent) -> None:
+        """Add an event that passes the filter; a duplicate is ignored."""
+        if self._filter is not None and not self._filter.includes(event):
             return
-        if not self._was_too_much and not self._was_missed:
-            self._waiting[notice] = None
-            if len(self._waiting) > MOST_WAITING:
-                self._waiting.clear()
-                self._was_too_much = True
-        self._woken.set()
+        if not self._has_overflowed and not self._was_missed:
+            self._pending[event] = None
+            if len(self._pending) > MAX_PENDING:
+                self._pending.clear()
+                self._has_overflowed = True
+        self._wakeup.set()
 
-    def miss(self) -> None:
-        """Note that something may have happened which nobody can tell any more."""
-        self._waiting.clear()
+    def mark_missed(self) -> None:
+        """Record that events may have been missed."""
+        self._pending.clear()
         self._was_missed = True
-        self._woken.set()
+        self._wakeup.set()
 
     def wake(self) -> None:
-        """End its waiting."""
-        self._woken.set()
+        """End `wait`."""
+        self._wakeup.set()
 
-    def take(self, until: str) -> Heard:
-        """Return what waits, and wait for more."""
-        heard = Heard(list(self._waiting), until, self._was_too_much, self._was_missed)
-        self._waiting.clear()
-        self._was_too_much = self._was_missed = False
-        self._woken.clear()
-        return heard
+    def take(self, last_event_id: str) -> PendingEvents:
+        """Return and clear the pending events."""
+        pending = PendingEvents(list(self._pending), last_event_id, self._has_overflowed, self._was_missed)
+        self._pending.clear()
+        self._has_overflowed = self._was_missed = False
+        self._wakeup.clear()
+        return pending
 
-    async def wait(self, at_most_s: float) -> None:
-        """Wait until there is something to tell."""
+    async def wait(self, timeout_s: float) -> None:
+        """Wait until there are pending events."""
         with suppress(asyncio.TimeoutError):
-            await asyncio.wait_for(self._woken.wait(), at_most_s)
+            await asyncio.wait_for(self._wakeup.wait(), timeout_s)
 
 
 class Hub:
-    """All streams of this process."""
+    """All subscriptions of this process."""
 
     def __init__(self) -> None:
-        self._listeners: dict[Listener, uuid.UUID | None] = {}
-        self._long_polls: dict[Listener, uuid.UUID | None] = {}
-        self._remembered: deque[ChangeEvent] = deque(maxlen=_REMEMBERED)
+        self._streams: dict[EventSubscription, uuid.UUID | None] = {}
+        self._long_polls: dict[EventSubscription, uuid.UUID | None] = {}
+        self._history: deque[ChangeEvent] = deque(maxlen=_HISTORY_LENGTH)
         self._count = 0
-        self._era = secrets.token_hex(4)
-        self._over = asyncio.Event()
-        # So that streams that look whether they may tell something leave connections to everybody else.
-        self.looking = asyncio.Semaphore(2)
+        self._epoch = secrets.token_hex(4)
+        self._closed = asyncio.Event()
+        # Limits the database connections that streams use at the same time.
+        self.rights_checks = asyncio.Semaphore(2)
 
     @property
-    def is_over(self) -> bool:
-        """Whether all streams are to end."""
-        return self._over.is_set()
+    def is_closed(self) -> bool:
+        """Whether all streams must end."""
+        return self._closed.is_set()
 
     @property
-    def place(self) -> str:
-        """The id of the last event: a client that comes back with it is told what came after."""
-        return f"{self._era}-{self._count}"
+    def last_event_id(self) -> str:
+        """The id of the last event, with which a client continues."""
+        return f"{self._epoch}-{self._count}"
 
-    def see_that_one_more_may(self, person_id: uuid.UUID | None) -> None:
-        """See that somebody may open one more stream.
+    def require_free_stream(self, person_id: uuid.UUID | None) -> None:
+        """Check that a person may open one more stream.
 
         Raises:
-            TooManyStreams: they have as many as one person gets of a process, or all have.
+            TooManyStreams: the limit of the person or of the process is reached.
         """
-        own = Counter(self._listeners.values())[person_id]
-        if own >= MOST_STREAMS or len(self._listeners) >= _MOST_STREAMS_OF_ALL:
-            raise TooManyStreams(most=MOST_STREAMS)
+        own = Counter(self._streams.values())[person_id]
+        if own >= MAX_STREAMS_PER_PERSON or len(self._streams) >= _MAX_STREAMS:
+            raise TooManyStreams(limit=MAX_STREAMS_PER_PERSON)
 
     @contextmanager
-    def listening(self, person_id: uuid.UUID | None, *, after: str | None) -> Iterator[Listener]:
-        """Hear what changes from now on, and what changed since the event `after` where that is still known."""
-        listener = Listener()
+    def subscribe(self, person_id: uuid.UUID | None, *, after: str | None) -> Iterator[EventSubscription]:
+        """Subscribe a stream to all events, including those after the event `after` if they are still known."""
+        subscription = EventSubscription()
         if after is not None:
-            for notice in self._since(after, listener):
-                listener.hear(notice)
-        self._listeners[listener] = person_id
+            self._replay(after, subscription)
+        self._streams[subscription] = person_id
         try:
-            yield listener
+            yield subscription
         finally:
-            del self._listeners[listener]
+            del self._streams[subscription]
 
     @contextmanager
-    def long_poll(self, account_id: uuid.UUID | None, topic: Topic) -> Iterator[Listener]:
-        """Hear what changes of a topic from now on, in a request that waits for it.
+    def long_poll(self, account_id: uuid.UUID | None, event_filter: EventFilter) -> Iterator[EventSubscription]:
+        """Subscribe a request that waits for an event.
 
         Raises:
-            TooManyStreams: as many requests wait as one account gets of a process, or as all get together.
+            TooManyStreams: the limit of the account or of the process is reached.
         """
         own = Counter(self._long_polls.values())[account_id]
-        if own >= MOST_LONG_POLLS or len(self._long_polls) >= _MOST_LONG_POLLS_OF_ALL:
-            raise TooManyStreams(most=MOST_LONG_POLLS)
-        listener = Listener(topic)
-        self._long_polls[listener] = account_id
+        if own >= MAX_LONG_POLLS_PER_ACCOUNT or len(self._long_polls) >= _MAX_LONG_POLLS:
+            raise TooManyStreams(limit=MAX_LONG_POLLS_PER_ACCOUNT)
+        subscription = EventSubscription(event_filter)
+        self._long_polls[subscription] = account_id
         try:
-            yield listener
+            yield subscription
         finally:
-            del self._long_polls[listener]
+            del self._long_polls[subscription]
 
-    async def next_change(self, listener: Listener, *, at_most_s: float) -> None:
-        """Wait until something of a long poll's topic changed, or may have; until all is over; or until the time is."""
-        if not self.is_over:
-            await listener.wait(at_most_s)
-            listener.take(self.place)
+    async def next_event(self, subscription: EventSubscription, *, timeout_s: float) -> None:
+        """Wait until a long poll has, or may have missed, an event, the hub closes, or the time is over."""
+        if not self.is_closed:
+            await subscription.wait(timeout_s)
+            subscription.take(self.last_event_id)
 
     @property
-    def _all_listeners(self) -> list[Listener]:
-        return [*self._listeners, *self._long_polls]
+    def _subscriptions(self) -> list[EventSubscription]:
+        return [*self._streams, *self._long_polls]
 
-    def end(self) -> None:
-        """End all streams, soon."""
-        self._over.set()
-        for listener in self._all_listeners:
-            listener.wake()
+    def close(self) -> None:
+        """Make all streams end."""
+        self._closed.set()
+        for subscription in self._subscriptions:
+            subscription.wake()
 
-    async def rest(self, seconds: float) -> None:
-        """Let some time pass, unless all is over."""
+    async def sleep(self, seconds: float) -> None:
+        """Wait until the time is over or the hub closes."""
         with suppress(asyncio.TimeoutError):
-            await asyncio.wait_for(self._over.wait(), max(0.0, seconds))
+            await asyncio.wait_for(self._closed.wait(), max(0.0, seconds))
 
-    def take_in(self, said: str) -> None:
-        """Pass on what PostgreSQL told."""
-        if said == EVERYTHING:
-            self.begin_anew()
+    def receive(self, payload: str) -> None:
+        """Add an announced event to all subscriptions."""
+        if payload == EVERYTHING:
+            self.reset()
             return
-        notice = read_event(said)
+        event = read_event(payload)
         self._count += 1
-        self._remembered.append(notice)
-        for listener in self._all_listeners:
-            listener.hear(notice)
+        self._history.append(event)
+        for subscription in self._subscriptions:
+            subscription.add(event)
 
-    def begin_anew(self) -> None:
-        """Note that something may have been missed: nobody is told of the time before."""
-        self._era = secrets.token_hex(4)
-        self._remembered.clear()
-        for listener in self._all_listeners:
-            listener.miss()
+    def reset(self) -> None:
+        """Forget all events, because some may have been missed."""
+        self._epoch = secrets.token_hex(4)
+        self._history.clear()
+        for subscription in self._subscriptions:
+            subscription.mark_missed()
 
-    def _since(self, after: str, listener: Listener) -> list[ChangeEvent]:
-        era, _, number = after.partition("-")
-        behind = self._count - int(number) if era == self._era and number.isdecimal() else -1
-        if 0 <= behind <= len(self._remembered):
-            return list(self._remembered)[len(self._remembered) - behind :]
-        listener.miss()
-        return []
+    def _replay(self, after: str, subscription: EventSubscription) -> None:
+        epoch, _, number = after.partition("-")
+        behind = self._count - int(number) if epoch == self._epoch and number.isdecimal() else -1
+        if not 0 <= behind <= len(self._history):
+            subscription.mark_missed()
+            return
+        for event in list(self._history)[len(self._history) - behind :]:
+            subscription.add(event)
 
 
 @asynccontextmanager
 async def open_hub(settings: Settings) -> AsyncIterator[Hub]:
-    """Listen for as long as a process serves."""
+    """Open the hub of a process and listen for events."""
     hub = Hub()
-    dsn = make_conninfo(plain_dsn(settings.database_url), **_WAITING)
-    task = asyncio.create_task(_keep_hearing(hub, dsn))
+    dsn = make_conninfo(plain_dsn(settings.database_url), **_CONNECTION)
+    task = asyncio.create_task(_listen(hub, dsn))
     try:
         yield hub
     finally:
-        hub.end()
+        hub.close()
         task.cancel()
         with suppress(asyncio.CancelledError):
             await task
 
 
-async def _keep_hearing(hub: Hub, dsn: str) -> None:
-    pause_s = _FIRST_PAUSE_S
+async def _listen(hub: Hub, dsn: str) -> None:
+    pause_s = _MIN_RECONNECT_S
     while True:
         try:
             async with await psycopg.AsyncConnection.connect(dsn, autocommit=True) as connection:
                 await connection.execute(f"LISTEN {CHANNEL}")
-                hub.begin_anew()
-                pause_s = _FIRST_PAUSE_S
-                async for notify in connection.notifies():
-                    hub.take_in(notify.payload)
+                hub.reset()
+                pause_s = _MIN_RECONNECT_S
+                async for notification in connection.notifies():
+                    hub.receive(notification.payload)
         except psycopg.Error as error:
-            _log.warning("changes not heard", extra={"fields": {"reason": type(error).__name__, "pause_s": pause_s}})
+            _log.warning(
+                "not listening for changes", extra={"fields": {"reason": type(error).__name__, "pause_s": pause_s}}
+            )
         await asyncio.sleep(pause_s)
-        pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
+        pause_s = min(2 * pause_s, _MAX_RECONNECT_S)

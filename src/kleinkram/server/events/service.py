@@ -1,130 +1,146 @@
-"""One stream of events: who may know of a change is asked when it is told, of whoever they are by then.
+"""Event streams: the changes that their reader may see, as text/event-stream.
 
-Holds no database connection while it waits. What it says is text/event-stream.
+Rights are checked when an event is sent, with the reader's rights at that moment. A stream holds no database
+connection while it waits.
 
 Source: HTML Standard, "Server-sent events".
 """
 
 import time
+import uuid
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from pydantic import BaseModel
 
 from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.contract.events import Change, Refetch, RefetchReason
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import standing
+from kleinkram.server.access.visible import reached_missions, reached_projects, standing
 from kleinkram.server.change_events import ChangeEvent, merge_events
-from kleinkram.server.db import Connection, Database
-from kleinkram.server.events import queries
-from kleinkram.server.events.hub import Heard, Hub, Listener
+from kleinkram.server.db import Connection, Database, among
+from kleinkram.server.events.hub import EventSubscription, Hub, PendingEvents
+from kleinkram.server.tables import mission, project
 
-# Who somebody is, found anew from what they came with; None once that is not good any more.
-FindAgain = Callable[[Connection], Awaitable[Actor | None]]
-HEARTBEAT_S = 15.0
-# How late it is noticed that rights ended by themselves; what somebody ended is noticed at once.
-LOOK_S = 5.0
-_GAP_S = 0.5
+Reauthenticate = Callable[[Connection], Awaitable[Actor | None]]
+"""Finds the actor of a request again; None once their credential is no longer valid."""
+KEEP_ALIVE_S = 15.0
+# How late the end of rights by expiry is noticed; a revocation is noticed at once.
+RIGHTS_CHECK_S = 5.0
+_MIN_INTERVAL_S = 0.5
 _RETRY_MS = 2000
-# Files of one mission told one by one; more are told as "files of it".
-_MOST_ALIKE = 20
+# More changes of files in one mission than this are sent as one.
+_MAX_ALIKE = 20
 
 
 @dataclass(frozen=True)
-class Watch:
-    """What a stream is made from: where it hears, who listens, and after which event it goes on."""
+class EventStream:
+    """The parameters of one stream. It continues after the event with the id `after`."""
 
     hub: Hub
     database: Database
-    find: FindAgain
+    authenticate: Reauthenticate
     after: str | None
     for_s: float
 
 
-@dataclass(frozen=True)
-class _Seen:
+class _Output(NamedTuple):
     rights: str | None
-    said: str
+    text: str
 
 
-async def watch(asked: Watch, actor: Actor) -> AsyncIterator[str]:
-    """Yield pieces of a stream, until it was long enough, the server stops, or whoever listens may not any more."""
-    hub = asked.hub
-    ends_at = time.monotonic() + asked.for_s
+async def stream_events(stream: EventStream, actor: Actor) -> AsyncIterator[str]:
+    """Yield the text of a stream until its time is over, the server stops, or the reader's credential ends."""
+    hub = stream.hub
+    ends_at = time.monotonic() + stream.for_s
     rights: str | None = None
-    with hub.listening(actor.person_id, after=asked.after) as listener:
-        opening = f"retry: {_RETRY_MS}\nid: {asked.after or hub.place}\n\n"
-        spoke_at = time.monotonic()
+    with hub.subscribe(actor.person_id, after=stream.after) as subscription:
+        opening = f"retry: {_RETRY_MS}\nid: {stream.after or hub.last_event_id}\n\n"
+        sent_at = time.monotonic()
         while True:
-            looked_at = time.monotonic()
-            seen = await _look(asked, listener, rights)
-            if seen is None:
+            checked_at = time.monotonic()
+            output = await _take_output(stream, subscription, rights)
+            if output is None:
                 return
-            rights = seen.rights
-            if opening or seen.said or time.monotonic() - spoke_at >= HEARTBEAT_S:
-                yield opening + seen.said or ": still here\n\n"
+            rights = output.rights
+            if opening or output.text or time.monotonic() - sent_at >= KEEP_ALIVE_S:
+                yield opening + output.text or ": keep-alive\n\n"
                 opening = ""
-                spoke_at = time.monotonic()
-            if time.monotonic() >= ends_at or hub.is_over:
+                sent_at = time.monotonic()
+            if time.monotonic() >= ends_at or hub.is_closed:
                 return
-            await listener.wait(min(LOOK_S, ends_at - time.monotonic()))
-            await hub.rest(min(looked_at + _GAP_S, ends_at) - time.monotonic())
+            await subscription.wait(min(RIGHTS_CHECK_S, ends_at - time.monotonic()))
+            await hub.sleep(min(checked_at + _MIN_INTERVAL_S, ends_at) - time.monotonic())
 
 
-async def _look(asked: Watch, listener: Listener, rights: str | None) -> _Seen | None:
-    """Return what is to be said, by the rights of this moment; None where there are none any more."""
-    async with asked.hub.looking:
-        heard = listener.take(asked.hub.place)
+async def _take_output(stream: EventStream, subscription: EventSubscription, rights: str | None) -> _Output | None:
+    """Return what to send, by the current rights; None if the credential is no longer valid."""
+    async with stream.hub.rights_checks:
+        pending = subscription.take(stream.hub.last_event_id)
         try:
-            async with asked.database.begin() as db:
-                actor = await asked.find(db)
+            async with stream.database.begin() as db:
+                actor = await stream.authenticate(db)
                 if actor is None:
                     return None
-                rights_now = f"{actor.is_admin} {(await db.execute(standing(actor))).scalar_one()}"
-                changes = await _known(db, actor, heard.notices)
-        except DatabaseUnavailable:  # nothing is told that nobody could say is theirs to know
-            listener.miss()
-            await asked.hub.rest(_GAP_S)
-            return _Seen(rights, "")
-    reason = _reason(heard, is_other=rights is not None and rights != rights_now)
-    events: list[BaseModel] = [*([Refetch(reason=reason)] if reason else []), *changes]
-    said = "".join(f"event: {type(each).__name__.lower()}\ndata: {each.model_dump_json()}\n\n" for each in events)
-    return _Seen(rights_now, f"{said}id: {heard.until}\n\n" if said else "")
+                current_rights = f"{actor.is_admin} {(await db.execute(standing(actor))).scalar_one()}"
+                changes = await _visible_changes(db, actor, pending.events)
+        except DatabaseUnavailable:  # rights cannot be checked, so nothing is sent
+            subscription.mark_missed()
+            await stream.hub.sleep(_MIN_INTERVAL_S)
+            return _Output(rights, "")
+    reason = _refetch_reason(pending, have_rights_changed=rights not in (None, current_rights))
+    messages: list[BaseModel] = [*([Refetch(reason=reason)] if reason else []), *changes]
+    text = "".join(
+        f"event: {type(message).__name__.lower()}\ndata: {message.model_dump_json()}\n\n" for message in messages
+    )
+    return _Output(current_rights, f"{text}id: {pending.last_event_id}\n\n" if text else "")
 
 
-def _reason(heard: Heard, *, is_other: bool) -> RefetchReason | None:
-    if is_other:
+def _refetch_reason(pending: PendingEvents, *, have_rights_changed: bool) -> RefetchReason | None:
+    if have_rights_changed:
         return RefetchReason.rights
-    if heard.was_missed:
+    if pending.was_missed:
         return RefetchReason.missed
-    return RefetchReason.behind if heard.was_too_much else None
+    return RefetchReason.behind if pending.has_overflowed else None
 
 
-async def _known(db: Connection, actor: Actor, notices: Sequence[ChangeEvent]) -> list[Change]:
-    missions = {each.mission_id for each in notices if each.mission_id is not None}
-    projects = {each.project_id for each in notices if each.project_id is not None}
-    of_mission = {}
-    if missions:
-        rows = await db.execute(queries.known_missions(actor, missions))
-        of_mission = {row.id: row.project_id for row in rows}
-    known = set((await db.execute(queries.known_projects(actor, projects))).scalars()) if projects else set()
-    told = [
+async def _visible_changes(db: Connection, actor: Actor, events: Sequence[ChangeEvent]) -> list[Change]:
+    missions = await _visible_missions(db, actor, {event.mission_id for event in events if event.mission_id})
+    projects = await _visible_projects(db, actor, {event.project_id for event in events if event.project_id})
+    changes = [
         Change(
-            noun=each.noun,
-            change=each.change,
-            id=each.id,
-            project_id=each.project_id or of_mission.get(each.mission_id),
-            mission_id=each.mission_id,
+            noun=event.noun,
+            change=event.change,
+            id=event.id,
+            project_id=event.project_id or (missions.get(event.mission_id) if event.mission_id else None),
+            mission_id=event.mission_id,
         )
-        for each in merge_events(notices, max_alike=_MOST_ALIKE)
-        if each.mission_id in of_mission or each.project_id in known or _is_own(actor, each)
+        for event in merge_events(events, max_alike=_MAX_ALIKE)
+        if event.mission_id in missions or event.project_id in projects or _is_visible_outside_projects(actor, event)
     ]
-    return list(dict.fromkeys(told))
+    return list(dict.fromkeys(changes))
 
 
-def _is_own(actor: Actor, notice: ChangeEvent) -> bool:
-    """Say of something that is in no project, a session or a group, whether somebody did it themselves, or is admin."""
-    if notice.project_id is not None or notice.mission_id is not None or actor.limits is not None:
+async def _visible_missions(db: Connection, actor: Actor, mission_ids: set[uuid.UUID]) -> dict[uuid.UUID, uuid.UUID]:
+    """Return the project of each mission that the actor sees."""
+    if not mission_ids:
+        return {}
+    columns = (mission.c.id, mission.c.project_id)
+    stmt = reached_missions(actor).with_only_columns(*columns, maintain_column_froms=True)
+    rows = await db.execute(stmt.where(among(mission.c.id, mission_ids)))
+    return {row.id: row.project_id for row in rows}
+
+
+async def _visible_projects(db: Connection, actor: Actor, project_ids: set[uuid.UUID]) -> set[uuid.UUID]:
+    if not project_ids:
+        return set()
+    stmt = reached_projects(actor).with_only_columns(project.c.id)
+    return set((await db.execute(stmt.where(among(project.c.id, project_ids)))).scalars())
+
+
+def _is_visible_outside_projects(actor: Actor, event: ChangeEvent) -> bool:
+    """Whether a change of e.g. a session or group was made by the actor, or the actor is an admin."""
+    if event.project_id is not None or event.mission_id is not None or actor.limits is not None:
         return False
-    return actor.is_admin or (notice.by_id is not None and notice.by_id == actor.person_id)
+    return actor.is_admin or (event.by_id is not None and event.by_id == actor.person_id)

@@ -30,22 +30,16 @@ from kleinkram.contract.files import FileFilter, FileRead, FileSort
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import (
-    add_up_missions,
-    file_is_visible,
-    files_by_time,
-    files_of_seen,
     joined_files,
-    missions_by_project,
     visible_files,
     visible_missions,
 )
-from kleinkram.server.access.whoever import KEPT
-from kleinkram.server.db import among, among_given, by_name
-from kleinkram.server.files.topics import TOPIC_ORDER, topic_rows
-from kleinkram.server.filters.asked import Asked
-from kleinkram.server.filters.files import narrow_files, narrow_walked
+from kleinkram.server.db import among, by_name
+from kleinkram.server.files.topics import topic_rows
+from kleinkram.server.filters.files import filter_files, filter_files_in_order
+from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
 from kleinkram.server.missions.amounts import file_amounts
-from kleinkram.server.pages import Listed, Order, PageRequest, list_of, page_of
+from kleinkram.server.paging import Order
 from kleinkram.server.tables import blob, file, mission, person, project, run, run_artifact, run_input, topic
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
@@ -80,7 +74,7 @@ _COLUMNS: tuple[ColumnElement[Any], ...] = (
             "sha256",
             "md5",
             "crc64nvme",
-            "proven_at",
+            "verified_at",
             "damaged_at",
             "summarised_at",
             "message_count",
@@ -135,10 +129,9 @@ def _hex(digest: bytes | None) -> str | None:
     return None if digest is None else digest.hex()
 
 
-@functools.lru_cache(maxsize=KEPT)
-def files_by_id(asker: Actor) -> Select[Any]:
-    """Return the visible files among `file_ids`."""
-    return _rows_of_all().where(file_is_visible(asker), among_given(file.c.id, "file_ids"))
+def files_by_id(actor: Actor, file_ids: Collection[uuid.UUID]) -> Select[Any]:
+    """Return those of some files that are visible, as `to_files` reads them."""
+    return file_rows(visible_files(actor)).where(among(file.c.id, file_ids))
 
 
 def ids_among(actor: Actor, file_ids: Collection[uuid.UUID], right: Right) -> Select[Any]:
@@ -156,57 +149,19 @@ def own_fresh_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
     return stmt if actor.run_id is None else stmt.where(false())
 
 
-@functools.lru_cache(maxsize=KEPT)
-def listed(asked: Asked[FileFilter], sort: FileSort, page: PageRequest) -> Listed:
-    """Return the list of the visible files that match, as `to_files` reads them, for all pages `alike`."""
-    return _list(asked, narrow_files(asked.actor, visible_files(asked.actor), asked.matching), sort, page)
-
-
-@functools.lru_cache(maxsize=KEPT)
-def listed_walked(asked: Asked[FileFilter], sort: FileSort, page: PageRequest, *, finds_many: bool) -> Listed:
-    """Return the same where a list `is_walk`: nothing is looked up of more than are met on the way."""
-    narrow = narrow_walked if finds_many else narrow_files
-    return _list(asked, narrow(asked.actor, files_by_time(asked.actor), asked.matching), sort, page)
-
-
-@functools.lru_cache(maxsize=KEPT)
-def listed_ahead(asked: Asked[FileFilter], sort: FileSort, page: PageRequest) -> Listed:
-    """Return those that lie in `ahead`: missions that this very request has found among the visible ones."""
-    return _list(asked, narrow_files(asked.actor, files_of_seen(asked.actor, "ahead"), asked.matching), sort, page)
-
-
-def _list(asked: Asked[FileFilter], found: Select[Any], sort: FileSort, page: PageRequest) -> Listed:
-    return list_of(found, file_order(asked.actor, sort), page, described=rows_of_found)
-
-
-def is_walk(sort: FileSort) -> bool:
-    """Say of an order whether an index has it, so that a list stops where its page is full."""
-    return sort in _WALKS
-
-
-@functools.lru_cache(maxsize=KEPT)
-def page_of_found(asked: Asked[FileFilter], sort: FileSort, *, limit: int) -> Select[Any]:
-    """Return the first page of the visible files that match, as `to_files` reads them."""
-    narrow = narrow_walked if asked.actor.looked.finds_many and is_walk(sort) else narrow_files
-    found = narrow(asked.actor, visible_files(asked.actor), asked.matching)
-    if asked.actor.looked.is_untimed and sort is FileSort.start_desc:
-        # They come last: what comes before them need not be walked.
-        found = found.where(func.coalesce(file.c.start_ns, literal(_FIRST, BigInteger)) == _FIRST)
-    return page_of(found, file_order(asked.actor, sort), limit=limit, described=rows_of_found)
-
-
-def file_order(actor: Actor, sort: FileSort) -> Order:
-    """Return a list's order. Files without a time come last, whichever way the list runs."""
-    return _order(sort, is_walked=actor.few_mission_ids is None and not actor.looked.finds_few)
-
-
-def sorted_order(sort: FileSort) -> Order:
-    """Return the order of a list that is sorted, rather than walked in its order."""
-    return _order(sort, is_walked=False)
+def matching_files(actor: Actor, matching: FileFilter, plan: SearchPlan = NO_PLAN) -> Select[Any]:
+    """Return the visible files that match: to be counted, or read with `rows_of_found`."""
+    narrow = filter_files_in_order if plan.is_common else filter_files
+    return narrow(actor, visible_files(actor), matching, plan)
 
 
 @functools.cache
-def _order(sort: FileSort, *, is_walked: bool) -> Order:
+def file_order(sort: FileSort, *, by_index: bool = True) -> Order:
+    """Return a list's order. Files without a time come last, whichever way the list runs.
+
+    Not `by_index` where few rows are to be sorted: PostgreSQL would read the index of times past nearly all files to
+    find them, and has no index of a sum with a time.
+    """
     descending = sort.value.startswith("-")
     key = sort.value.removeprefix("-")
     if key == "path":
@@ -215,40 +170,35 @@ def _order(sort: FileSort, *, is_walked: bool) -> Order:
     columns: dict[str, ColumnElement[Any]] = {
         "created": file.c.created_at,
         "size": blob.c.size_bytes,
-        # An index holds these times, but no sum with them: so it is left alone where only a few missions are seen, or
-        # few files found. The database would walk it past nearly all files to find these.
-        "start": start if is_walked else start + literal(0, BigInteger),
+        "start": start if by_index else start + literal(0, BigInteger),
     }
     return Order([columns[key], file.c.id], descending, name=f"files by {key}")
 
 
-@functools.lru_cache(maxsize=KEPT)
-def count_all(asker: Actor) -> Select[Any]:
+def count_all(actor: Actor) -> Select[Any]:
     """Return the number of all visible files, as their missions know it."""
-    return add_up_missions(asker, func.coalesce(func.sum(file_amounts(asker)[0]), 0))
+    number = func.coalesce(func.sum(file_amounts(actor)[0]), 0)
+    return visible_missions(actor).with_only_columns(number, maintain_column_froms=True)
 
 
-@functools.lru_cache(maxsize=KEPT)
-def missions_ahead(asked: Asked[FileFilter], *, descending: bool, goes_on: bool, limit: int) -> Select[Any]:
-    """Return the ids of the first missions of a list by path, from those named on with which a page begins."""
+def first_missions(
+    actor: Actor, project_id: uuid.UUID | None, *, after: Sequence[str] | None, descending: bool, limit: int
+) -> Select[Any]:
+    """Return the ids of the first visible missions by name of project and mission, from those named `after` on."""
     named = (project.c.name, mission.c.name)
-    stmt = missions_by_project(asked.actor).with_only_columns(mission.c.id, maintain_column_froms=True)
-    if asked.matching.project_id is not None:
-        stmt = stmt.where(project.c.id == asked.matching.project_id)
-    if goes_on:
-        after = [bindparam(f"after_{number}", type_=Text()) for number in range(len(named))]
-        place, row = tuple_(*after), tuple_(*named)
-        ahead = project.c.name <= after[0] if descending else project.c.name >= after[0]
-        stmt = stmt.where(ahead, row <= place if descending else row >= place)
+    stmt = visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True)
+    if project_id is not None:
+        stmt = stmt.where(project.c.id == project_id)
+    if after is not None:
+        place, row = tuple_(*map(literal, after)), tuple_(*named)
+        stmt = stmt.where(row <= place if descending else row >= place)
     in_order = [name.desc() if descending else name for name in (*named, mission.c.id)]
     return stmt.order_by(*in_order).limit(limit)
 
 
-@functools.lru_cache(maxsize=KEPT)
-def topics_of_file(asker: Actor, page: PageRequest) -> Listed:
-    """Return the list of the topics of the visible file `file_id`, and how densely their messages lie."""
-    of_file = visible_files(asker).where(file.c.id == bindparam("file_id"))
-    return list_of(topic_rows(of_file).add_columns(topic.c.density), TOPIC_ORDER, page)
+def topics_of_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
+    """Return the topics of a visible file, and how densely their messages lie."""
+    return topic_rows(visible_files(actor).where(file.c.id == file_id)).add_columns(topic.c.density)
 
 
 def runs_that_read(actor: Actor, file_id: uuid.UUID) -> Select[Any]:

@@ -17,10 +17,10 @@ from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.query import whole
 from kleinkram.contract.searching import FileQuery, FilesLabelled, LabelChange
 from kleinkram.contract.trash import Deleted
-from kleinkram.server.dependencies import CurrentActor, CurrentSite, Reading, Transaction
-from kleinkram.server.etags import IfMatch
-from kleinkram.server.files import labelling, service
-from kleinkram.server.pages import PageRequest
+from kleinkram.server.files import labels, service
+from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
+from kleinkram.server.http.etags import IfMatch
+from kleinkram.server.paging import PageRequest
 
 router = APIRouter(prefix="/api/v1", tags=["files"])
 
@@ -42,7 +42,7 @@ async def list_files(query: Annotated[FileListQuery, Query()], db: Reading, acto
 
 
 @router.post("/files/download", operation_id="download_files")
-async def download_files(wanted: DownloadRequest, context: CurrentSite, actor: CurrentActor) -> DownloadLinks:
+async def download_files(wanted: DownloadRequest, context: CurrentContext, actor: CurrentActor) -> DownloadLinks:
     """Return where to read the bytes of files; who asked is noted, and for what."""
     links = await service.link_files(context, actor, file_ids=wanted.file_ids, purpose=wanted.purpose)
     return DownloadLinks(items=links)
@@ -51,7 +51,7 @@ async def download_files(wanted: DownloadRequest, context: CurrentSite, actor: C
 @router.post("/files/labels", operation_id="label_files")
 async def label_files(change: LabelChange, db: Transaction, actor: CurrentActor) -> FilesLabelled:
     """Put labels on many files and take labels off them; says for each file how it went."""
-    return FilesLabelled(items=await labelling.label_files(db, actor, change=change))
+    return FilesLabelled(items=await labels.label_files(db, actor, change=change))
 
 
 @router.get("/files/{file_id}", operation_id="get_file")
@@ -86,7 +86,7 @@ async def list_file_topics(
     return await service.list_topics(db, actor, file_id=file_id, page=PageRequest(limit, cursor))
 
 
-@router.post("/files/{file_id}/prove", operation_id="prove_file", status_code=202)
-async def prove_file(file_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> FileRead:
-    """Have a file's bytes read again; its state and time of proof tell when that is done."""
-    return await service.prove_file(db, actor, file_id=file_id)
+@router.post("/files/{file_id}/verify", operation_id="verify_file", status_code=202)
+async def verify_file(file_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> FileRead:
+    """Verify the stored bytes again: the server reads all of them; `state` and `verified_at` change when it has."""
+    return await service.verify_file(db, actor, file_id=file_id)

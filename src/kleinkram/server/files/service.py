@@ -24,29 +24,27 @@ from kleinkram.contract.names import name_key
 from kleinkram.contract.paging import Page
 from kleinkram.contract.trash import Deleted
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.few import knowing_few
 from kleinkram.server.access.rights import require_mission
-from kleinkram.server.access.whoever import asking, whoever
 from kleinkram.server.audit.service import Event, record, record_all
-from kleinkram.server.blobs.service import prove_again
+from kleinkram.server.blobs.service import verify_again
 from kleinkram.server.context import AppContext
-from kleinkram.server.db import Connection
-from kleinkram.server.etags import require_match
+from kleinkram.server.db import Connection, among
 from kleinkram.server.files import queries
 from kleinkram.server.files.paths import check_path_free
-from kleinkram.server.files.topics import to_topics
-from kleinkram.server.filters.asked import asked_alike, values
-from kleinkram.server.filters.looking import meets_many
+from kleinkram.server.files.topics import TOPIC_ORDER, to_topics
+from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
+from kleinkram.server.http.etags import require_match
 from kleinkram.server.missions import service as missions
-from kleinkram.server.pages import Order, PageRequest, Rows, cut, fetch_listed, rows_after
+from kleinkram.server.paging import PageRequest, Rows, execute_after, fetch_page, values_after
 from kleinkram.server.quotas.service import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.shares.service import note_downloads
+from kleinkram.server.tables import file
 
 _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
 _BY_PATH = {FileSort.path, FileSort.path_desc}
-# Among the files of so many missions the first page is looked for.
-_MISSIONS_AHEAD = 64
+# The first page of a list by path is looked for among the files of so many missions.
+_FIRST_MISSIONS = 64
 _FETCHED = {FetchPurpose.download: "file.download", FetchPurpose.look: "file.look"}
 
 
@@ -66,8 +64,7 @@ async def read_visible_files(db: Connection, actor: Actor, file_ids: Collection[
 
 async def rows_by_id(db: Connection, actor: Actor, file_ids: Collection[uuid.UUID]) -> Sequence[Row[Any]]:
     """Return the rows of those of the files that are there for this actor, in no order."""
-    given = asking(actor) | {"file_ids": [*file_ids]}
-    return (await db.execute(queries.files_by_id(whoever(actor)), given)).all()
+    return (await db.execute(queries.files_by_id(actor, file_ids))).all()
 
 
 async def get_file(db: Connection, actor: Actor, file_id: uuid.UUID) -> FileRead:
@@ -80,7 +77,13 @@ async def get_file(db: Connection, actor: Actor, file_id: uuid.UUID) -> FileRead
 
 
 async def list_files(
-    db: Connection, actor: Actor, *, matching: FileFilter, sort: FileSort, page: PageRequest
+    db: Connection,
+    actor: Actor,
+    *,
+    matching: FileFilter,
+    sort: FileSort,
+    page: PageRequest,
+    plan: SearchPlan = NO_PLAN,
 ) -> Page[FileRead]:
     """Return a page of the files that match.
 
@@ -89,60 +92,39 @@ async def list_files(
         InvalidCursor: the cursor is not of this list.
     """
     if page.count and matching == FileFilter():
-        total = int((await db.execute(queries.count_all(whoever(actor)), asking(actor))).scalar_one())
+        total = int((await db.execute(queries.count_all(actor))).scalar_one())
         listed = await list_files(db, actor, matching=matching, sort=sort, page=replace(page, count=False))
         return listed.model_copy(update={"total": total})
-    rows = await _first_missions(db, actor, matching, sort, page) if sort in _BY_PATH else None
+    if plan is NO_PLAN and matching.mission_id is None:
+        plan = replace(NO_PLAN, mission_ids=await missions.find_visible_mission_ids(db, actor))
+    rows = None
+    if sort in _BY_PATH and not page.count and matching.mission_id is None and not plan.is_selective:
+        rows = await _page_of_first_missions(db, actor, matching, sort, page)
     if rows is None:
-        actor = await knowing_few(db, actor)
-        asked = asked_alike(actor, matching)
-        if queries.is_walk(sort) and not page.count and matching.mission_id is None and actor.few_mission_ids is None:
-            finds_many = await meets_many(db, matching)
-            wanted = queries.listed_walked(asked, sort, page.alike, finds_many=finds_many)
-        else:
-            wanted = queries.listed(asked, sort, page.alike)
-        rows = await fetch_listed(db, wanted, page, values(actor, matching))
+        matched = queries.matching_files(actor, matching, plan)
+        if plan.matched is not None:
+            matched = matched.where(among(file.c.id, plan.matched.first_ids))
+        order = queries.file_order(sort, by_index=not plan.is_selective)
+        rows = await fetch_page(db, matched, order, page, described=queries.rows_of_found)
     return Page(items=queries.to_files(rows.items), next=rows.next, total=rows.total)
 
 
-async def list_found(db: Connection, actor: Actor, *, found: FileFilter, sort: FileSort, limit: int) -> Page[FileRead]:
-    """Return the first page of the files that a search finds.
-
-    Raises:
-        InvalidQuery: a `where` cannot be used.
-    """
-    if sort in _BY_PATH and not actor.looked.finds_few:
-        return await list_files(db, actor, matching=found, sort=sort, page=PageRequest(limit))
-    given = values(actor, found)
-    if actor.looked.found is not None:
-        given["found_file_ids"] = actor.looked.found.first
-    page = queries.page_of_found(asked_alike(actor, found), sort, limit=limit)
-    rows = cut((await db.execute(page, given)).all(), queries.file_order(actor, sort), limit=limit, total=None)
-    return Page(items=queries.to_files(rows.items), next=rows.next, total=None)
-
-
-def sorted_order(sort: FileSort) -> Order:
-    """Return the order of a list that is sorted, rather than walked in its order."""
-    return queries.sorted_order(sort)
-
-
-async def _first_missions(
+async def _page_of_first_missions(
     db: Connection, actor: Actor, matching: FileFilter, sort: FileSort, page: PageRequest
 ) -> Rows | None:
-    """Return a page of a list by path where it lies in its first missions, so that the others' files are not sorted.
+    """Return a page of a list by path where the first missions fill it, so that the others' files are not sorted.
 
-    None where these do not fill it, or where the list is short.
+    None where they do not fill it, or where there are no more missions.
     """
-    if page.count or matching.mission_id is not None or actor.few_mission_ids is not None or actor.looked.finds_few:
-        return None
-    asked, given = asked_alike(actor, matching), values(actor, matching)
-    listed = queries.listed_ahead(asked, sort, page.alike)
-    ahead = queries.missions_ahead(
-        asked, descending=listed.order.descending, goes_on=page.goes_on, limit=_MISSIONS_AHEAD
+    order = queries.file_order(sort)
+    after = values_after(page, order)
+    first = queries.first_missions(
+        actor, matching.project_id, after=after and after[:2], descending=order.descending, limit=_FIRST_MISSIONS
     )
-    missions_of_page = [row.id for row in await rows_after(db, ahead, listed.order, page, given)]
-    rows = await fetch_listed(db, listed, page, given | {"ahead": missions_of_page})
-    return rows if rows.next is not None or len(missions_of_page) < _MISSIONS_AHEAD else None
+    mission_ids = [row.id for row in await execute_after(db, first, after)]
+    inside = queries.matching_files(actor, matching).where(among(file.c.mission_id, mission_ids))
+    rows = await fetch_page(db, inside, order, page, described=queries.rows_of_found)
+    return rows if rows.next is not None or len(mission_ids) < _FIRST_MISSIONS else None
 
 
 async def list_topics(db: Connection, actor: Actor, *, file_id: uuid.UUID, page: PageRequest) -> Page[TopicRead]:
@@ -151,8 +133,7 @@ async def list_topics(db: Connection, actor: Actor, *, file_id: uuid.UUID, page:
     Raises:
         NotFound: the file is not there, or not for this actor.
     """
-    topics = queries.topics_of_file(whoever(actor), page.alike)
-    rows = await fetch_listed(db, topics, page, asking(actor) | {"file_id": file_id})
+    rows = await fetch_page(db, queries.topics_of_file(actor, file_id), TOPIC_ORDER, page)
     if not rows.items:
         await _row(db, actor, file_id)
     return Page(items=to_topics(rows.items), next=rows.next, total=rows.total)
@@ -245,15 +226,15 @@ async def link_files(
     return [_link(context, row) for row in rows]
 
 
-async def prove_file(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> FileRead:
+async def verify_file(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> FileRead:
     """Have a file's bytes read again soon, and return the file as it is known now.
 
     Raises:
         NotFound: it is not there, or not for this actor.
     """
     row = await _row(db, actor, file_id)
-    await prove_again(db, row.blob_id)
-    await record(db, actor, _event("file.prove", row))
+    await verify_again(db, row.blob_id)
+    await record(db, actor, _event("file.verify", row))
     return queries.to_file(row)
 
 
@@ -323,7 +304,7 @@ def _changed(old: Row[Any], new: Row[Any]) -> tuple[Metadata, Metadata]:
 def _link(context: AppContext, row: Row[Any]) -> DownloadLink:
     expires_s = context.settings.download_url_s
     expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s)
-    url = context.storage.sign_read(row.key, path=row.path, expires_s=expires_s)
+    url = context.storage.sign_get(row.key, path=row.path, expires_s=expires_s)
     seen = queries.to_file(row)
     return DownloadLink(
         file_id=seen.id,

@@ -9,7 +9,7 @@ from kleinkram.contract.files import TopicRead
 from kleinkram.contract.topics import Density
 from kleinkram.recordings.density import unpack
 from kleinkram.server.db import by_name
-from kleinkram.server.pages import Order
+from kleinkram.server.paging import Order
 from kleinkram.server.tables import file, topic
 
 

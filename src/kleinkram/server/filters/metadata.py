@@ -23,8 +23,8 @@ _KEY_CHARACTERS = 100
 _Scalar = str | bool | int | float
 
 
-def condition(expression: str) -> ColumnElement[bool]:
-    """Return the condition that an expression stands for.
+def metadata_condition(expression: str) -> ColumnElement[bool]:
+    """Return the condition of a comparison.
 
     Raises:
         InvalidQuery: it is not a comparison, or its value cannot be compared that way.

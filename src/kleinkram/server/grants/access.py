@@ -40,7 +40,7 @@ from kleinkram.server.access.visible import (
     visible_projects,
 )
 from kleinkram.server.grants.queries import Place, grantee, grantee_name, to_grantee
-from kleinkram.server.pages import Order
+from kleinkram.server.paging import Order
 from kleinkram.server.tables import access_grant, access_group, membership, mission, person, project
 
 _member = person.alias("member")

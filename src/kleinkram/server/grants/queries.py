@@ -19,7 +19,7 @@ from kleinkram.server.access.visible import (
     visible_missions,
     visible_projects,
 )
-from kleinkram.server.pages import Order
+from kleinkram.server.paging import Order
 from kleinkram.server.tables import access_grant, access_group, mission, person, project
 
 # People whose own group a grantee's is, and whoever gave a grant.

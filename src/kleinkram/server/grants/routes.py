@@ -8,10 +8,10 @@ from pydantic import BaseModel, ConfigDict
 
 from kleinkram.contract.grants import AccessRead, GrantCreate, GrantOn, GrantRead, GrantUpdate
 from kleinkram.contract.paging import Cursor, Page, PageSize
-from kleinkram.server.dependencies import CurrentActor, Transaction
 from kleinkram.server.grants import service
 from kleinkram.server.grants.queries import Place
-from kleinkram.server.pages import PageRequest
+from kleinkram.server.http.dependencies import CurrentActor, Transaction
+from kleinkram.server.paging import PageRequest
 
 router = APIRouter(prefix="/api/v1", tags=["access"])
 

@@ -1,7 +1,7 @@
 """Giving, changing and taking rights.
 
 Nobody gives more, or for longer, than they hold themselves, nor touches a grant that is higher than what they hold.
-Whatever changes a grant begins with `hold_rights`.
+Whatever changes a grant begins with `lock_rights`.
 """
 
 import datetime
@@ -18,17 +18,17 @@ from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.paging import Page
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.belonging import email_group
+from kleinkram.server.access.email_groups import email_group
 from kleinkram.server.access.groups import own_group
-from kleinkram.server.access.owning import see_that_owners_stay
-from kleinkram.server.access.rights import hold_rights, require_mission, require_project
+from kleinkram.server.access.ownership import ensure_owner_remains
+from kleinkram.server.access.rights import lock_rights, require_mission, require_project
 from kleinkram.server.access.visible import visible_groups, visible_people
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection
 from kleinkram.server.grants import queries
 from kleinkram.server.grants.access import access_on, to_access
 from kleinkram.server.grants.queries import Place
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.tables import access_grant, access_group, person
 
 
@@ -146,7 +146,7 @@ async def revoke(db: Connection, actor: Actor, *, place: Place, grant_id: uuid.U
 
 
 async def _standing(db: Connection, actor: Actor, operation: str, place: Place) -> Standing:
-    await hold_rights(db)
+    await lock_rights(db)
     await _require(db, actor, operation, place)
     row = (await db.execute(queries.place_seen(actor, place))).one()
     return Standing(place, row.project_id, row.level)
@@ -196,13 +196,13 @@ async def _see_that_it_is_theirs_to_give(
     lasting = (await db.execute(queries.level_until(actor, standing.place, expires_at))).scalar_one()
     if right.level > lasting:
         until = "without an end" if expires_at is None else f"until {expires_at:%Y-%m-%d %H:%M} UTC"
-        held = Right.of_level(standing.level).value + ("" if right.level > standing.level else ", not as long")
-        raise RightExceeded(noun=standing.place.on.value, wanted=f"{right.value} {until}", held=held)
+        own = Right.of_level(standing.level).value + ("" if right.level > standing.level else ", not as long")
+        raise RightExceeded(noun=standing.place.on.value, requested=f"{right.value} {until}", own=own)
 
 
 async def _see_owners(db: Connection, place: Place) -> None:
     if place.on is GrantOn.project:
-        await see_that_owners_stay(db, [place.id])
+        await ensure_owner_remains(db, [place.id])
 
 
 async def _record(db: Connection, actor: Actor, standing: Standing, operation: str, change: Change) -> None:

@@ -15,8 +15,8 @@ from sqlalchemy.exc import IntegrityError
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
 from kleinkram.contract.rights import GroupKind, Right
-from kleinkram.server.access.owning import hand_over, owned_by_groups
-from kleinkram.server.access.rights import hold_rights
+from kleinkram.server.access.ownership import give_to_admins, owned_by_groups
+from kleinkram.server.access.rights import lock_rights
 from kleinkram.server.audit.service import Event, record_all
 from kleinkram.server.db import Connection
 from kleinkram.server.settings import Affiliation
@@ -35,7 +35,7 @@ async def ensure_affiliations(db: Connection, wanted: Sequence[Affiliation]) -> 
     Raises:
         AffiliationUnusable: a name is taken by a group that people made.
     """
-    await hold_rights(db)
+    await lock_rights(db)
     # Whoever verifies an address meanwhile is waited for, or reads the new domains.
     await db.execute(text("LOCK TABLE person_email IN SHARE ROW EXCLUSIVE MODE"))
     ids = [await _ensure_group(db, each) for each in wanted]
@@ -51,7 +51,7 @@ async def ensure_affiliations(db: Connection, wanted: Sequence[Affiliation]) -> 
     if joined:
         values = [{"group_id": row.group_id, "person_id": row.person_id} for row in joined]
         await db.execute(insert(membership), values)
-    handed = await hand_over(db, owned)
+    handed = await give_to_admins(db, owned)
     await record_all(db, None, [*(_told(row, True) for row in left), *(_told(row, False) for row in joined)])
     await record_all(db, None, [_given(row) for row in handed])
 

@@ -11,7 +11,7 @@ from kleinkram.contract.rights import GroupKind, Right
 from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.access.visible import knows_addresses, visible_groups
 from kleinkram.server.filters.patterns import matches_key
-from kleinkram.server.pages import Order
+from kleinkram.server.paging import Order
 from kleinkram.server.tables import (
     access_grant,
     access_group,

@@ -9,10 +9,10 @@ from pydantic import BaseModel, ConfigDict
 from kleinkram.contract.groups import GroupCreate, GroupRead, GroupUpdate, MemberRead, MemberSet
 from kleinkram.contract.names import Term
 from kleinkram.contract.paging import Cursor, Page, PageSize
-from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Transaction
-from kleinkram.server.etags import IfMatch
 from kleinkram.server.groups import service
-from kleinkram.server.pages import PageRequest
+from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Transaction
+from kleinkram.server.http.etags import IfMatch
+from kleinkram.server.paging import PageRequest
 
 router = APIRouter(prefix="/api/v1/groups", tags=["groups"])
 

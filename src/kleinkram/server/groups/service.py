@@ -1,4 +1,4 @@
-"""What may be done with groups. Whatever can take somebody's rights away begins with `hold_rights`."""
+"""What may be done with groups. Whatever can take somebody's rights away begins with `lock_rights`."""
 
 import uuid
 from typing import Any
@@ -22,15 +22,15 @@ from kleinkram.contract.names import name_key
 from kleinkram.contract.paging import Page
 from kleinkram.contract.rights import GroupKind, Right
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.creating import require_creator
-from kleinkram.server.access.owning import owned_by_groups, see_that_an_admin_stays, see_that_owners_stay
-from kleinkram.server.access.rights import hold_rights
+from kleinkram.server.access.creation import require_creator
+from kleinkram.server.access.ownership import ensure_admin_remains, ensure_owner_remains, owned_by_groups
+from kleinkram.server.access.rights import lock_rights
 from kleinkram.server.access.visible import visible_people
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.db import Connection, violated_constraint
-from kleinkram.server.etags import require_match
 from kleinkram.server.groups import queries
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.http.etags import require_match
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.settings import Creators
 from kleinkram.server.tables import access_group, membership, person
 
@@ -93,7 +93,7 @@ async def rename_group(
     await db.execute(select(access_group.c.id).where(access_group.c.id == group_id).with_for_update())
     seen = await _managed(db, actor, group_id, "rename")
     if seen.kind is not GroupKind.custom:
-        raise GroupFixed(name=seen.name, reason="its name is given")
+        raise GroupFixed(name=seen.name, reason="its name is fixed")
     if seen.name == changes.name:
         return seen
     require_match(if_match, seen.etag, noun="group", name=seen.name)
@@ -115,17 +115,17 @@ async def delete_group(db: Connection, actor: Actor, group_id: uuid.UUID) -> Non
         GroupFixed: the settings name it, or it is the admins'.
         LastOwner: it is what owns a project.
     """
-    await hold_rights(db)
+    await lock_rights(db)
     seen = await _managed(db, actor, group_id, "delete")
     if seen.kind is GroupKind.admins or seen.domains:
-        raise GroupFixed(name=seen.name, reason="it is one that the settings ask for, or that of the admins")
+        raise GroupFixed(name=seen.name, reason="it is the group of the admins, or the settings require it")
     owned = await _owned(db, group_id)
     grants = (await db.execute(queries.granted_to(group_id))).all()
     await record_all(
         db, actor, [_event(seen, "group.delete", {"name": seen.name}), *(_revoked(seen, row) for row in grants)]
     )
     await db.execute(delete(access_group).where(access_group.c.id == group_id))
-    await see_that_owners_stay(db, owned)
+    await ensure_owner_remains(db, owned)
 
 
 async def list_members(db: Connection, actor: Actor, *, group_id: uuid.UUID, page: PageRequest) -> Page[MemberRead]:
@@ -164,14 +164,14 @@ async def set_member(
         LastOwner, LastAdmin: somebody would be in it no longer for good, and was the last.
         EditConflict: the membership is not of the ETag in `if_match` any more.
     """
-    await hold_rights(db)
+    await lock_rights(db)
     seen = await _managed(db, actor, group_id, "add members")
     old = await _member(db, actor, group_id, person_id)
     name = old.name if old is not None else await _name_of(db, actor, person_id)
     if old is None and if_match is not None:
         raise NotFound(noun="member", ref=str(person_id))
     if seen.kind is GroupKind.affiliation and (old is None or wanted.expires_at is not None):
-        raise GroupFixed(name=seen.name, reason="who is in it, and until when, follows from verified addresses")
+        raise GroupFixed(name=seen.name, reason="its members follow from their verified addresses")
     if wanted.expires_at is not None:
         passed = select(literal(wanted.expires_at) <= func.now())
         if (await db.execute(passed)).scalar_one():
@@ -200,11 +200,11 @@ async def remove_member(db: Connection, actor: Actor, *, group_id: uuid.UUID, pe
         GroupFixed: who is in it follows from addresses.
         LastOwner, LastAdmin: they were the last.
     """
-    await hold_rights(db)
+    await lock_rights(db)
     leaves = person_id == actor.person_id
     seen = await (get_group(db, actor, group_id) if leaves else _managed(db, actor, group_id, "remove members"))
     if seen.kind is GroupKind.affiliation:
-        raise GroupFixed(name=seen.name, reason="who is in it follows from verified addresses")
+        raise GroupFixed(name=seen.name, reason="its members follow from their verified addresses")
     old = await _member(db, actor, group_id, person_id)
     if old is None:
         raise NotFound(noun="member", ref=str(person_id))
@@ -216,7 +216,7 @@ async def remove_member(db: Connection, actor: Actor, *, group_id: uuid.UUID, pe
 async def _managed(db: Connection, actor: Actor, group_id: uuid.UUID, doing: str) -> GroupRead:
     seen = await get_group(db, actor, group_id)
     if not (actor.is_admin or (seen.is_editor and seen.kind is not GroupKind.admins)):
-        raise Forbidden(noun="group", operation=doing, needs="an editor of it")
+        raise Forbidden(noun="group", operation=doing, needs="an editor of the group")
     return seen
 
 
@@ -224,7 +224,7 @@ def _see_that_it_is_theirs_to_give(actor: Actor, seen: GroupRead, wanted: Member
     own, given = seen.expires_at, wanted.expires_at
     if not actor.is_admin and own is not None and (given is None or given > own):
         until = "a membership without an end" if given is None else f"a membership until {given:%Y-%m-%d %H:%M} UTC"
-        raise RightExceeded(noun="group", wanted=until, held=f"one until {own:%Y-%m-%d %H:%M} UTC")
+        raise RightExceeded(noun="group", requested=until, own=f"one until {own:%Y-%m-%d %H:%M} UTC")
 
 
 async def _member(db: Connection, actor: Actor, group_id: uuid.UUID, person_id: uuid.UUID) -> Row[Any] | None:
@@ -245,8 +245,8 @@ async def _owned(db: Connection, group_id: uuid.UUID) -> list[uuid.UUID]:
 
 async def _see_that_all_stay(db: Connection, seen: GroupRead) -> None:
     if seen.kind is GroupKind.admins:
-        await see_that_an_admin_stays(db)
-    await see_that_owners_stay(db, await _owned(db, seen.id))
+        await ensure_admin_remains(db)
+    await ensure_owner_remains(db, await _owned(db, seen.id))
 
 
 def _before(old: Row[Any] | None) -> Metadata:

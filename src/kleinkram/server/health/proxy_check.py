@@ -10,7 +10,7 @@ import time
 from fastapi import Request
 from pydantic import BaseModel, ConfigDict
 
-from kleinkram.server.proxies import is_trusted
+from kleinkram.server.http.headers import is_trusted
 from kleinkram.server.settings import Settings
 
 HEADER = "X-Kleinkram-Check"
@@ -38,9 +38,9 @@ def proof(settings: Settings, *, at_s: float | None = None) -> str:
 
 def seen(request: Request, settings: Settings) -> Seen | None:
     """Return how a request reached this process; None for who has no proof."""
-    given = request.headers.get(HEADER, "")
-    good = [proof(settings, at_s=time.time() - ago_s) for ago_s in (0, _GOOD_FOR_S)]
-    if request.client is None or not any(hmac.compare_digest(given.encode(), each.encode()) for each in good):
+    code = request.headers.get(HEADER, "")
+    valid_codes = [proof(settings, at_s=time.time() - ago_s) for ago_s in (0, _GOOD_FOR_S)]
+    if request.client is None or not any(hmac.compare_digest(code.encode(), valid.encode()) for valid in valid_codes):
         return None
     peer: str = request.state.peer
     return Seen(

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 from kleinkram.contract.errors import DatabaseUnavailable, StoreUnavailable
 from kleinkram.server.db import Database
-from kleinkram.server.jobs.heartbeat import find_workers
+from kleinkram.server.health.worker_heartbeat import find_workers
 from kleinkram.server.migrations import schema_problem
-from kleinkram.server.storage import Storage
+from kleinkram.server.s3.storage import Storage
 
 _STORE_TIMEOUT_S = 2
 

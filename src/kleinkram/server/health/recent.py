@@ -1,6 +1,6 @@
-"""What anybody may ask, as often as they like: looked up once, by one at a time, and good for a moment.
+"""A cache for values that anybody may request at any rate: one lookup at a time.
 
-What took long to look up is good for longer: of all time, at most a tenth is spent looking.
+A slow lookup is cached for longer, so that lookups take at most a tenth of the time.
 """
 
 import asyncio
@@ -9,24 +9,24 @@ from collections.abc import Awaitable, Callable
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
-_TIMES = 10
+_LOOKUP_TIME_FACTOR = 10
 
 
 class Recent(Generic[T]):
-    """The last answer to one question, and when it was found. A look that fails is not kept."""
+    """The last result of a lookup and when it expires. Failed lookups are not cached."""
 
-    def __init__(self, look: Callable[[], Awaitable[T]], *, holds_s: float) -> None:
-        self._look = look
-        self._holds_s = holds_s
-        self._looking = asyncio.Lock()
-        self._found: tuple[float, T] | None = None
+    def __init__(self, look_up: Callable[[], Awaitable[T]], *, holds_s: float) -> None:
+        self._look_up = look_up
+        self._lifetime_s = holds_s
+        self._lock = asyncio.Lock()
+        self._cached: tuple[float, T] | None = None
 
     async def get(self) -> T:
-        """Return an answer no older than it holds; whoever asks during a look waits for that one."""
-        async with self._looking:
-            if self._found is None or time.monotonic() > self._found[0]:
-                began = time.monotonic()
-                answer = await self._look()
-                took_s = time.monotonic() - began
-                self._found = (time.monotonic() + max(self._holds_s, _TIMES * took_s), answer)
-            return self._found[1]
+        """Return a value that has not expired; concurrent callers share one lookup."""
+        async with self._lock:
+            if self._cached is None or time.monotonic() > self._cached[0]:
+                started = time.monotonic()
+                value = await self._look_up()
+                took_s = time.monotonic() - started
+                self._cached = (time.monotonic() + max(self._lifetime_s, _LOOKUP_TIME_FACTOR * took_s), value)
+            return self._cached[1]

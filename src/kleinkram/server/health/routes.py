@@ -8,10 +8,10 @@ from fastapi.responses import PlainTextResponse
 import kleinkram
 from kleinkram.contract.people import ServiceRead, ViewerRead
 from kleinkram.contract.rights import TokenKind
-from kleinkram.server.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, CurrentStorage
 from kleinkram.server.health.proxy_check import seen
 from kleinkram.server.health.readiness import Readiness, readiness
 from kleinkram.server.health.recent import Recent
+from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, CurrentStorage
 from kleinkram.server.settings import Settings
 from kleinkram.server.tokens.service import default_days
 
@@ -25,8 +25,8 @@ router = APIRouter(prefix="/api/v1", tags=["service"])
 @probes.get("/health/live")
 async def live(request: Request, settings: CurrentSettings) -> Response:
     """Say that this process answers; to `check` also how its request reached it."""
-    if (found := seen(request, settings)) is not None:
-        return Response(found.model_dump_json(), media_type="application/json")
+    if (request_info := seen(request, settings)) is not None:
+        return Response(request_info.model_dump_json(), media_type="application/json")
     return PlainTextResponse("live\n")
 
 
@@ -38,11 +38,11 @@ async def ready(
     state = request.app.state
     if not hasattr(state, "readiness"):
         state.readiness = Recent(lambda: readiness(database, storage), holds_s=_HOLDS_S)
-    found: Readiness = await state.readiness.get()
+    state_now: Readiness = await state.readiness.get()
     shows = _watches(request, settings)
-    if found.missing is not None:
-        return PlainTextResponse(f"{found.missing if shows else 'not ready'}\n", status_code=503)
-    warnings = [f"warning: {each}\n" for each in found.warnings if shows]
+    if state_now.missing is not None:
+        return PlainTextResponse(f"{state_now.missing if shows else 'not ready'}\n", status_code=503)
+    warnings = [f"warning: {warning}\n" for warning in state_now.warnings if shows]
     return PlainTextResponse("".join(["ready\n", *warnings]))
 
 

@@ -9,7 +9,7 @@ from kleinkram.contract.runs import RunState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files, visible_missions, visible_projects
 from kleinkram.server.missions.amounts import file_amounts
-from kleinkram.server.runners.fitting import Needs
+from kleinkram.server.runners.scheduling import Needs
 from kleinkram.server.runs.queries import visible_runs
 from kleinkram.server.tables import action_version, blob, file, mission, project, run, scrub, upload
 from kleinkram.server.tables.upload import UNDER_WAY
@@ -19,7 +19,7 @@ from kleinkram.server.uploads.queries import own_uploads
 _AILS = text("(blob.state IN ('corrupt', 'lost') OR blob.content IN ('broken', 'recovered', 'error'))")
 # Among the files that came last, where something arrived; and the missions that were made last.
 _LAST_FILES = 2000
-_PROOF_PATIENCE = text("interval '2 days'")
+_VERIFICATION_DUE_AFTER = text("interval '2 days'")
 _SAY_HOW_IT_IS = (RunState.done.value, RunState.failed.value)
 _FAILED_LATELY = text("interval '7 days'")
 
@@ -148,10 +148,10 @@ def used_bytes() -> Select[Any]:
     return select(func.coalesce(func.sum(blob.c.size_bytes), 0)).where(blob.c.doomed_at.is_(None))
 
 
-def late_proofs() -> Select[Any]:
-    """Return how many files' bytes should have been proven by now."""
+def overdue_verifications() -> Select[Any]:
+    """Return how many files' bytes should have been verified by now."""
     late = (blob.c.state == BlobState.stored.value, blob.c.doomed_at.is_(None))
-    return select(func.count()).select_from(blob).where(*late, blob.c.created_at < func.now() - _PROOF_PATIENCE)
+    return select(func.count()).select_from(blob).where(*late, blob.c.created_at < func.now() - _VERIFICATION_DUE_AFTER)
 
 
 def stopped_scrubs(store_id: str) -> Select[Any]:

@@ -23,7 +23,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from kleinkram.server.home import queries
-from kleinkram.server.runners.fitting import is_owners_alone, known_runners, why_never
+from kleinkram.server.runners.scheduling import has_single_person, known_runners, reason_never_starts
 from kleinkram.server.settings import Settings
 
 _MISSIONS, _UPLOADS, _AILING, _PROJECTS = 10, 20, 20, 20
@@ -107,19 +107,19 @@ async def _runs_that_cannot_start(db: Connection, actor: Actor) -> list[Row[Any]
     queued = (await db.execute(queries.queued_runs(actor, limit=_QUEUED))).all()
     if not queued:
         return []
-    known, alone = await known_runners(db), await is_owners_alone(db)
-    return [row for row in queued if why_never(row, known, owners_alone=alone) is not None]
+    known, alone = await known_runners(db), await has_single_person(db)
+    return [row for row in queued if reason_never_starts(row, known, single_person=alone) is not None]
 
 
 async def _of_server(db: Connection, settings: Settings) -> list[Attention]:
     failed = (await db.execute(queries.failed_jobs())).scalar_one()
-    late = (await db.execute(queries.late_proofs())).scalar_one()
+    late = (await db.execute(queries.overdue_verifications())).scalar_one()
     stopped = (await db.execute(queries.stopped_scrubs(settings.store_id))).scalar_one()
     counts = {
         Need.scrub_stopped: stopped,
         Need.disk_low: int(is_low(settings)),
         Need.jobs_failed: failed,
-        Need.proofs_late: late,
+        Need.verifications_overdue: late,
     }
     return [Attention(need=need, count=count) for need, count in counts.items() if count]
 
@@ -128,7 +128,7 @@ async def _sent_bytes(context: AppContext, row: Row[Any]) -> int | None:
     if row.multipart_id is None:
         return 0 if row.size_bytes > row.part_size_bytes or row.signed_checksum is None else None
     try:
-        held = await asyncio.wait_for(context.storage.held_parts(row.key, row.multipart_id), _STORE_PATIENCE_S)
+        held = await asyncio.wait_for(context.storage.list_parts(row.key, row.multipart_id), _STORE_PATIENCE_S)
     except (StoreUnavailable, asyncio.TimeoutError):
         return None
     # A part sent twice may be listed twice.

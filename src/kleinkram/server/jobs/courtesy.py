@@ -18,7 +18,7 @@ from kleinkram.server.tables import upload
 
 # What a person looks for soon, and what only has to happen.
 SUMMARY_PATIENCE_S = 10.0
-PROOF_PATIENCE_S = 30.0
+VERIFY_PATIENCE_S = 30.0
 # A client that sends small files asks for addresses several times a second; one whose line is slow asks rarely, and
 # leaves this machine time enough.
 _RECENT_S = 2.0

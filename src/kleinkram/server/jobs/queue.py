@@ -15,7 +15,7 @@ class Job(str, enum.Enum):
     """Every job there is."""
 
     summarise_blob = "summarise_blob"
-    prove_blob = "prove_blob"
+    verify_blob = "verify_blob"
     examine_blob = "examine_blob"
     group_recordings = "group_recordings"
     finish_uploads = "finish_uploads"
@@ -32,14 +32,14 @@ class Urgency(enum.IntEnum):
     soon = 10
 
 
-# Proving reads everything once, small files come by the thousand, and grouping waits for uploads to end: each has a
+# Verifying reads everything once, small files come by the thousand, and grouping waits for uploads to end: each has a
 # lane of its own, so that no summary waits behind them. (A lock would do for grouping, but one mission that is tried
 # again later would hold up all others.)
-PROVING = "proving"
+VERIFICATION = "verification"
 EXAMINING = "examining"
 GROUPING = "grouping"
 DEFAULT = "default"
-_LANES = {Job.prove_blob: PROVING, Job.examine_blob: EXAMINING, Job.group_recordings: GROUPING}
+_LANES = {Job.verify_blob: VERIFICATION, Job.examine_blob: EXAMINING, Job.group_recordings: GROUPING}
 
 # The worker gives it a connector of its own; the API enqueues over its own transactions.
 queue = App(connector=PsycopgConnector())

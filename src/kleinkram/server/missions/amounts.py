@@ -30,7 +30,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions, shown_files, shown_recordings
 from kleinkram.server.tables import blob, file, mission, recording
 
-# What costs too much to be summarised is read by the proof; bytes that are damaged wait for nothing.
+# What costs too much to be summarised is read by the verification; bytes that are damaged wait for nothing.
 _UNREAD = blob.c.summarised_at.is_(None) | (blob.c.content == ContentState.pending.value)
 _PENDING = blob.c.summarised_at.is_(None) | (
     (blob.c.content == ContentState.pending.value) & (blob.c.state == BlobState.stored.value)

@@ -3,8 +3,7 @@
 import functools
 import json
 import uuid
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from sqlalchemy import (
@@ -29,7 +28,6 @@ from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import (
-    add_up_missions,
     joined_missions,
     level_on_mission,
     sees_whole_missions,
@@ -37,14 +35,12 @@ from kleinkram.server.access.visible import (
     visible_missions,
     visible_projects,
 )
-from kleinkram.server.access.whoever import KEPT
-from kleinkram.server.db import among_given, by_name
-from kleinkram.server.filters.asked import Asked
-from kleinkram.server.filters.files import narrow_missions, narrow_missions_found
-from kleinkram.server.filters.looking import drawn_missions, walking
+from kleinkram.server.db import among, by_name
 from kleinkram.server.filters.metadata import metadata_key
+from kleinkram.server.filters.missions import filter_missions, filter_missions_by_files
+from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
 from kleinkram.server.missions.amounts import amounts
-from kleinkram.server.pages import Listed, Order, PageRequest, list_of, page_of
+from kleinkram.server.paging import Order
 from kleinkram.server.tables import blob, file, mission, person, project
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
@@ -93,31 +89,27 @@ def to_mission_ref(row: Row[Any]) -> MissionRef:
     return MissionRef(id=row.id, name=row.name, project=ProjectRef(id=row.project_id, name=row.project_name))
 
 
-@functools.lru_cache(maxsize=KEPT)
-def mission_by_id(asker: Actor) -> Select[Any]:
-    """Return the visible mission `mission_id`, with its project's name."""
+def mission_by_id(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
+    """Return a visible mission, with its project's name."""
     project_name = project.c.name.label("project_name")
-    return visible_missions(asker).add_columns(project_name).where(mission.c.id == bindparam("mission_id"))
+    return visible_missions(actor).add_columns(project_name).where(mission.c.id == mission_id)
 
 
-@functools.lru_cache(maxsize=KEPT)
-def whole_mission(asker: Actor) -> Select[Any]:
-    """Return the visible mission `mission_id` as `to_missions` reads it."""
-    return mission_rows(asker, visible_missions(asker).where(mission.c.id == bindparam("mission_id")))
+def whole_mission(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
+    """Return a visible mission as `to_missions` reads it."""
+    return mission_rows(actor, visible_missions(actor).where(mission.c.id == mission_id))
 
 
-@functools.cache
-def hold_projects_of() -> Select[Any]:
-    """Return the select that keeps the projects of `mission_ids` from being deleted, restored or dropped."""
-    holding = select(mission.c.project_id).where(among_given(mission.c.id, "mission_ids"))
+def lock_projects_of(mission_ids: Collection[uuid.UUID]) -> Select[Any]:
+    """Return the select that keeps the projects of missions from being deleted, restored or dropped."""
+    holding = select(mission.c.project_id).where(among(mission.c.id, mission_ids))
     found = select(project.c.id).where(project.c.id.in_(holding)).order_by(project.c.id)
     return found.with_for_update(read=True, key_share=True)
 
 
-@functools.cache
-def lock_missions() -> Select[Any]:
-    """Return the select that holds others off changing `mission_ids` and what they hold."""
-    found = select(mission.c.id).where(among_given(mission.c.id, "mission_ids")).order_by(mission.c.id)
+def lock_missions(mission_ids: Collection[uuid.UUID]) -> Select[Any]:
+    """Return the select that holds others off changing missions and what they hold."""
+    found = select(mission.c.id).where(among(mission.c.id, mission_ids)).order_by(mission.c.id)
     return found.with_for_update(key_share=True)
 
 
@@ -137,56 +129,27 @@ def fields_of_mission(mission_id: uuid.UUID) -> Select[Any]:
     return one.where(mission.c.id == mission_id, project.c.deleted_at.is_(None)).with_for_update(read=True, of=project)
 
 
-def matching_missions(actor: Actor, matching: MissionFilter, found: FileFilter | None = None) -> Select[Any]:
-    """Return the visible missions that match, among those that a query of files finds, where there is one.
+def matching_missions(
+    actor: Actor, matching: MissionFilter, found: FileFilter | None = None, plan: SearchPlan = NO_PLAN
+) -> Select[Any]:
+    """Return the visible missions that match, among those that a filter of files finds, where there is one.
 
-    To be counted, or read with `mission_rows`.
+    To be counted, or read with `rows_of_found`.
     """
-    narrowed = narrow_missions(actor, visible_missions(actor), matching)
-    return narrowed if found is None else narrow_missions_found(actor, narrowed, found)
+    narrowed = filter_missions(actor, visible_missions(actor), matching)
+    return narrowed if found is None else filter_missions_by_files(actor, narrowed, found, plan)
 
 
-@functools.lru_cache(maxsize=KEPT)
-def listed(asked: Asked[MissionFilter], sort: MissionOrder, page: PageRequest) -> Listed:
-    """Return the list of the visible missions that match, as `to_missions` reads them, for all pages `alike`."""
-    # Filters may be about the project: without the join they would stand beside it and narrow nothing.
-    every = add_up_missions(asked.actor, func.count()).join(project, project.c.id == mission.c.project_id)
-    counted = narrow_missions(asked.actor, every, asked.matching)
-    return replace(list_matching(asked.actor, asked.matching, None, sort, page), counted=counted)
-
-
-def list_matching(
-    actor: Actor, matching: MissionFilter, found: FileFilter | None, sort: MissionOrder, page: PageRequest
-) -> Listed:
-    """Return the list of `matching_missions`, as `to_missions` reads them."""
-    matched, order = matching_missions(actor, matching, found), mission_order(actor, sort)
-    return list_of(matched, order, page, described=functools.partial(rows_of_found, actor))
-
-
-@functools.lru_cache(maxsize=KEPT)
-def page_of_found(asked: Asked[FileFilter], sort: MissionOrder, *, limit: int, counted: bool) -> Select[Any]:
-    """Return the first page of the visible missions that a query of files finds, as `to_missions` reads them."""
-    matched = matching_missions(asked.actor, MissionFilter(), asked.matching)
-    described = functools.partial(rows_of_found, asked.actor)
-    return page_of(matched, mission_order(asked.actor, sort), limit=limit, described=described, counted=counted)
-
-
-@functools.lru_cache(maxsize=KEPT)
-def count_drawn(asked: Asked[FileFilter]) -> Select[Any]:
-    """Return `hits`: how many of the missions drawn by lot a query finds; of how many `drawn`, and the `last`.
-
-    For a query that finds very many: what is listed afterwards in the same transaction is walked.
-    """
-    drawn, actor = drawn_missions(), asked.actor
-    within = visible_missions(actor).where(mission.c.id.in_(select(drawn.c.id)))
-    hits = narrow_missions_found(actor, within, asked.matching).with_only_columns(
-        mission.c.id, maintain_column_froms=True
-    )
+def sampled_missions(actor: Actor, found: FileFilter, plan: SearchPlan, *, size: int) -> Select[Any]:
+    """Return how many of the missions sampled by id match (`hits`), of how many (`sampled`), and the `last_id`."""
+    sample = select(mission.c.id).order_by(mission.c.id).limit(size).cte("sample").prefix_with("MATERIALIZED")
+    within = visible_missions(actor).where(mission.c.id.in_(select(sample.c.id)))
+    matched = filter_missions_by_files(actor, within, found, plan)
+    hits = matched.with_only_columns(mission.c.id, maintain_column_froms=True).subquery()
     return select(
-        select(func.count()).select_from(hits.subquery()).scalar_subquery().label("hits"),
-        select(func.count()).select_from(drawn).scalar_subquery().label("drawn"),
-        select(drawn.c.id).order_by(drawn.c.id.desc()).limit(1).scalar_subquery().label("last"),
-        walking(),
+        select(func.count()).select_from(hits).scalar_subquery().label("hits"),
+        select(func.count()).select_from(sample).scalar_subquery().label("sampled"),
+        select(sample.c.id).order_by(sample.c.id.desc()).limit(1).scalar_subquery().label("last_id"),
     )
 
 

@@ -17,10 +17,10 @@ from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.query import parse
 from kleinkram.contract.searching import QueryText
 from kleinkram.contract.trash import Deleted
-from kleinkram.server.dependencies import CurrentActor, Reading, Transaction
-from kleinkram.server.etags import IfMatch
+from kleinkram.server.http.dependencies import CurrentActor, Reading, Transaction
+from kleinkram.server.http.etags import IfMatch
 from kleinkram.server.missions import service
-from kleinkram.server.pages import PageRequest
+from kleinkram.server.paging import PageRequest
 
 router = APIRouter(prefix="/api/v1", tags=["missions"])
 

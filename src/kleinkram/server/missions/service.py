@@ -5,8 +5,9 @@ mission holds begins with `lock_mission`, and only then reads what the change de
 """
 
 import asyncio
+import functools
 import uuid
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -21,7 +22,6 @@ from kleinkram.contract.missions import (
     MissionFilter,
     MissionOrder,
     MissionRead,
-    MissionSort,
     MissionTemplate,
     MissionUpdate,
 )
@@ -30,23 +30,24 @@ from kleinkram.contract.paging import Page
 from kleinkram.contract.trash import Deleted
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission, require_project
-from kleinkram.server.access.visible import sees_whole_missions
-from kleinkram.server.access.whoever import asking, whoever
+from kleinkram.server.access.visible import sees_whole_missions, visible_missions
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
-from kleinkram.server.etags import require_match
-from kleinkram.server.filters.asked import asked_alike, values
-from kleinkram.server.filters.looking import estimate_missions
+from kleinkram.server.filters.plan import ID_COUNT, NO_PLAN, SearchPlan, rounded
+from kleinkram.server.http.etags import require_match
 from kleinkram.server.missions import queries
 from kleinkram.server.missions.amounts import NOTHING
 from kleinkram.server.missions.metadata import Judge, read_metadata, satisfying
 from kleinkram.server.missions.template import carried_over, defaults, write_template
-from kleinkram.server.pages import PageRequest, cut, fetch_listed
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.quotas.service import require_room_for_mission
 from kleinkram.server.tables import mission
 from kleinkram.server.yaml_text import Document
 
 _JUDGED_AT_ONCE = 500
+SAMPLED_MISSIONS = 100
+# Of more, the files are so many that each mission's own are no shorter way.
+MAX_VISIBLE_IDS = 32
 
 
 async def lock_mission(db: Connection, mission_id: uuid.UUID) -> bool:
@@ -60,9 +61,8 @@ async def lock_missions(db: Connection, mission_ids: Collection[uuid.UUID]) -> s
     Their projects are kept from being deleted, restored or dropped meanwhile. Says nothing of who may see them, nor
     whether they are in the trash: that is read afterwards, by a statement of its own, and then stays true.
     """
-    given = {"mission_ids": [*mission_ids]}
-    await db.execute(queries.hold_projects_of(), given)
-    return set((await db.execute(queries.lock_missions(), given)).scalars())
+    await db.execute(queries.lock_projects_of(mission_ids))
+    return set((await db.execute(queries.lock_missions(mission_ids))).scalars())
 
 
 async def lock_mission_to_fill(db: Connection, actor: Actor, mission_id: uuid.UUID) -> None:
@@ -82,8 +82,7 @@ async def get_mission_row(db: Connection, actor: Actor, mission_id: uuid.UUID) -
     Raises:
         NotFound: it is not there, or not for this actor.
     """
-    given = asking(actor) | {"mission_id": mission_id}
-    row = (await db.execute(queries.mission_by_id(whoever(actor)), given)).one_or_none()
+    row = (await db.execute(queries.mission_by_id(actor, mission_id))).one_or_none()
     if row is None:
         raise NotFound(noun="mission", ref=str(mission_id))
     return row
@@ -95,8 +94,7 @@ async def get_mission(db: Connection, actor: Actor, mission_id: uuid.UUID) -> Mi
     Raises:
         NotFound: it is not there, or not for this actor.
     """
-    given = asking(actor) | {"mission_id": mission_id}
-    row = (await db.execute(queries.whole_mission(whoever(actor)), given)).one_or_none()
+    row = (await db.execute(queries.whole_mission(actor, mission_id))).one_or_none()
     if row is None:
         raise NotFound(noun="mission", ref=str(mission_id))
     return queries.to_missions([row])[0]
@@ -110,6 +108,7 @@ async def list_missions(
     found: FileFilter | None = None,
     sort: MissionOrder,
     page: PageRequest,
+    plan: SearchPlan = NO_PLAN,
 ) -> Page[MissionRead]:
     """Return a page of the missions that match, among those that a query finds, by themselves or by their files.
 
@@ -117,41 +116,38 @@ async def list_missions(
         InvalidQuery: a `where` cannot be used.
         InvalidCursor: the cursor is not of this list.
     """
-    if found is None:
-        wanted = queries.listed(asked_alike(actor, matching), sort, page.alike)
-        rows = await fetch_listed(db, wanted, page, values(actor, matching))
-    else:
-        rows = await fetch_listed(db, queries.list_matching(actor, matching, found, sort, page), page)
+    matched = queries.matching_missions(actor, matching, found, plan)
+    described = functools.partial(queries.rows_of_found, actor)
+    rows = await fetch_page(db, matched, queries.mission_order(actor, sort), page, described=described)
     return Page(items=queries.to_missions(rows.items), next=rows.next, total=rows.total)
 
 
-async def list_found(
-    db: Connection, actor: Actor, *, found: FileFilter, sort: MissionSort, limit: int, count: bool
-) -> Page[MissionRead]:
-    """Return the first page of the missions that a query finds, by themselves or by their files.
+async def find_visible_mission_ids(db: Connection, actor: Actor) -> Sequence[uuid.UUID] | None:
+    """Return all missions that an actor sees, where there are at most `MAX_VISIBLE_IDS`; None where there are more.
+
+    PostgreSQL expects everybody to see most missions. Whoever sees few of two million files would otherwise wait for
+    seconds, until an index of all files in order has been read past everybody else's. It grants nothing: every
+    statement still checks the rights.
+    """
+    if actor.is_admin:
+        return None
+    ids = visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True).limit(MAX_VISIBLE_IDS + 1)
+    mission_ids = (await db.execute(ids)).scalars().all()
+    return None if len(mission_ids) > MAX_VISIBLE_IDS else mission_ids
+
+
+async def estimate_matching(db: Connection, actor: Actor, found: FileFilter, plan: SearchPlan) -> int | None:
+    """Estimate from a sample how many missions a filter of files finds; exact where the sample holds all missions.
+
+    None where no sampled mission matches, and others may.
 
     Raises:
         InvalidQuery: a `where` cannot be used.
     """
-    asked = asked_alike(actor, found)
-    page = queries.page_of_found(asked, sort, limit=limit, counted=count)
-    rows = (await db.execute(page, values(actor, found))).all()
-    total = (rows[0].total if rows else 0) if count else None
-    paged = cut(rows, queries.mission_order(actor, sort), limit=limit, total=total)
-    return Page(items=queries.to_missions(paged.items), next=paged.next, total=total)
-
-
-async def estimate_found(db: Connection, actor: Actor, found: FileFilter) -> int | None:
-    """Return about how many missions a query finds that finds very many files; exactly, where there are few missions.
-
-    Null where it finds so few of very many that none was met by lot. What is listed afterwards in the same transaction
-    is walked in its order.
-
-    Raises:
-        InvalidQuery: a `where` cannot be used.
-    """
-    row = (await db.execute(queries.count_drawn(asked_alike(actor, found)), values(actor, found))).one()
-    return 0 if row.last is None else estimate_missions(row.hits, row.drawn, row.last.int)
+    row = (await db.execute(queries.sampled_missions(actor, found, plan, size=SAMPLED_MISSIONS))).one()
+    if row.sampled < SAMPLED_MISSIONS:
+        return int(row.hits)
+    return rounded(row.hits * ID_COUNT // max(row.last_id.int, 1)) or None
 
 
 async def create_mission(db: Connection, actor: Actor, *, project_id: uuid.UUID, wanted: MissionCreate) -> MissionRead:

@@ -9,9 +9,9 @@ from kleinkram.contract.paging import Cursor
 from kleinkram.contract.stats import Buckets, Overview
 from kleinkram.contract.timelines import MAX_TIMELINE_FILES, MissionTimeline, TimelineSize
 from kleinkram.contract.topics import Bins, MissionTopics, MissionTopicsSize
-from kleinkram.server.dependencies import CurrentActor, Transaction
+from kleinkram.server.http.dependencies import CurrentActor, Transaction
 from kleinkram.server.overviews import service, stats, topics
-from kleinkram.server.pages import PageRequest
+from kleinkram.server.paging import PageRequest
 
 router = APIRouter(prefix="/api/v1", tags=["overviews"])
 

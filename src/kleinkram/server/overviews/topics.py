@@ -14,14 +14,14 @@ from sqlalchemy import Row, Select, delete, insert
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.topics import MissionTopic, MissionTopics, RecordingRef, TimeAxis
 from kleinkram.recordings.density import on_axis, pack, unpack
-from kleinkram.recordings.model import Density
+from kleinkram.recordings.model import MessageDensity
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
 from kleinkram.server.missions import service as missions
 from kleinkram.server.overviews import queries
-from kleinkram.server.overviews.merging import Key, Merged, merge
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.overviews.merge import Key, Merged, merge
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.tables import MOST_KEPT_TOPICS, mission_topic
 
 _FETCHED_AT_ONCE = 2_000
@@ -196,7 +196,7 @@ def _bigint(value: int | None) -> int | None:
 
 
 def _from_row(row: Row[Any]) -> Merged:
-    density: Density | None = unpack(row.density) if row.density is not None else None
+    density: MessageDensity | None = unpack(row.density) if row.density is not None else None
     return Merged(
         key=Key(row.name, row.message_type),
         count=row.message_count,

@@ -12,7 +12,7 @@ from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.access.groups import ADMINS_ID
 from kleinkram.server.access.visible import knows_addresses, visible_people
 from kleinkram.server.filters.patterns import holds_word
-from kleinkram.server.pages import Order
+from kleinkram.server.paging import Order
 from kleinkram.server.tables import access_grant, membership, mission, person, person_email, session, share, token
 
 # By name, then by age.

@@ -9,8 +9,8 @@ from pydantic import BaseModel, ConfigDict
 from kleinkram.contract.names import Term
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.people import Departure, PersonRead
-from kleinkram.server.dependencies import CurrentActor, Transaction
-from kleinkram.server.pages import PageRequest
+from kleinkram.server.http.dependencies import CurrentActor, Transaction
+from kleinkram.server.paging import PageRequest
 from kleinkram.server.people import service
 
 router = APIRouter(prefix="/api/v1/people", tags=["people"])

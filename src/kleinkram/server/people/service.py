@@ -1,4 +1,4 @@
-"""What may be done with people. Whatever takes the power of an admin, or somebody's account, begins with `hold_rights`.
+"""What may be done with people. Whatever takes the power of an admin, or somebody's account, begins with `lock_rights`.
 
 Who leaves keeps their name in the record, their memberships and their grants: all of it is back when they are. What
 ends for good are their sessions, tokens and one-time codes, and the links they made: they know the secret of each.
@@ -17,12 +17,12 @@ from kleinkram.contract.people import Departure, PersonRead, PersonRef
 from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.groups import ADMINS_ID, make_admin
-from kleinkram.server.access.owning import hand_over, see_that_an_admin_stays
-from kleinkram.server.access.rights import hold_rights
+from kleinkram.server.access.ownership import ensure_admin_remains, give_to_admins
+from kleinkram.server.access.rights import lock_rights
 from kleinkram.server.audit.service import Event, record, record_all
-from kleinkram.server.auth.codes import end_codes
+from kleinkram.server.auth.one_time_codes import revoke_codes
 from kleinkram.server.db import Connection
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.people import queries
 from kleinkram.server.tables import membership, person, session, share, token
 
@@ -57,7 +57,7 @@ async def appoint(db: Connection, actor: Actor, person_id: uuid.UUID) -> PersonR
     Raises:
         NotFound: there is nobody of that id, or they left.
     """
-    await hold_rights(db)
+    await lock_rights(db)
     row = await _active(db, person_id)
     mine = (membership.c.group_id == ADMINS_ID) & (membership.c.person_id == person_id)
     held = (await db.execute(select(membership.c.expires_at).where(mine))).one_or_none()
@@ -74,13 +74,13 @@ async def dismiss(db: Connection, actor: Actor, person_id: uuid.UUID) -> PersonR
         NotFound: there is nobody of that id.
         LastAdmin: they are the last lasting one.
     """
-    await hold_rights(db)
+    await lock_rights(db)
     seen = await get_person(db, actor, person_id)
     mine = (membership.c.group_id == ADMINS_ID) & (membership.c.person_id == person_id)
     if (await db.execute(select(membership.c.group_id).where(mine))).first() is not None:
         await record(db, actor, Event("person.unmake_admin", "person", person_id, seen.name, None, by_power=True))
         await db.execute(delete(membership).where(mine))
-        await see_that_an_admin_stays(db)
+        await ensure_admin_remains(db)
         seen = seen.model_copy(update={"is_admin": False})
     return seen
 
@@ -92,16 +92,16 @@ async def deactivate(db: Connection, actor: Actor, person_id: uuid.UUID) -> Depa
         NotFound: there is nobody of that id, or they left already.
         LastAdmin: they are the last lasting admin.
     """
-    await hold_rights(db)
+    await lock_rights(db)
     row = await _active(db, person_id)
     await db.execute(update(person).where(person.c.id == person_id).values(deactivated_at=func.now()))
-    await see_that_an_admin_stays(db)
-    await end_codes(db, person_id)
+    await ensure_admin_remains(db)
+    await revoke_codes(db, person_id)
     sessions = await _end(db, session, (await db.execute(queries.open_sessions(person_id))).all())
     tokens = (await db.execute(queries.open_tokens(person_id))).all()
     links = (await db.execute(queries.open_links(person_id))).all()
     owned = (await db.execute(queries.owned_by_person(person_id))).scalars().all()
-    handed = await hand_over(db, owned)
+    handed = await give_to_admins(db, owned)
     departure = Departure(
         person=PersonRef(id=person_id, name=row.name),
         sessions=sessions,
@@ -122,7 +122,7 @@ async def reactivate(db: Connection, actor: Actor, person_id: uuid.UUID) -> Pers
     Raises:
         NotFound: there is nobody of that id.
     """
-    await hold_rights(db)
+    await lock_rights(db)
     seen = await get_person(db, actor, person_id)
     if seen.deactivated_at is None:
         return seen

@@ -2,7 +2,6 @@
 
 import uuid
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any
 
 from sqlalchemy import (
@@ -12,7 +11,6 @@ from sqlalchemy import (
     Row,
     Select,
     Update,
-    bindparam,
     func,
     literal,
     select,
@@ -29,11 +27,10 @@ from kleinkram.server.access.visible import (
     sees_whole_missions,
     visible_projects,
 )
-from kleinkram.server.access.whoever import KEPT
 from kleinkram.server.db import by_name
-from kleinkram.server.filters.files import narrow_projects
+from kleinkram.server.filters.missions import filter_projects
 from kleinkram.server.missions.amounts import duration, file_amounts
-from kleinkram.server.pages import Listed, Order, PageRequest, list_of
+from kleinkram.server.paging import Order
 from kleinkram.server.tables import mission, person, project, upload
 from kleinkram.server.tables.upload import UNDER_WAY
 
@@ -101,10 +98,9 @@ def _to_project(said: dict[str, Any]) -> ProjectRead:
     return ProjectRead.model_validate(said)
 
 
-@lru_cache(maxsize=KEPT)
-def project_by_id(asker: Actor) -> Select[Any]:
-    """Return the visible project `project_id`."""
-    return project_rows(asker, visible_projects(asker).where(project.c.id == bindparam("project_id")))
+def project_by_id(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
+    """Return a visible project."""
+    return project_rows(actor, visible_projects(actor).where(project.c.id == project_id))
 
 
 def lock_project(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
@@ -113,12 +109,15 @@ def lock_project(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
     return stmt.with_for_update()
 
 
-@lru_cache(maxsize=KEPT)
-def listed(asker: Actor, name: str | None, text: str | None, sort: ProjectSort, page: PageRequest) -> Listed:
-    """Return the list of the visible projects that match, as `to_projects` reads them, for all pages `alike`."""
-    matched = project_rows(asker, narrow_projects(asker, visible_projects(asker), name=name, text=text))
+def matching_projects(actor: Actor, *, name: str | None, text: str | None) -> Select[Any]:
+    """Return the visible projects that match, as `to_projects` reads them."""
+    return project_rows(actor, filter_projects(actor, visible_projects(actor), name=name, text=text))
+
+
+def project_order(sort: ProjectSort) -> Order:
+    """Return the order of a list of projects."""
     column = project.c.name if sort.value.endswith("name") else project.c.created_at
-    return list_of(matched, Order([column, project.c.id], sort.value.startswith("-")), page)
+    return Order([column, project.c.id], sort.value.startswith("-"))
 
 
 def change_project(project_id: uuid.UUID, **values: object) -> Update:

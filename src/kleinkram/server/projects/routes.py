@@ -11,9 +11,9 @@ from kleinkram.contract.names import Term
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.contract.trash import Deleted
-from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Reading, Transaction
-from kleinkram.server.etags import IfMatch
-from kleinkram.server.pages import PageRequest
+from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Reading, Transaction
+from kleinkram.server.http.etags import IfMatch
+from kleinkram.server.paging import PageRequest
 from kleinkram.server.projects import service
 
 router = APIRouter(prefix="/api/v1/projects", tags=["projects"])

@@ -16,14 +16,13 @@ from kleinkram.contract.paging import Page
 from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.contract.trash import Deleted
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.creating import give_first_rights, require_creator
+from kleinkram.server.access.creation import grant_first_rights, require_creator
 from kleinkram.server.access.rights import admit, require_project
-from kleinkram.server.access.whoever import asking, whoever
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
-from kleinkram.server.etags import require_match
+from kleinkram.server.http.etags import require_match
 from kleinkram.server.missions import service as missions
-from kleinkram.server.pages import PageRequest, fetch_listed
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.projects import queries
 from kleinkram.server.projects.fields import read_fields, usable_fields
 from kleinkram.server.settings import Creators
@@ -40,8 +39,7 @@ async def get_project(db: Connection, actor: Actor, project_id: uuid.UUID) -> Pr
     Raises:
         NotFound: it is not there, or not for this actor.
     """
-    given = asking(actor) | {"project_id": project_id}
-    row = (await db.execute(queries.project_by_id(whoever(actor)), given)).one_or_none()
+    row = (await db.execute(queries.project_by_id(actor, project_id))).one_or_none()
     if row is None:
         raise NotFound(noun="project", ref=str(project_id))
     return queries.to_projects([row])[0]
@@ -55,8 +53,8 @@ async def list_projects(
     Raises:
         InvalidCursor: the cursor is not of this list.
     """
-    wanted = queries.listed(whoever(actor), name, text, sort, page.alike)
-    rows = await fetch_listed(db, wanted, page, asking(actor))
+    matched = queries.matching_projects(actor, name=name, text=text)
+    rows = await fetch_page(db, matched, queries.project_order(sort), page)
     return Page(items=queries.to_projects(rows.items), next=rows.next, total=rows.total)
 
 
@@ -81,7 +79,7 @@ async def create_project(db: Connection, actor: Actor, *, wanted: ProjectCreate,
     except IntegrityError as error:
         raise _name_taken(error, wanted.name) from error
     after = {"name": wanted.name, "description": wanted.description, "metadata_fields": values["metadata_fields"]}
-    given = await give_first_rights(db, actor, project_id)
+    given = await grant_first_rights(db, actor, project_id)
     after |= {"grants": {name: right.value for name, right in given.items()}} if given else {}
     event = Event("project.create", "project", project_id, wanted.name, project_id, after=after, by_power=by_power)
     await record(db, actor, event)

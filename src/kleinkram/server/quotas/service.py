@@ -67,4 +67,4 @@ def _see_that_it_fits(row: Row[Any], unit: str, *, asked: int, used: int, quota:
     if quota is None or used + asked <= quota:
         return
     told = (used, quota) if row.is_known else (None, None)
-    raise QuotaExceeded(project=row.name, unit=unit, asked=asked, used=told[0], quota=told[1])
+    raise QuotaExceeded(project=row.name, unit=unit, requested=asked, used=told[0], quota=told[1])

@@ -14,19 +14,19 @@ from kleinkram.contract.events import ChangeKind
 from kleinkram.recordings import (
     Content,
     Depth,
-    GroupKind,
     Lost,
     Problem,
     RecordingFormat,
     RecordingGroup,
+    RecordingGroupKind,
     RecordingSummary,
     Rosbag2Metadata,
     TopicSummary,
     combine,
     group,
 )
-from kleinkram.recordings.rosbag2.folder import combine_folder
-from kleinkram.server.blobs.fitting import fit
+from kleinkram.recordings.combine_summaries import combine_folder
+from kleinkram.server.blobs.summaries import fit_text
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection
 from kleinkram.server.missions import amounts
@@ -146,7 +146,7 @@ def _topic(row: Row[Any]) -> TopicSummary:
 def _combined(each: RecordingGroup, members: Sequence[Row[Any]], stated: Stated, topics: Topics) -> RecordingSummary:
     names = [PurePosixPath(path).name for path in each.members]
     summaries = [_summary(row, topics.get(row.blob_id, ())) for row in members]
-    if each.kind is not GroupKind.rosbag2:
+    if each.kind is not RecordingGroupKind.rosbag2:
         return combine(summaries, names)
     path = each.metadata_path or ""
     if path in stated:
@@ -180,14 +180,14 @@ def _values(each: RecordingGroup, said: Rosbag2Metadata | None, summary: Recordi
     return {
         "name": each.name,
         "kind": each.kind.value,
-        "missing": [fit(name) for name in named if name not in here],
-        "surplus": [fit(name) for name in here if name not in named],
-        "problems": [{key: fit(value) for key, value in asdict(one).items()} for one in summary.problems],
+        "missing": [fit_text(name) for name in named if name not in here],
+        "surplus": [fit_text(name) for name in here if name not in named],
+        "problems": [{key: fit_text(value) for key, value in asdict(one).items()} for one in summary.problems],
         "message_count": count if count is not None and count <= _MAX_BIGINT else None,
         "start_ns": summary.start_ns,
         "end_ns": summary.end_ns,
         "content": summary.content.value,
-        "content_reason": fit(summary.reason),
+        "content_reason": fit_text(summary.reason),
         "lost": summary.lost and asdict(summary.lost),
     }
 

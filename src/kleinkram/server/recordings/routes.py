@@ -6,8 +6,8 @@ from fastapi import APIRouter
 
 from kleinkram.contract.files import RecordingRead
 from kleinkram.contract.paging import Cursor, Page, PageSize
-from kleinkram.server.dependencies import CurrentActor, Reading
-from kleinkram.server.pages import PageRequest
+from kleinkram.server.http.dependencies import CurrentActor, Reading
+from kleinkram.server.paging import PageRequest
 from kleinkram.server.recordings import service
 
 router = APIRouter(prefix="/api/v1", tags=["recordings"])

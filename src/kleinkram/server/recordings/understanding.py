@@ -12,8 +12,8 @@ from sqlalchemy import Row
 
 from kleinkram.contract.names import file_name
 from kleinkram.recordings import Rosbag2Metadata, SummaryFailed, metadata_request_bytes
-from kleinkram.recordings.grouping import METADATA_NAME
-from kleinkram.server.blobs.reading import Readers
+from kleinkram.recordings.recording_groups import METADATA_NAME
+from kleinkram.server.blobs.reader_processes import ReaderProcesses
 from kleinkram.server.context import AppContext
 
 # About 1400 topics. Untrusted YAML takes 18 s a megabyte; what is larger is not looked at.
@@ -26,7 +26,7 @@ _REMEMBERED_BYTES = 8 * 1024 * 1024
 class Understanding:
     """Understands metadata.yaml files, and remembers them up to a bound. One a worker."""
 
-    def __init__(self, readers: Readers) -> None:
+    def __init__(self, readers: ReaderProcesses) -> None:
         self._readers = readers
         self._known: dict[str, Rosbag2Metadata | SummaryFailed | None] = {}
         self._size_bytes = 0

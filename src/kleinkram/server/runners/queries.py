@@ -10,8 +10,8 @@ from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.runners import Capacity, ClaimRequest, ExecutorAbilities, RunnerRead, RunnerToken
 from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.db import among
-from kleinkram.server.pages import Order
-from kleinkram.server.runners.fitting import is_alive, is_for_owner_only, runs_scripts, with_limits
+from kleinkram.server.paging import Order
+from kleinkram.server.runners.scheduling import is_alive, is_single_person_only, runs_scripts, with_limits
 from kleinkram.server.tables import action, action_version, mission, project, run, runner, token, token_limit
 from kleinkram.server.tables.run import HELD
 
@@ -79,16 +79,16 @@ def _with_definition() -> Select[Any]:
     )
 
 
-def unheard_claim(runner_id: uuid.UUID, held: Collection[uuid.UUID]) -> Select[Any]:
+def unanswered_claim(runner_id: uuid.UUID, held: Collection[uuid.UUID]) -> Select[Any]:
     """Return a run that this runner was given and knows nothing of: the answer was lost."""
     given = (run.c.runner_id == runner_id) & run.c.state.in_(HELD) & run.c.id.not_in(held)
     return _with_definition().where(given).limit(1).with_for_update(of=run)
 
 
-def next_run(row: Row[Any], asked: ClaimRequest, *, owners_alone: bool) -> Select[Any] | None:
+def next_run(row: Row[Any], asked: ClaimRequest, *, single_person: bool) -> Select[Any] | None:
     """Return the oldest run in the queue that fits what a runner has free, locked; None where it may do none."""
     abilities = ExecutorAbilities.model_validate(row.abilities)
-    if is_for_owner_only(abilities) and not owners_alone:
+    if is_single_person_only(abilities) and not single_person:
         return None
     free = asked.free
     fits = (
@@ -110,7 +110,7 @@ def next_run(row: Row[Any], asked: ClaimRequest, *, owners_alone: bool) -> Selec
     return queued.order_by(run.c.created_at, run.c.id).limit(1).with_for_update(of=run, skip_locked=True)
 
 
-def held_run(actor: Actor, run_id: uuid.UUID, attempt: int) -> Select[Any]:
+def assigned_run(actor: Actor, run_id: uuid.UUID, attempt: int) -> Select[Any]:
     """Return a run that the runner of this token holds by this attempt, locked."""
     current = (run.c.attempt == attempt) & run.c.state.in_(HELD) & _is_of(actor)
     return _with_definition().where(run.c.id == run_id, current).with_for_update(of=run, key_share=True)

@@ -25,12 +25,12 @@ from kleinkram.contract.runners import (
 )
 from kleinkram.contract.runs import RunContext
 from kleinkram.contract.uploads import UploadDecisions
-from kleinkram.server.dependencies import CurrentActor, CurrentSite, Transaction
-from kleinkram.server.http import mark_as_stream
-from kleinkram.server.pages import PageRequest
-from kleinkram.server.runners import holding, service
-from kleinkram.server.uploads.artifacts import begin_artifacts
-from kleinkram.server.uploads.completion import finish_cut_off_artifacts
+from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Transaction
+from kleinkram.server.http.middleware import mark_as_stream
+from kleinkram.server.paging import PageRequest
+from kleinkram.server.runners import assigned_runs, service
+from kleinkram.server.uploads.artifacts import ArtifactOwner, begin_artifacts
+from kleinkram.server.uploads.completion import finish_interrupted_artifacts
 
 router = APIRouter(prefix="/api/v1", tags=["runners"])
 AttemptQuery = Annotated[Attempt, Query()]
@@ -55,7 +55,7 @@ async def register_runner(hello: RunnerRegistration, db: Transaction, actor: Cur
 
 @router.post("/runners/{runner_id}/claims", operation_id="claim_run")
 async def claim_run(
-    runner_id: uuid.UUID, asked: ClaimRequest, request: Request, context: CurrentSite, actor: CurrentActor
+    runner_id: uuid.UUID, asked: ClaimRequest, request: Request, context: CurrentContext, actor: CurrentActor
 ) -> ClaimReply:
     """Ask for a run that fits what is free, and wait for one."""
     mark_as_stream(request.scope)
@@ -71,41 +71,44 @@ async def beat(runner_id: uuid.UUID, said: Heartbeats, db: Transaction, actor: C
 @router.get("/runner/runs/{run_id}/context", operation_id="get_run_context")
 async def get_run_context(run_id: uuid.UUID, attempt: AttemptQuery, db: Transaction, actor: CurrentActor) -> RunContext:
     """Get what a run is told of itself, its mission and its files."""
-    return await holding.get_context(db, actor, run_id=run_id, attempt=attempt)
+    return await assigned_runs.get_context(db, actor, run_id=run_id, attempt=attempt)
 
 
 @router.post("/runner/runs/{run_id}/inputs", operation_id="sign_inputs")
-async def sign_inputs(run_id: uuid.UUID, asked: InputsRequest, context: CurrentSite, actor: CurrentActor) -> InputUrls:
+async def sign_inputs(
+    run_id: uuid.UUID, asked: InputsRequest, context: CurrentContext, actor: CurrentActor
+) -> InputUrls:
     """Get where to read inputs."""
-    return await holding.sign_inputs(context, actor, run_id=run_id, asked=asked)
+    return await assigned_runs.sign_inputs(context, actor, run_id=run_id, asked=asked)
 
 
 @router.post("/runner/runs/{run_id}/log-chunks", operation_id="create_log_chunk")
 async def create_log_chunk(
-    run_id: uuid.UUID, asked: LogChunkCreate, context: CurrentSite, actor: CurrentActor
+    run_id: uuid.UUID, asked: LogChunkCreate, context: CurrentContext, actor: CurrentActor
 ) -> LogChunkUpload:
     """Get where to store a piece of a log."""
-    return await holding.create_log_chunk(context, actor, run_id=run_id, asked=asked)
+    return await assigned_runs.create_log_chunk(context, actor, run_id=run_id, asked=asked)
 
 
 @router.post("/runner/runs/{run_id}/log-chunks/confirm", operation_id="confirm_log_chunk", status_code=204)
 async def confirm_log_chunk(run_id: uuid.UUID, kept: LogChunkConfirm, db: Transaction, actor: CurrentActor) -> None:
     """Say that a piece of a log was stored: people see it from then on."""
-    await holding.confirm_log_chunk(db, actor, run_id=run_id, kept=kept)
+    await assigned_runs.confirm_log_chunk(db, actor, run_id=run_id, kept=kept)
 
 
 @router.post("/runner/runs/{run_id}/uploads", operation_id="create_artifact_uploads")
 async def begin_uploads_of_run(
-    run_id: uuid.UUID, body: ArtifactUploadsCreate, context: CurrentSite, actor: CurrentActor
+    run_id: uuid.UUID, body: ArtifactUploadsCreate, context: CurrentContext, actor: CurrentActor
 ) -> UploadDecisions:
     """Say what a run left, and hear what to send: by the same protocol as files of a mission."""
     async with context.database.begin() as db:
-        row = await holding.hold(db, actor, run_id, body.attempt)
-    await finish_cut_off_artifacts(context, actor, run_id=run_id, paths=[each.path for each in body.files])
-    return UploadDecisions(items=await begin_artifacts(context, actor, row=row, wanted=body.files))
+        row = await assigned_runs.hold(db, actor, run_id, body.attempt)
+    owner = ArtifactOwner(run_id, row.mission_id, row.started_by_id)
+    await finish_interrupted_artifacts(context, actor, run_id=run_id, paths=[each.path for each in body.files])
+    return UploadDecisions(items=await begin_artifacts(context, actor, owner=owner, requested=body.files))
 
 
 @router.post("/runner/runs/{run_id}/finish", operation_id="finish_run")
 async def finish_run(run_id: uuid.UUID, said: RunFinish, db: Transaction, actor: CurrentActor) -> RunFinished:
     """Say how a run ended, once all that it left is uploaded."""
-    return await holding.finish_run(db, actor, run_id=run_id, said=said)
+    return await assigned_runs.finish_run(db, actor, run_id=run_id, said=said)

@@ -37,11 +37,11 @@ from kleinkram.server.audit.service import Event, record
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
-from kleinkram.server.events.hub import Hub, Topic
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.events.hub import EventFilter, Hub
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.runners import queries
-from kleinkram.server.runners.fitting import is_owners_alone, with_limits
-from kleinkram.server.runs.ending import end_run, take_back_lost
+from kleinkram.server.runners.scheduling import has_single_person, with_limits
+from kleinkram.server.runs.lifecycle import end_run, requeue_lost_runs
 from kleinkram.server.tables import action_version, mission, project, run, run_input, runner, token, token_limit
 from kleinkram.server.tables.run import HELD
 
@@ -54,7 +54,7 @@ _SCOPES = {
 _ORDER = {RunState.preparing: 0, RunState.running: 1, RunState.collecting: 2}
 # Between two looks where nothing was heard of: a lease that runs out tells nobody.
 _LOOK_EVERY_S = 5.0
-_QUEUE = Topic(frozenset({"run"}))
+_QUEUE = EventFilter(frozenset({"run"}))
 _LEASE = datetime.timedelta(seconds=LEASE_S)
 # What has run is only to be sent: a server that was away for some minutes does not have hours of it done again.
 _LEASE_TO_KEEP = datetime.timedelta(minutes=15)
@@ -149,31 +149,31 @@ async def claim(
             async with context.database.begin() as db:
                 found = await _claim_now(db, actor, runner_id, asked)
             left_s = until - time.monotonic()
-            if found is not None or left_s <= 0 or hub.is_over:
+            if found is not None or left_s <= 0 or hub.is_closed:
                 return ClaimReply(run=found)
-            await hub.next_change(listener, at_most_s=min(left_s, _LOOK_EVERY_S))
+            await hub.next_event(listener, timeout_s=min(left_s, _LOOK_EVERY_S))
 
 
 async def _claim_now(db: Connection, actor: Actor, runner_id: uuid.UUID, asked: ClaimRequest) -> RunAssignment | None:
-    await _see(db, actor, runner_id)
+    await _note_seen(db, actor, runner_id)
     row = (await db.execute(with_limits(select(runner)).where(runner.c.id == runner_id))).one()
-    await take_back_lost(db)
-    unheard = (await db.execute(queries.unheard_claim(runner_id, asked.active_run_ids))).one_or_none()
+    await requeue_lost_runs(db)
+    unheard = (await db.execute(queries.unanswered_claim(runner_id, asked.active_run_ids))).one_or_none()
     if unheard is not None:
-        return await _given(db, unheard, runner_id, unheard.attempt)
-    stmt = queries.next_run(row, asked, owners_alone=await is_owners_alone(db))
+        return await _assign(db, unheard, runner_id, unheard.attempt)
+    stmt = queries.next_run(row, asked, single_person=await has_single_person(db))
     while stmt is not None:
         found = (await db.execute(stmt)).one_or_none()
         if found is None:
             break
         if await _may_still(db, found):
-            return await _given(db, found, runner_id, found.attempt + 1)
+            return await _assign(db, found, runner_id, found.attempt + 1)
         message = "Whoever started it may not run it on this mission any more."
         await end_run(db, found, EndReason.cancelled, message)
     return None
 
 
-async def _see(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
+async def _note_seen(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
     """Note that a runner was heard of. One from before tokens were bound becomes the one of its token."""
     mine = (runner.c.id == runner_id) & (runner.c.person_id == actor.person_id)
     values = {"last_seen_at": func.now(), "token_id": actor.token_id}
@@ -192,7 +192,7 @@ async def _may_still(db: Connection, row: Row[Any]) -> bool:
     return level is not None and level >= needed.level
 
 
-async def _given(db: Connection, row: Row[Any], runner_id: uuid.UUID, attempt: int) -> RunAssignment:
+async def _assign(db: Connection, row: Row[Any], runner_id: uuid.UUID, attempt: int) -> RunAssignment:
     state = RunState.preparing.value if attempt != row.attempt else row.state
     held = {"state": state, "runner_id": runner_id, "attempt": attempt, "lease_ends_at": func.now() + _LEASE}
     claimed_at = func.coalesce(run.c.claimed_at, func.now())
@@ -255,12 +255,12 @@ async def record_heartbeats(
         NotFound: nobody of this person's is that runner.
         Forbidden: the token is another runner's.
     """
-    await _see(db, actor, runner_id)
-    answers = [await _take_beat(db, runner_id, beat) for beat in sorted(said.runs, key=lambda beat: beat.run_id)]
+    await _note_seen(db, actor, runner_id)
+    answers = [await _record_heartbeat(db, runner_id, beat) for beat in sorted(said.runs, key=lambda beat: beat.run_id)]
     return HeartbeatReplies(runs=answers, lease_s=LEASE_S)
 
 
-async def _take_beat(db: Connection, runner_id: uuid.UUID, beat: Heartbeat) -> HeartbeatReply:
+async def _record_heartbeat(db: Connection, runner_id: uuid.UUID, beat: Heartbeat) -> HeartbeatReply:
     held = (run.c.id == beat.run_id) & (run.c.attempt == beat.attempt) & (run.c.runner_id == runner_id)
     gone = func.coalesce(mission.c.deleted_at, project.c.deleted_at).is_not(None).label("is_gone")
     image = action_version.c.definition["image"].astext.label("image")

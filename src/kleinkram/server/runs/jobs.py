@@ -3,11 +3,11 @@
 from procrastinate import JobContext
 from sqlalchemy import Row, delete, func, or_, select, text
 
-from kleinkram.server.blobs.holding import is_held_back
+from kleinkram.server.blobs.garbage_collection import is_deletion_paused
 from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.job_context import app_context
 from kleinkram.server.jobs.queue import Job, queue
-from kleinkram.server.runs.ending import cancel_orphans, take_back_lost
+from kleinkram.server.runs.lifecycle import cancel_orphans, requeue_lost_runs
 from kleinkram.server.tables import log_chunk, run
 from kleinkram.server.tables.run import ACTIVE
 
@@ -18,21 +18,21 @@ _BATCH = 500
 @queue.task(name=Job.tend_runs.value, pass_context=True, queueing_lock="tend_runs", lock="tend_runs")
 async def tend_runs(job_context: JobContext, timestamp: int = 0) -> None:
     """See to runs that nobody sees to."""
-    await tend_once(app_context(job_context))
+    await maintain_runs_once(app_context(job_context))
 
 
-async def tend_once(context: AppContext) -> None:
+async def maintain_runs_once(context: AppContext) -> None:
     """Do one round; what it leaves, the next one takes."""
     async with context.database.begin() as db:
-        await take_back_lost(db)
+        await requeue_lost_runs(db)
         await cancel_orphans(db)
-    for row in await _needless(context):
+    for row in await _obsolete_chunks(context):
         await context.storage.delete(row.key)
         async with context.database.begin() as db:
             await db.execute(delete(log_chunk).where(log_chunk.c.key == row.key))
 
 
-async def _needless(context: AppContext) -> list[Row[tuple[str]]]:
+async def _obsolete_chunks(context: AppContext) -> list[Row[tuple[str]]]:
     """Return pieces of logs that are kept whole elsewhere, of earlier attempts or runs that are gone, or never came."""
     over = run.c.state.not_in(ACTIVE)
     never_came = log_chunk.c.kept_at.is_(None) & (log_chunk.c.created_at < func.now() - text("interval '1 day'"))
@@ -45,4 +45,4 @@ async def _needless(context: AppContext) -> list[Row[tuple[str]]]:
     stmt = select(log_chunk.c.key).outerjoin(run, run.c.id == log_chunk.c.run_id)
     due = stmt.where(log_chunk.c.store_id == context.settings.store_id, needless).limit(_BATCH)
     async with context.database.begin() as db:
-        return [] if await is_held_back(db) else list((await db.execute(due)).all())
+        return [] if await is_deletion_paused(db) else list((await db.execute(due)).all())

@@ -11,8 +11,8 @@ from kleinkram.contract.runs import LogChunkRead
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
-from kleinkram.server.events.hub import Hub, Topic
-from kleinkram.server.runs import reading
+from kleinkram.server.events.hub import EventFilter, Hub
+from kleinkram.server.runs import service
 from kleinkram.server.tables import blob, log_chunk, run
 from kleinkram.server.tables.run import ACTIVE
 
@@ -46,11 +46,11 @@ async def read_log(
     if not wait_s:
         return await _read_now(context, actor, run_id, offset)
     until = time.monotonic() + wait_s
-    with hub.long_poll(actor.person_id or actor.share_id, Topic(_LOG_NOUNS, run_id)) as listener:
+    with hub.long_poll(actor.person_id or actor.share_id, EventFilter(_LOG_NOUNS, run_id)) as listener:
         piece = await _read_now(context, actor, run_id, offset)
-        while not (piece.text or piece.is_over or hub.is_over) and (left_s := until - time.monotonic()) > 0:
-            await hub.next_change(listener, at_most_s=min(left_s, _LOOK_EVERY_S))
-            async with hub.looking:  # however many wait, most connections are left to others
+        while not (piece.text or piece.is_over or hub.is_closed) and (left_s := until - time.monotonic()) > 0:
+            await hub.next_event(listener, timeout_s=min(left_s, _LOOK_EVERY_S))
+            async with hub.rights_checks:  # however many wait, most connections are left to others
                 piece = await _read_now(context, actor, run_id, offset)
         return piece
 
@@ -60,7 +60,7 @@ async def _read_now(context: AppContext, actor: Actor, run_id: uuid.UUID, offset
     while True:
         async with context.database.begin() as db:
             place = await _find(db, actor, run_id, offset)
-        piece = await _piece(context, place, offset)
+        piece = await _read_chunk(context, place, offset)
         if piece is not None:
             return piece
         # It may have been joined to the whole log just then: where it is now, the database says.
@@ -70,7 +70,7 @@ async def _read_now(context: AppContext, actor: Actor, run_id: uuid.UUID, offset
 
 
 async def _find(db: Connection, actor: Actor, run_id: uuid.UUID, offset: int) -> _Place:
-    run_id = await reading.results_of(db, actor, run_id)
+    run_id = await service.results_of(db, actor, run_id)
     stmt = select(run.c.attempt, run.c.state, blob.c.key, blob.c.size_bytes)
     joined = stmt.outerjoin(blob, blob.c.id == run.c.log_blob_id).where(run.c.id == run_id)
     row = (await db.execute(joined)).one()
@@ -81,8 +81,8 @@ async def _find(db: Connection, actor: Actor, run_id: uuid.UUID, offset: int) ->
     shown = (log_chunk.c.run_id == run_id) & (log_chunk.c.attempt == row.attempt) & log_chunk.c.kept_at.is_not(None)
     ends = log_chunk.c.offset_bytes + log_chunk.c.size_bytes
     size = (await db.execute(select(func.coalesce(func.max(ends), 0)).where(shown))).scalar_one()
-    holding = select(log_chunk).where(shown, log_chunk.c.offset_bytes <= offset, ends > offset)
-    segment = (await db.execute(holding.limit(1))).one_or_none()
+    covering = select(log_chunk).where(shown, log_chunk.c.offset_bytes <= offset, ends > offset)
+    segment = (await db.execute(covering.limit(1))).one_or_none()
     if segment is None:
         return _Place(row.attempt, is_over, size)
     begins = offset - segment.offset_bytes
@@ -90,7 +90,7 @@ async def _find(db: Connection, actor: Actor, run_id: uuid.UUID, offset: int) ->
     return _Place(row.attempt, is_over, size, segment.key, begins, length)
 
 
-async def _piece(context: AppContext, place: _Place, offset: int) -> LogChunkRead | None:
+async def _read_chunk(context: AppContext, place: _Place, offset: int) -> LogChunkRead | None:
     """Return what is at a place; None where the store has no such object."""
     data = b""
     if place.key is not None and place.length:

@@ -23,9 +23,9 @@ from kleinkram.contract.runs import (
     RunsCreate,
     RunsCreated,
 )
-from kleinkram.server.dependencies import CurrentActor, CurrentSite, Reading, Transaction
-from kleinkram.server.pages import PageRequest
-from kleinkram.server.runs import ending, launching, lineage, logs, reading
+from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
+from kleinkram.server.paging import PageRequest
+from kleinkram.server.runs import launch, lifecycle, logs, service
 
 router = APIRouter(prefix="/api/v1", tags=["runs"])
 
@@ -58,32 +58,32 @@ class LogQuery(BaseModel):
 @router.post("/runs", operation_id="create_runs")
 async def create_runs(wanted: RunsCreate, db: Transaction, actor: CurrentActor) -> RunsCreated:
     """Run an action on each of some missions; says for each mission whether there is a run."""
-    return await launching.launch(db, actor, wanted=wanted)
+    return await launch.launch(db, actor, wanted=wanted)
 
 
 @router.get("/runs", operation_id="list_runs")
 async def list_runs(query: Annotated[RunListQuery, Query()], db: Reading, actor: CurrentActor) -> Page[RunRead]:
     """List the runs that match, latest first."""
     page = PageRequest(query.limit, query.cursor, query.count)
-    return await reading.list_runs(db, actor, matching=query, page=page)
+    return await service.list_runs(db, actor, matching=query, page=page)
 
 
 @router.get("/runs/{run_id}", operation_id="get_run")
 async def get_run(run_id: uuid.UUID, db: Reading, actor: CurrentActor) -> RunDetail:
     """Get a run with all that fits one answer."""
-    return await reading.get_detail(db, actor, run_id)
+    return await service.get_detail(db, actor, run_id)
 
 
 @router.post("/runs/{run_id}/cancel", operation_id="cancel_run")
 async def cancel_run(run_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> RunRead:
     """Cancel a run; one that a runner has ends within seconds."""
-    return await ending.cancel_run(db, actor, run_id=run_id)
+    return await lifecycle.cancel_run(db, actor, run_id=run_id)
 
 
 @router.post("/runs/{run_id}/retry", operation_id="retry_run", status_code=201)
 async def retry_run(run_id: uuid.UUID, db: Transaction, actor: CurrentActor, force: bool = False) -> RunRead:
     """Run the same once more, on the files as they are now; with `force` though a good run of it is there."""
-    return await ending.retry_run(db, actor, run_id=run_id, force=force)
+    return await launch.retry_run(db, actor, run_id=run_id, force=force)
 
 
 @router.get("/runs/{run_id}/inputs", operation_id="list_run_inputs")
@@ -95,7 +95,7 @@ async def list_run_inputs(
     cursor: Cursor | None = None,
 ) -> Page[RunInput]:
     """List what a run was given, by path."""
-    return await reading.list_inputs(db, actor, run_id=run_id, page=PageRequest(limit, cursor))
+    return await service.list_inputs(db, actor, run_id=run_id, page=PageRequest(limit, cursor))
 
 
 @router.get("/runs/{run_id}/artifacts", operation_id="list_artifacts")
@@ -107,15 +107,15 @@ async def list_artifacts(
     cursor: Cursor | None = None,
 ) -> Page[ArtifactRead]:
     """List what a run left, by path."""
-    return await reading.list_artifacts(db, actor, run_id=run_id, page=PageRequest(limit, cursor))
+    return await service.list_artifacts(db, actor, run_id=run_id, page=PageRequest(limit, cursor))
 
 
 @router.post("/runs/{run_id}/artifacts/download", operation_id="download_artifacts")
 async def download_artifacts(
-    run_id: uuid.UUID, wanted: ArtifactsRequest, context: CurrentSite, actor: CurrentActor
+    run_id: uuid.UUID, wanted: ArtifactsRequest, context: CurrentContext, actor: CurrentActor
 ) -> ArtifactUrls:
     """Return where to read artifacts; who asked is noted."""
-    items = await reading.link_artifacts(context, actor, run_id=run_id, artifact_ids=wanted.artifact_ids)
+    items = await service.link_artifacts(context, actor, run_id=run_id, artifact_ids=wanted.artifact_ids)
     return ArtifactUrls(items=items)
 
 
@@ -124,7 +124,7 @@ async def get_run_log(
     run_id: uuid.UUID,
     query: Annotated[LogQuery, Query()],
     request: Request,
-    context: CurrentSite,
+    context: CurrentContext,
     actor: CurrentActor,
 ) -> LogChunkRead:
     """Get a piece of what a run wrote. Ask from `next_offset` on for the next one, until `is_over`."""
@@ -138,7 +138,7 @@ async def list_findings(
 ) -> Page[FindingRead]:
     """List what runs noticed, latest first."""
     page = PageRequest(query.limit, query.cursor, query.count)
-    return await reading.list_findings(db, actor, matching=query, page=page)
+    return await service.list_findings(db, actor, matching=query, page=page)
 
 
 @router.get("/run-metrics", operation_id="list_run_metrics")
@@ -147,10 +147,10 @@ async def list_run_metrics(
 ) -> Page[MetricRead]:
     """List the numbers that runs found, latest first."""
     page = PageRequest(query.limit, query.cursor, query.count)
-    return await reading.list_metrics(db, actor, matching=query, page=page)
+    return await service.list_metrics(db, actor, matching=query, page=page)
 
 
 @router.get("/files/{file_id}/lineage", operation_id="get_lineage")
 async def get_lineage(file_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> LineageRead:
     """Say which run made a file, and which runs read it, with what came of that."""
-    return await lineage.get_lineage(db, actor, file_id=file_id)
+    return await service.get_lineage(db, actor, file_id=file_id)

@@ -4,7 +4,7 @@ One statement for all facets: each filter is looked up once, and no more than `m
 counts is put together once for all requests, as that takes about as long as to count; what finds is each request's.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache
 from typing import Any
@@ -21,7 +21,6 @@ from sqlalchemy import (
     TableClause,
     Text,
     all_,
-    and_,
     bindparam,
     case,
     cast,
@@ -42,12 +41,11 @@ from kleinkram.contract.files import FileFilter
 from kleinkram.contract.query.keys import META
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions, visible_files
-from kleinkram.server.access.whoever import KEPT
 from kleinkram.server.db import among
-from kleinkram.server.filters import looking
-from kleinkram.server.filters.asked import Asked, values
-from kleinkram.server.filters.files import file_conditions, narrow_files, narrow_topics
-from kleinkram.server.search import choosing
+from kleinkram.server.filters.files import filter_files, filter_topics
+from kleinkram.server.filters.plan import SearchPlan
+from kleinkram.server.search import chosen_values
+from kleinkram.server.search.planner import sampled_files
 from kleinkram.server.tables import blob, file, mission, project, topic
 
 MOST_VALUES = 12
@@ -64,74 +62,48 @@ _FIELD = "^[A-Za-z][A-Za-z0-9_]*$"
 
 def variants(actor: Actor, matching: FileFilter) -> list[FileFilter]:
     """Return the filters whose files are counted: the whole one, and without each thing that is chosen."""
-    names = [*PLAIN_FACETS, *(META + field for field in choosing.fields(matching) if sees_whole_missions(actor))]
-    without = [choosing.without(matching, name) for name in names]
+    names = [*PLAIN_FACETS, *(META + field for field in chosen_values.fields(matching) if sees_whole_missions(actor))]
+    without = [chosen_values.without(matching, name) for name in names]
     return [matching, *(each for each in without if each != matching)]
 
 
-@lru_cache(maxsize=KEPT)
-def facet_rows(asked: Asked[FileFilter], *, most: int, many: Sequence[bool], drawn: CTE) -> CompoundSelect[Any]:
+def facet_rows(
+    actor: Actor, matching: FileFilter, plan: SearchPlan, *, most: int, common: Sequence[bool]
+) -> CompoundSelect[Any]:
     """Return rows of `facet`, `value`, `kind`, `file_count`, `value_count` for every facet of a filter.
 
-    The rows of the empty facet hold how many files were looked at: `found` of the filter, and how many there were to be
-    `drawn` where all filters find `many`, of which only files drawn by lot are looked at. A facet of which something is
-    chosen counts the files that would be found if nothing of it were, so that its numbers say what another choice would
-    find. `many` says it of each of the `variants`. It is executed with the `parameters` of the filter.
+    The row of the empty facet holds how many files were counted. A facet of which something is chosen counts the files
+    that would match if nothing of it were, so that its numbers say what another choice would find. `common` says of
+    each of the `variants` whether only the sampled files are looked at.
     """
-    actor, matching = asked.actor, asked.matching
     each_filter = variants(actor, matching)
-    tried = _tried(actor, each_filter, drawn) if all(many) else None
 
     def found_by(facet: str, name: str) -> CTE:
-        each = choosing.without(matching, facet) if facet else matching
-        if tried is not None:
-            return select(*_same(tried)).where(tried.c[f"holds_{each_filter.index(each)}"]).cte(name)
-        is_drawn = many[each_filter.index(each)]
-        as_drawn = replace(actor, looked=replace(actor.looked, finds_many=is_drawn))
-        return _found(as_drawn, each, name, most, drawn if is_drawn else None)
+        each = chosen_values.without(matching, facet) if facet else matching
+        is_common = common[each_filter.index(each)]
+        found = filter_files(actor, visible_files(actor), each, replace(plan, is_common=is_common))
+        found = found.with_only_columns(*_columns(), maintain_column_froms=True)
+        if is_common:
+            found = found.where(file.c.id.in_(select(sample.c.id)))
+        return found.limit(most).cte(name).prefix_with("MATERIALIZED")
 
-    chosen = frozenset(facet for facet in PLAIN_FACETS if choosing.without(matching, facet) != matching)
+    sample = sampled_files()
+    chosen = frozenset(facet for facet in PLAIN_FACETS if chosen_values.without(matching, facet) != matching)
     found = {"": found_by("", "found")} | {facet: found_by(facet, f"but_{facet}") for facet in sorted(chosen)}
     topics = {
-        name: _topics(found.get(facet, found[""]), choosing.without(matching, facet), name)
+        name: _topics(found.get(facet, found[""]), chosen_values.without(matching, facet), name)
         for facet, name in _topics_of(chosen).items()
     }
-    fields_asked = choosing.fields(matching) if sees_whole_missions(actor) else []
+    fields_asked = chosen_values.fields(matching) if sees_whole_missions(actor) else []
     fields = [found_by(META + field, f"but_field_{number}") for number, field in enumerate(fields_asked)]
-    looked_at = ("found",) if tried is None else ("found", "drawn")
-    counts = _counts(chosen, len(fields_asked), looked_at, with_metadata=sees_whole_missions(actor))
+    counts = _counts(chosen, len(fields_asked), with_metadata=sees_whole_missions(actor))
     return counts.add_cte(*found.values(), *topics.values(), *fields)
 
 
-def parameters(actor: Actor, matching: FileFilter) -> dict[str, object]:
-    """Return what the statement of `facet_rows` is executed with: the metadata fields that a filter asks for, too."""
-    asked = choosing.fields(matching)
-    return values(actor, matching) | {
-        "asked": asked,
-        **{f"field_{number}": field for number, field in enumerate(asked)},
-    }
-
-
-def _tried(actor: Actor, filters: Sequence[FileFilter], drawn: CTE) -> CTE:
-    """Return the files drawn by lot that are seen, and which of some filters each matches: they are read once."""
-    holds = (and_(true(), *file_conditions(actor, each)) for each in filters)
-    columns = (*_columns(), *(each.label(f"holds_{number}") for number, each in enumerate(holds)))
-    seen = visible_files(actor).where(file.c.id.in_(select(drawn.c.id)))
-    # With a limit the database tries each once, and not for each of the filters anew.
-    seen = seen.with_only_columns(*columns, maintain_column_froms=True).limit(looking.DRAWN)
-    return seen.cte("tried").prefix_with("MATERIALIZED")
-
-
-def _same(tried: CTE) -> Iterator[ColumnElement[Any]]:
-    return (tried.c[str(each.key)] for each in _columns())
-
-
-def _found(actor: Actor, matching: FileFilter, name: str, most: int, drawn: CTE | None) -> CTE:
-    found = narrow_files(actor, visible_files(actor), matching)
-    found = found.with_only_columns(*_columns(), maintain_column_froms=True)
-    if drawn is not None:
-        found = found.where(file.c.id.in_(select(drawn.c.id)))
-    return found.limit(most).cte(name).prefix_with("MATERIALIZED")
+def parameters(matching: FileFilter) -> dict[str, object]:
+    """Return the bind parameters of `facet_rows`: the metadata fields that a filter names."""
+    names = chosen_values.fields(matching)
+    return {"chosen_fields": names, **{f"field_{number}": name for number, name in enumerate(names)}}
 
 
 @cache
@@ -153,7 +125,7 @@ def _topics(found: CTE, matching: FileFilter, name: str) -> CTE:
     # Read from the index by blob alone, which holds name and type, in its order and behind a fence: else the index of
     # names or that of types may be gone through.
     own = select(topic.c.name, topic.c.message_type).where(topic.c.blob_id == blobs.c.blob_id)
-    own = narrow_topics(own, matching).order_by(topic.c.name, topic.c.message_type).offset(0)
+    own = filter_topics(own, matching).order_by(topic.c.name, topic.c.message_type).offset(0)
     each = own.correlate(blobs).subquery()
     sides = (func.array_agg(each.c.name).label("names"), func.array_agg(each.c.message_type).label("types"))
     held = select(*sides).lateral("held")
@@ -164,9 +136,7 @@ def _topics(found: CTE, matching: FileFilter, name: str) -> CTE:
 
 # As much is kept as people choose in a day; what can be chosen together is a lot more.
 @lru_cache(maxsize=64)
-def _counts(
-    chosen: frozenset[str], fields: int, looked_at: Sequence[str], *, with_metadata: bool
-) -> CompoundSelect[Any]:
+def _counts(chosen: frozenset[str], fields: int, *, with_metadata: bool) -> CompoundSelect[Any]:
     """Return what counts, where some facets are chosen and so many metadata fields asked for.
 
     The files that were found, and their topics, it takes to be there under the names that `facet_rows` gives them.
@@ -178,7 +148,7 @@ def _counts(
     counted.append(_by_label(_named("but_label") if "label" in chosen else base))
     topics = _topics_of(chosen)
     counted += [_by_topic("topic", topics["topic"], "names"), _by_topic("type", topics.get("type", "topics"), "types")]
-    parts = [*map(_looked_at, looked_at), _top(union_all(*counted).subquery())]
+    parts = [_found_count(), _top(union_all(*counted).subquery())]
     if with_metadata:
         parts.append(_fields(base, None))
         parts += [_fields(_named(f"but_{only}"), only) for only in map("field_{}".format, range(fields))]
@@ -189,8 +159,8 @@ def _named(found: str) -> TableClause:
     return table(found, *(column(str(each.key), each.type) for each in _columns()))
 
 
-def _looked_at(name: str) -> Select[Any]:
-    return _row(literal(""), literal(name), func.count(), literal(1, BigInteger)).select_from(table(name))
+def _found_count() -> Select[Any]:
+    return _row(literal(""), literal("found"), func.count(), literal(1, BigInteger)).select_from(table("found"))
 
 
 def _by_column(found: TableClause, facets: Sequence[str]) -> Select[Any]:
@@ -231,7 +201,7 @@ def _fields(found: TableClause, only: str | None) -> Select[Any]:
     """Return the values of metadata fields: of one field, or of those that most files have, and not asked for."""
     values = _field_values(found).subquery()
     if only is None:
-        is_wanted = values.c.key != all_(bindparam("asked", type_=ARRAY(Text)))
+        is_wanted = values.c.key != all_(bindparam("chosen_fields", type_=ARRAY(Text)))
     else:
         is_wanted = values.c.key == bindparam(only, type_=Text())
     weight = func.sum(values.c.file_count).over(partition_by=values.c.key)

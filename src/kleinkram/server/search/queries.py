@@ -2,17 +2,17 @@
 
 import re
 from collections.abc import Iterable, Sequence
-from functools import lru_cache
 from typing import Any
 
 from sqlalchemy import (
     BigInteger,
     ColumnElement,
+    Integer,
     Row,
     Select,
     Text,
     and_,
-    bindparam,
+    case,
     cast,
     distinct,
     func,
@@ -27,65 +27,66 @@ from kleinkram.contract.searching import TopicFound
 from kleinkram.contract.stats import StatsRow
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import shown_recordings, visible_files, visible_missions, visible_projects
-from kleinkram.server.access.whoever import KEPT
 from kleinkram.server.db import Written
 from kleinkram.server.files.topics import topic_rows
-from kleinkram.server.filters.asked import Asked
-from kleinkram.server.filters.files import narrow_files, narrow_topics, words_in
-from kleinkram.server.filters.looking import rounded
+from kleinkram.server.filters.files import filter_files, filter_topics
 from kleinkram.server.filters.metadata import metadata_text
+from kleinkram.server.filters.patterns import holds_word
+from kleinkram.server.filters.plan import SearchPlan, rounded
+from kleinkram.server.filters.text import words_of
 from kleinkram.server.tables import blob, file, mission, project, recording, topic
 
-_MEMORY = "32MB"
+_WORK_MEMORY = "32MB"
 _METADATA = re.compile(r"metadata\.([^.]+(?:\.[^.]+)*)")
 _NUMBERS = ("missions", "files", "recordings", "size_bytes", "duration_ns", "messages")
 
 
 def matching_topics(actor: Actor, matching: FileFilter) -> Select[Any]:
     """Return the topics of the files that match, with those files; topic and type globs narrow the topics too."""
-    return narrow_topics(topic_rows(narrow_files(actor, visible_files(actor), matching)), matching)
+    return filter_topics(topic_rows(filter_files(actor, visible_files(actor), matching)), matching)
 
 
-def room_to_count() -> Select[Any]:
-    """Return the statement that gives the counting of many topics memory to do it in, until the transaction ends."""
-    return select(func.set_config("work_mem", _MEMORY, True))
+def enlarge_work_memory() -> Select[Any]:
+    """Return the statement that gives a transaction enough memory to count many topics."""
+    return select(func.set_config("work_mem", _WORK_MEMORY, True))
 
 
-@lru_cache(maxsize=KEPT)
-def topics_found(asked: Asked[FileFilter], *, limit: int, of_blobs: bool) -> Select[Any]:
+def avoid_sorting() -> Select[Any]:
+    """Return the statement that has lists read in the order of an index until the transaction ends."""
+    return select(func.set_config("enable_sort", "off", True))
+
+
+def topics_found(
+    actor: Actor, matching: FileFilter, plan: SearchPlan, blob_ids: str | None, *, limit: int
+) -> Select[Any]:
     """Return the first topics of the files that match, each name and type once, with the `total` of them all.
 
-    With `of_blobs`, of files of the `found_blob_ids`, which this very request has found among those that match.
+    With `blob_ids`, of those blobs, which this very request has found among the files that match.
 
-    Those whose names hold the most words of the filter come first, then those of the most files.
+    Those whose names contain the most words of the filter come first, then those of the most files.
     """
-    actor, matching = asked.actor, asked.matching
-    if not of_blobs:
-        files = narrow_files(actor, visible_files(actor), matching)
+    if blob_ids is None:
+        files = filter_files(actor, visible_files(actor), matching, plan)
         files = files.with_only_columns(file.c.blob_id, maintain_column_froms=True)
     else:
-        files = select(func.unnest(bindparam("found_blob_ids", type_=Written("UUID"))).label("blob_id"))
-    found = files.cte("found")
-    if of_blobs or matching != FileFilter():
-        # Looked up once and first: what is found of the files says nothing of how many topics they have.
-        found = found.prefix_with("MATERIALIZED")
-    # A blob names each topic once, so there is a row for each of its files. Read blob by blob, and behind a fence: else
-    # the database may well go through all topics there are.
-    within = (
-        narrow_topics(select(topic).where(topic.c.blob_id == found.c.blob_id), matching).offset(0).lateral("within")
-    )
-    name, message_type, file_count = within.c.name, within.c.message_type, func.count()
+        files = select(func.unnest(literal(blob_ids, Written("UUID"))).label("blob_id"))
+    found = files.cte("found").prefix_with("MATERIALIZED")
+    # A blob names each topic once, so that there is a row for each of its files. OFFSET 0 keeps PostgreSQL from
+    # reading all topics there are instead of those of each blob.
+    its_topics = filter_topics(select(topic).where(topic.c.blob_id == found.c.blob_id), matching)
+    each = its_topics.offset(0).lateral("each_topic")
+    name, message_type, file_count = each.c.name, each.c.message_type, func.count()
     columns = (
         name,
         message_type,
         file_count.label("file_count"),
-        func.sum(within.c.count).label("message_count"),
+        func.sum(each.c.count).label("message_count"),
         func.count().over().label("total"),
     )
-    grouped = select(*columns).join_from(found, within, true())
-    said = name.concat(func.coalesce(literal(" ").concat(message_type), ""))
-    order = (words_in(actor, said, matching).desc(), file_count.desc(), name, message_type)
-    return grouped.group_by(name, message_type).order_by(*order).limit(limit)
+    text = name.concat(func.coalesce(literal(" ").concat(message_type), ""))
+    words = sum((case((holds_word(text, word), 1), else_=0) for word in words_of(matching.text)), literal(0, Integer))
+    grouped = select(*columns).join_from(found, each, true()).group_by(name, message_type)
+    return grouped.order_by(words.desc(), file_count.desc(), name, message_type).limit(limit)
 
 
 def to_topic_found(row: Row[Any], times: float) -> TopicFound:
@@ -176,10 +177,10 @@ def statistics(
 
 def _grouped_files(actor: Actor, matching: FileFilter, *, group: ColumnElement[Any], by_topic: bool) -> Select[Any]:
     own_recording = and_(recording.c.id == file.c.recording_id, shown_recordings(actor))
-    stmt = narrow_files(actor, visible_files(actor), matching).outerjoin(recording, own_recording)
+    stmt = filter_files(actor, visible_files(actor), matching).outerjoin(recording, own_recording)
     if by_topic:
         # Files without topics stay, in the group without a name, unless topics were asked for.
-        stmt = narrow_topics(stmt.outerjoin(topic, topic.c.blob_id == blob.c.id), matching)
+        stmt = filter_topics(stmt.outerjoin(topic, topic.c.blob_id == blob.c.id), matching)
     own: Sequence[ColumnElement[Any]] = (
         file.c.id,
         file.c.mission_id,

@@ -11,8 +11,8 @@ from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.query import whole
 from kleinkram.contract.searching import FacetsRead, FileQuery, QueryText, SearchRead
 from kleinkram.contract.stats import StatsRead
-from kleinkram.server.dependencies import SearchingActor, Transaction
-from kleinkram.server.pages import PageRequest
+from kleinkram.server.http.dependencies import CurrentActor, Transaction
+from kleinkram.server.paging import PageRequest
 from kleinkram.server.search import facets, service
 
 router = APIRouter(prefix="/api/v1", tags=["search"])
@@ -43,20 +43,20 @@ class StatsQuery(FileQuery):
 
 
 @router.get("/search", operation_id="search")
-async def search(asked: Annotated[SearchQuery, Query()], db: Transaction, actor: SearchingActor) -> SearchRead:
+async def search(asked: Annotated[SearchQuery, Query()], db: Transaction, actor: CurrentActor) -> SearchRead:
     """Return what a query finds: the first missions, files and topics, with how many there are of each."""
     return await service.search(db, actor, text=asked.query, sort=asked.sort, limit=asked.limit)
 
 
 @router.get("/search/facets", operation_id="get_facets")
-async def get_facets(db: Transaction, actor: SearchingActor, query: Annotated[QueryText, Query()] = "") -> FacetsRead:
+async def get_facets(db: Transaction, actor: CurrentActor, query: Annotated[QueryText, Query()] = "") -> FacetsRead:
     """Return how the files that a query finds divide, and the text of the query with each value chosen."""
     return await facets.get_facets(db, actor, text=query)
 
 
 @router.get("/topics", operation_id="list_topics")
 async def list_topics(
-    query: Annotated[TopicListQuery, Query()], db: Transaction, actor: SearchingActor
+    query: Annotated[TopicListQuery, Query()], db: Transaction, actor: CurrentActor
 ) -> Page[TopicRead]:
     """List the topics of the files that match, by name."""
     page = PageRequest(query.limit, query.cursor, query.count)
@@ -64,6 +64,6 @@ async def list_topics(
 
 
 @router.get("/stats", operation_id="get_stats")
-async def get_stats(query: Annotated[StatsQuery, Query()], db: Transaction, actor: SearchingActor) -> StatsRead:
+async def get_stats(query: Annotated[StatsQuery, Query()], db: Transaction, actor: CurrentActor) -> StatsRead:
     """Return hours, bytes, files and messages of the files that match."""
     return await service.get_stats(db, actor, by=query.by, matching=whole(query))

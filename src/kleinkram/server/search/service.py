@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from sqlalchemy import Row
 
 from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import FileFilter, FileRead, FileSort, TopicRead
-from kleinkram.contract.missions import MissionRead, MissionSort
+from kleinkram.contract.missions import MissionFilter, MissionRead, MissionSort
 from kleinkram.contract.paging import Page
 from kleinkram.contract.query import parse, render
 from kleinkram.contract.searching import SearchRead, TopicFound
@@ -18,93 +18,97 @@ from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
 from kleinkram.server.files import service as files
 from kleinkram.server.files.topics import TOPIC_ORDER, to_topics
-from kleinkram.server.filters.asked import asked_alike, values
-from kleinkram.server.filters.looking import Outlook, look_ahead
+from kleinkram.server.filters.plan import SearchPlan
 from kleinkram.server.missions import service as missions
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.search import queries
-from kleinkram.server.search.few import find_few
+from kleinkram.server.search.planner import Sample, find_matched, plan_search
 
 # More rows than anybody reads, and few enough to answer with at once.
 MAX_GROUPS = 10_000
 _LATEST = MissionSort.start_desc
-_Found = tuple[Page[MissionRead], Page[FileRead], Page[TopicFound]]
+
+
+class _Found(NamedTuple):
+    missions: Page[MissionRead]
+    files: Page[FileRead]
+    topics: Page[TopicFound]
 
 
 async def search(db: Connection, actor: Actor, *, text: str, sort: FileSort, limit: int) -> SearchRead:
     """Return the first missions, files and topics that a query finds, and how many there are of each.
 
-    Of very many files they are estimates, and the topics are those of files drawn by lot.
+    Where very many files match, the numbers are estimates, and the topics are those of a sample of files.
 
     Raises:
         InvalidQuery: the query cannot be read; says which word, at which column.
     """
     matching = parse(text)
-    actor, outlook = await look_ahead(db, actor, matching, lists=sort is FileSort.start_desc)
-    if actor.looked.finds_nothing:
-        empty: Page[Any] = Page(items=[], total=0)
-        return SearchRead(
-            query=render(matching), filter=matching, missions=empty, files=empty, topics=empty, is_whole=True
-        )
-    is_whole = outlook is None or not outlook.finds_many()
-    if outlook is None or is_whole:
-        found = await _counted(db, actor, matching, sort, limit)
+    plan, sample = await plan_search(db, actor, matching, sort=sort)
+    if plan.is_common:
+        found = await _search_common(db, actor, matching, sort, limit, plan, sample)
     else:
-        found = await _estimated(db, actor, matching, sort, limit, outlook)
-    missions_found, files_found, topics_found = found
+        found = await _search_rare(db, actor, matching, sort, limit, plan)
     return SearchRead(
         query=render(matching),
         filter=matching,
-        missions=missions_found,
-        files=files_found,
-        topics=topics_found,
-        is_whole=is_whole,
+        missions=found.missions,
+        files=found.files,
+        topics=found.topics,
+        is_whole=not plan.is_common,
     )
 
 
-async def _counted(db: Connection, actor: Actor, matching: FileFilter, sort: FileSort, limit: int) -> _Found:
-    """Look for all that there is. Where it is little, it is looked for once, and then read by its ids."""
-    await db.execute(queries.room_to_count())
-    if matching != FileFilter():
-        actor = await find_few(db, actor, matching, sort=sort, limit=limit)
-    known = actor.looked.found
-    missions_found = await missions.list_found(db, actor, found=matching, sort=_LATEST, limit=limit, count=True)
-    if known is None:
-        files_found = await files.list_files(
-            db, actor, matching=matching, sort=sort, page=PageRequest(limit, count=True)
-        )
-    else:
-        files_found = await files.list_found(db, actor, found=matching, sort=sort, limit=limit)
-        files_found = files_found.model_copy(update={"total": known.file_count})
-    topics = queries.topics_found(asked_alike(actor, matching), limit=limit, of_blobs=known is not None)
-    rows = (await db.execute(topics, values(actor, matching))).all()
-    return missions_found, files_found, _topics_of(rows)
-
-
-async def _estimated(
-    db: Connection, actor: Actor, matching: FileFilter, sort: FileSort, limit: int, outlook: Outlook
+async def _search_rare(
+    db: Connection, actor: Actor, matching: FileFilter, sort: FileSort, limit: int, plan: SearchPlan
 ) -> _Found:
-    """Look for the first of very many; how many there are, and their topics, as seen from what was drawn by lot."""
-    topics = queries.topics_found(asked_alike(actor, matching), limit=limit, of_blobs=True)
-    given = values(actor, matching) | {"found_blob_ids": outlook.blob_ids}
-    rows = (await db.execute(topics, given)).all()
-    total = await missions.estimate_found(db, actor, matching)
-    # Where so few missions hold them that none was met by lot, these are found by their files: one by one, the database
-    # would look into nearly all others first.
-    looked = replace(actor.looked, finds_many=total is not None)
-    missions_found = await missions.list_found(
-        db, replace(actor, looked=looked), found=matching, sort=_LATEST, limit=limit, count=total is None
+    """Look all matching files up once, where these are few, and read the rest by their ids."""
+    if matching != FileFilter():
+        plan = await find_matched(db, actor, matching, plan, sort=sort, limit=limit)
+    known, page = plan.matched, PageRequest(limit, count=True)
+    missions_found = await missions.list_missions(
+        db, actor, matching=MissionFilter(), found=matching, sort=_LATEST, page=page, plan=plan
     )
-    files_found = await files.list_found(db, actor, found=matching, sort=sort, limit=limit)
-    return (
-        missions_found if total is None else missions_found.model_copy(update={"total": total}),
-        files_found.model_copy(update={"total": outlook.estimate()}),
-        _topics_of(rows, times=outlook.files / outlook.drawn),
-    )
+    if known is not None and not known.file_count:
+        return _Found(missions_found, Page(items=[], total=0), Page(items=[], total=0))
+    if known is not None:
+        page = PageRequest(limit)
+    files_found = await files.list_files(db, actor, matching=matching, sort=sort, page=page, plan=plan)
+    if known is not None:
+        files_found = files_found.model_copy(update={"total": known.file_count})
+    topics = queries.topics_found(actor, matching, plan, known.blob_ids if known else None, limit=limit)
+    return _Found(missions_found, files_found, _topics_of((await db.execute(topics)).all()))
 
 
-def _topics_of(rows: Sequence[Row[Any]], times: float = 1) -> Page[TopicFound]:
-    return Page(items=[queries.to_topic_found(row, times) for row in rows], total=rows[0].total if rows else 0)
+async def _search_common(
+    db: Connection, actor: Actor, matching: FileFilter, sort: FileSort, limit: int, plan: SearchPlan, sample: Sample
+) -> _Found:
+    """Read the first of very many from lists in their order; totals and topics come from the sample."""
+    topics = queries.topics_found(actor, matching, plan, sample.blob_ids, limit=limit)
+    rows = (await db.execute(topics)).all()
+    total = await missions.estimate_matching(db, actor, matching, plan)
+    # A sort would need all rows that match, of which PostgreSQL expects too few.
+    await db.execute(queries.avoid_sorting())
+    # Where no sampled mission matches, missions are found by their files: one by one, nearly all would be looked into.
+    missions_found = await missions.list_missions(
+        db,
+        actor,
+        matching=MissionFilter(),
+        found=matching,
+        sort=_LATEST,
+        page=PageRequest(limit, count=total is None),
+        plan=replace(plan, is_common=total is not None),
+    )
+    if total is not None:
+        missions_found = missions_found.model_copy(update={"total": total})
+    files_found = await files.list_files(db, actor, matching=matching, sort=sort, page=PageRequest(limit), plan=plan)
+    files_found = files_found.model_copy(update={"total": sample.estimate()})
+    return _Found(missions_found, files_found, _topics_of(rows, sample.file_count / sample.size))
+
+
+def _topics_of(rows: Sequence[Row[Any]], files_per_sampled: float = 1) -> Page[TopicFound]:
+    items = [queries.to_topic_found(row, files_per_sampled) for row in rows]
+    return Page(items=items, total=rows[0].total if rows else 0)
 
 
 async def list_topics(db: Connection, actor: Actor, *, matching: FileFilter, page: PageRequest) -> Page[TopicRead]:
@@ -135,7 +139,7 @@ async def get_stats(db: Connection, actor: Actor, *, by: str, matching: FileFilt
         reason = f"no mission has such a field; say project, mission, topic, type, month, format or a field: {names}"
         raise InvalidQuery(expression=by.removeprefix("metadata."), reason=reason)
     by_topic = by in {"topic", "type"}
-    await db.execute(queries.room_to_count())
+    await db.execute(queries.enlarge_work_memory())
     grouped = queries.statistics(actor, matching, group=group, by_topic=by_topic, whole=False)
     rows = [queries.to_stats(row) for row in await db.execute(grouped.limit(MAX_GROUPS + 1))]
     if len(rows) > MAX_GROUPS:

@@ -11,10 +11,10 @@ from fastapi.responses import HTMLResponse
 
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.shares import SHARE_PAGE
-from kleinkram.server.dependencies import CurrentSettings
-from kleinkram.server.headers import PAGE_POLICY
+from kleinkram.server.http.dependencies import CurrentSettings
+from kleinkram.server.http.headers import PAGE_POLICY
+from kleinkram.server.http.pages import PAGE_HEAD, brand
 from kleinkram.server.settings import Settings
-from kleinkram.server.web.serving import LOOK, brand
 
 # Not part of the API: for people, not for programs.
 router = APIRouter(prefix=SHARE_PAGE, include_in_schema=False)
@@ -22,7 +22,7 @@ _STATIC = {"share.js": "text/javascript", "share.css": "text/css"}
 _HEAD = (
     '<!doctype html><html lang="en"><head><meta charset="utf-8">'
     '<meta name="viewport" content="width=device-width, initial-scale=1"><title>Shared · Kleinkram</title>'
-    f'{LOOK}<link rel="stylesheet" href="{SHARE_PAGE}/static/share.css">'
+    f'{PAGE_HEAD}<link rel="stylesheet" href="{SHARE_PAGE}/static/share.css">'
     f'<script src="{SHARE_PAGE}/static/share.js" defer></script></head><body>'
 )
 _MAIN = (

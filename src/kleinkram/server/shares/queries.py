@@ -14,7 +14,7 @@ from kleinkram.contract.shares import SharedRead, ShareRead
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files, visible_missions
 from kleinkram.server.db import among
-from kleinkram.server.pages import Order
+from kleinkram.server.paging import Order
 from kleinkram.server.tables import blob, file, mission, person, project, share, share_file
 
 # Latest first.

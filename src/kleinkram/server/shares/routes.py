@@ -8,8 +8,8 @@ from pydantic import BaseModel, ConfigDict
 
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.shares import ShareCreate, SharedRead, ShareMade, ShareRead
-from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Transaction
-from kleinkram.server.pages import PageRequest
+from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Transaction
+from kleinkram.server.paging import PageRequest
 from kleinkram.server.shares import service
 
 router = APIRouter(prefix="/api/v1", tags=["shares"])

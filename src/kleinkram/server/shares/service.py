@@ -12,12 +12,12 @@ from kleinkram.contract.rights import Right
 from kleinkram.contract.secrets import SecretKind
 from kleinkram.contract.shares import SHARE_PAGE, ShareCreate, SharedRead, ShareMade, ShareRead
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.rights import require_mission, see_that_they_stay
+from kleinkram.server.access.rights import ensure_active_person, require_mission
 from kleinkram.server.access.secrets import new_secret
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection
 from kleinkram.server.missions.service import lock_mission
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.settings import Settings
 from kleinkram.server.shares import queries
 from kleinkram.server.tables import share, share_file
@@ -34,7 +34,7 @@ async def create_share(
         InvalidRequest: it would have expired already, or lasts longer than the settings allow.
         NotAuthenticated: whoever makes it left meanwhile.
     """
-    await see_that_they_stay(db, actor.person_id)
+    await ensure_active_person(db, actor.person_id)
     await lock_mission(db, mission_id)
     await require_mission(db, actor, "create_share", mission_id)
     await _see_that_it_ends(db, wanted.expires_at, within_days=settings.share_days_max)

@@ -31,12 +31,12 @@ blob = Table(
     Column("size_bytes", BigInteger, nullable=False),
     # What the store itself verified; null where it can only verify parts.
     Column("crc64nvme", LargeBinary),
-    # The uploader's word until the blob is proven.
+    # The uploader's word until the blob is verified.
     Column("sha256", LargeBinary, nullable=False),
     Column("md5", LargeBinary),
     Column("state", Text, nullable=False, server_default=BlobState.stored.value),
     Column("state_reason", Text),
-    Column("proven_at", DateTime(timezone=True)),
+    Column("verified_at", DateTime(timezone=True)),
     # Since when it is lost or corrupt.
     Column("damaged_at", DateTime(timezone=True)),
     Column("uploaded_by_id", Uuid, ForeignKey("person.id"), nullable=False),
@@ -63,15 +63,15 @@ blob = Table(
     CheckConstraint("octet_length(sha256) = 32", name="sha256"),
     CheckConstraint("octet_length(md5) = 16", name="md5"),
     CheckConstraint("octet_length(crc64nvme) = 8", name="crc64nvme"),
-    CheckConstraint("state <> 'proven' OR (md5 IS NOT NULL AND proven_at IS NOT NULL)", name="proven"),
+    CheckConstraint("state <> 'verified' OR (md5 IS NOT NULL AND verified_at IS NOT NULL)", name="verified"),
     CheckConstraint("start_ns <= end_ns", name="span"),
     # Finding a twin: by size before the hash is known, by hash after.
     Index("ix_blob_size_sha256", "size_bytes", "sha256", postgresql_where=text("doomed_at IS NULL")),
-    Index("ix_blob_unproven", "created_at", postgresql_where=text("state = 'stored' AND doomed_at IS NULL")),
+    Index("ix_blob_unverified", "created_at", postgresql_where=text("state = 'stored' AND doomed_at IS NULL")),
     # As a store lists them.
     Index("ix_blob_key", "store_id", "key", postgresql_ops={"key": "text_pattern_ops"}),
-    # Whose proof is the oldest.
-    Index("ix_blob_proven_at", "proven_at", postgresql_where=text("state = 'proven' AND doomed_at IS NULL")),
+    # Finds the blobs that were verified longest ago.
+    Index("ix_blob_verified_at", "verified_at", postgresql_where=text("state = 'verified' AND doomed_at IS NULL")),
     # What home lists of all files that somebody sees.
     Index(
         "ix_blob_ailing",

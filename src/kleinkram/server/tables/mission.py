@@ -42,7 +42,7 @@ mission = Table(
     Column("file_count", Integer),
     Column("size_bytes", Numeric),
     Column("message_count", Numeric),
-    # Files that were not read yet, or whose recording the proof will read.
+    # Files that were not read yet, or whose recording the verification will read.
     Column("unread_count", Integer),
     Column("duration_ns", Numeric),
     created_at_column(),

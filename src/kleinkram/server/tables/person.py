@@ -50,7 +50,7 @@ session = Table(
     Column("person_id", Uuid, ForeignKey("person.id"), nullable=False, index=True),
     Column("secret_sha256", LargeBinary, nullable=False, unique=True),
     # How they signed in: `password`, `link`, or the issuer's URL.
-    Column("way", Text, nullable=False),
+    Column("method", Text, nullable=False),
     Column("address", Text),
     Column("user_agent", Text),
     created_at_column(),

@@ -29,7 +29,7 @@ from kleinkram.server.tables.base import created_at_column, id_column, metadata,
 class CodePurpose(str, enum.Enum):
     """What a code that is good once is for."""
 
-    claim = "claim"  # to become the first admin of a fresh server
+    bootstrap = "bootstrap"  # to become the first admin of a new server
     owner = "owner"  # to sign in as the owner of `klein up`
     invitation = "invitation"  # to get an account
     reset = "reset"  # to choose a new password
@@ -122,7 +122,7 @@ oidc_login = Table(
     Column("code_verifier", Text, nullable=False),
     Column("browser_sha256", LargeBinary, nullable=False),
     Column("session_id", Uuid, ForeignKey("session.id")),
-    Column("renews", Boolean, nullable=False, server_default=text("false")),
+    Column("reauthenticates", Boolean, nullable=False, server_default=text("false")),
     Column("return_to", Text, nullable=False),
     created_at_column(),
     Column("expires_at", DateTime(timezone=True), nullable=False, index=True),

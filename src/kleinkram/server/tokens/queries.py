@@ -12,7 +12,7 @@ from kleinkram.contract.tokens import TokenPlace, TokenRead, TokenRunner
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_missions, visible_projects
 from kleinkram.server.db import among
-from kleinkram.server.pages import Order
+from kleinkram.server.paging import Order
 from kleinkram.server.tables import audit_event, mission, person, project, runner, token, token_limit
 
 # Latest first.

@@ -23,11 +23,11 @@ from kleinkram.contract.rights import Scope, TokenKind
 from kleinkram.contract.secrets import SecretKind
 from kleinkram.contract.tokens import TokenCreate, TokenMade, TokenRead
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.rights import hold_person, require_fresh_sign_in, see_that_they_stay
+from kleinkram.server.access.rights import ensure_active_person, lock_person, require_fresh_sign_in
 from kleinkram.server.access.secrets import NewSecret, new_secret
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.db import Connection
-from kleinkram.server.pages import PageRequest, Rows, fetch_page
+from kleinkram.server.paging import PageRequest, Rows, fetch_page
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import token, token_limit
 from kleinkram.server.tokens import queries
@@ -67,7 +67,7 @@ async def create_token(db: Connection, actor: Actor, *, wanted: TokenCreate, set
     if Scope.admin in wanted.chosen_scopes:
         require_fresh_sign_in(actor, "create_token_with_the_scope_admin", within_s=settings.fresh_sign_in_s)
     if wanted.kind is TokenKind.runner and not actor.is_admin:
-        raise Forbidden(noun="server", operation="make a token for a runner", needs="an admin")
+        raise Forbidden(noun="server", operation="create a token for a runner", needs="admin rights")
     await _see_that_places_are_there(db, actor, wanted)
     expires_at = await _expiry(db, actor, wanted, settings)
     _see_that_it_is_no_wider(actor, wanted)
@@ -100,7 +100,7 @@ async def issue_token(
     Raises:
         NotAuthenticated: they left, or that token was revoked just now.
     """
-    await see_that_they_stay(db, person_id)
+    await ensure_active_person(db, person_id)
     ended = select(token.c.id).where(token.c.id == made_by, token.c.revoked_at.is_not(None))
     if (await db.execute(ended)).first() is not None:
         raise NotAuthenticated(reason="the token is not valid here")
@@ -150,7 +150,7 @@ async def list_tokens(
         InvalidCursor: the cursor is not of this list.
     """
     if whose.person_id != actor.person_id and not _sees_others(actor):
-        raise Forbidden(noun="server", operation="list tokens of others", needs="an admin")
+        raise Forbidden(noun="server", operation="list tokens of others", needs="admin rights")
     found = queries.tokens_of(whose.person_id)
     rows = await fetch_page(db, found if with_ended else queries.still_usable(found), queries.TOKEN_ORDER, page)
     return Page(items=await _reads(db, actor, rows), next=rows.next, total=rows.total)
@@ -166,11 +166,11 @@ async def revoke_token(db: Connection, actor: Actor, *, token_id: uuid.UUID, mad
         ScopeMissing: it is another than the one that asks, and that is not for this.
     """
     if token_id != actor.token_id and Scope.admin not in actor.scopes:
-        raise ScopeMissing(operation="revoke another token", scopes=Scope.admin.value)
+        raise ScopeMissing(operation="revoke another token", needs="a token with the scope `admin`")
     if token_id != actor.token_id and actor.limits is not None:
-        raise ScopeMissing(operation="revoke another token", scopes="a credential without limits")
+        raise ScopeMissing(operation="revoke another token", needs="a token without limits")
     row = await _row(db, actor, token_id)
-    await hold_person(db, row.person_id)
+    await lock_person(db, row.person_id)
     which = queries.made_from(token_id) if made is Made.ended else select(token.c.id).where(token.c.id == token_id)
     stmt = update(token).where(token.c.id.in_(which), token.c.revoked_at.is_(None)).values(revoked_at=func.now())
     ended = (await db.execute(stmt.returning(token.c.id, token.c.name, token.c.prefix))).all()
@@ -247,7 +247,7 @@ async def _expiry(db: Connection, actor: Actor, wanted: TokenCreate, settings: S
         problem = FieldProblem(field="expires_at", message="is in the past; a token must expire later than now")
         raise InvalidRequest(problems=[problem])
     if wanted.expires_at is not None and latest is not None and wanted.expires_at > latest:
-        raise TokenTooWide(reason=f"it would outlive it, which ends at {latest.isoformat(timespec='seconds')}")
+        raise TokenTooWide(reason=f"the new token would outlive it; it ends at {latest.isoformat(timespec='seconds')}")
     if wanted.expires_at is not None or wanted.no_end:
         return wanted.expires_at or latest
     days = default_days(wanted.kind, settings)
@@ -267,4 +267,4 @@ def default_days(kind: TokenKind, settings: Settings) -> int | None:
 def _see_that_it_is_no_wider(actor: Actor, wanted: TokenCreate) -> None:
     # Of scopes none can be beyond its own: to make tokens takes the one that contains all.
     if actor.limits is not None and not wanted.is_limited:
-        raise TokenTooWide(reason="it is limited itself; limit the new one to what it reaches")
+        raise TokenTooWide(reason="it is limited itself; limit the new token to what it can reach")

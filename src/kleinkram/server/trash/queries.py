@@ -10,7 +10,7 @@ from kleinkram.contract.people import PersonRef
 from kleinkram.contract.trash import TrashNoun, TrashRead
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import trashed_files, trashed_missions, trashed_projects
-from kleinkram.server.pages import Order
+from kleinkram.server.paging import Order
 from kleinkram.server.tables import blob, file, mission, person, project
 
 

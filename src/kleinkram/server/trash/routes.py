@@ -8,8 +8,8 @@ from pydantic import BaseModel, ConfigDict
 
 from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.trash import TrashNoun, TrashRead
-from kleinkram.server.dependencies import CurrentActor, CurrentSettings, Transaction
-from kleinkram.server.pages import PageRequest
+from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Transaction
+from kleinkram.server.paging import PageRequest
 from kleinkram.server.trash import service
 
 router = APIRouter(prefix="/api/v1/trash", tags=["trash"])

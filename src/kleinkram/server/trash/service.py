@@ -15,7 +15,7 @@ from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.missions.service import lock_mission
-from kleinkram.server.pages import PageRequest, fetch_page
+from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.quotas.service import Amount, project_of, require_room, require_room_for_mission
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.tables import file, mission, project

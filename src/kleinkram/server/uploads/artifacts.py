@@ -1,16 +1,22 @@
-"""What runs leave comes in by the upload protocol too: to the run, under paths of its own, and nobody else's."""
+"""Artifacts of runs, uploaded by the same protocol: into the run, under paths of its own, by its runner alone."""
 
 import uuid
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
 
-from sqlalchemy import Row, func, insert, select, update
+from sqlalchemy import func, insert, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
-from kleinkram.contract.errors import FileExists, RunGone, StoreUnavailable, UploadGone, to_problem
+from kleinkram.contract.errors import (
+    FileExists,
+    RunGone,
+    StoreUnavailable,
+    UploadGone,
+)
 from kleinkram.contract.files import ContentState
+from kleinkram.contract.problems import to_problem
 from kleinkram.contract.runners import LOG_PATH
-from kleinkram.contract.uploads import HeldPart, Present, Refused, Send, UploadDecision, UploadFile, UploadState
+from kleinkram.contract.uploads import Present, Refused, Send, StoredPart, UploadDecision, UploadFile, UploadState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
@@ -18,126 +24,140 @@ from kleinkram.server.jobs.queue import Job, Urgency, enqueue
 from kleinkram.server.tables import blob, run, run_artifact, upload
 from kleinkram.server.tables.run import HELD
 from kleinkram.server.tables.upload import UNDER_WAY
-from kleinkram.server.uploads.joining import Failures
-from kleinkram.server.uploads.rules import blob_values
-from kleinkram.server.uploads.service import let_go, new_upload, open_at_store, read_upload
-from kleinkram.server.uploads.signing_parts import is_multipart, renewed
+from kleinkram.server.uploads import queries
+from kleinkram.server.uploads.parts import Failures, lease_columns, list_multiparts
+from kleinkram.server.uploads.queries import UploadRow
+from kleinkram.server.uploads.rules import blob_columns
+from kleinkram.server.uploads.service import free_names, new_upload, to_upload_read
+
+
+@dataclass(frozen=True)
+class ArtifactOwner:
+    """The run that artifacts belong to: its mission, and the person who started it."""
+
+    run_id: uuid.UUID
+    mission_id: uuid.UUID
+    started_by_id: uuid.UUID
 
 
 async def begin_artifacts(
-    context: AppContext, actor: Actor, *, row: Row[Any], wanted: Sequence[UploadFile]
+    context: AppContext, actor: Actor, *, owner: ArtifactOwner, requested: Sequence[UploadFile]
 ) -> list[UploadDecision]:
-    """Open uploads of what the run `row` left; one that is there already, with the same hash, is not sent again.
+    """Open uploads of a run's artifacts; one that the run has already, with the same hash, is not sent again.
 
-    Idempotent: asked again, an upload goes on where it was.
+    Idempotent: asked again, an upload continues where it was.
+
+    Raises:
+        RunGone: the run is not active.
     """
-    paths = [each.path for each in wanted]
     async with context.database.begin() as db:
-        await _see_that_it_is_held(db, row.id)
-        there = await _there(db, row.id, paths)
-        fresh = [each for each in wanted if each.path not in there]
-        ids, begun = await _hold(db, context, row, fresh)
-        rows = await _uploads(db, ids)
+        if not await _lock_active_run(db, owner.run_id):
+            raise RunGone(run_id=str(owner.run_id))
+        hashes = await _existing_hashes(db, owner.run_id, [file.path for file in requested])
+        missing = [file for file in requested if file.path not in hashes]
+        continued = await _continue_uploads(db, context, owner.run_id, missing)
+        new = await _insert_uploads(db, context, owner, [file for file in missing if file.path not in continued])
+        ids = [*continued.values(), *new]
+        uploads = await queries.read_rows(db, queries.select_uploads().where(among(upload.c.id, ids)))
+    multipart = [row for row in uploads if row.is_multipart]
     try:
-        multipart = [each for each in rows.values() if is_multipart(each)]
-        parts = await open_at_store(context, multipart, resumed=set(ids) - set(begun)) if multipart else {}
+        parts = await list_multiparts(context, multipart, resumed=set(continued.values())) if multipart else {}
     except StoreUnavailable:
-        await let_go(context, begun)
+        await free_names(context, new)
         raise
-    by_path = {each.path: each for each in rows.values()}
-    return [_answer(actor, each, there.get(each.path), by_path.get(each.path), parts) for each in wanted]
+    by_path = {row.path: row for row in uploads}
+    return [_to_wire(actor, file, hashes.get(file.path), by_path.get(file.path), parts) for file in requested]
 
 
-async def _see_that_it_is_held(db: Connection, run_id: uuid.UUID) -> None:
-    held = select(run.c.id).where(run.c.id == run_id, run.c.state.in_(HELD)).with_for_update(key_share=True)
-    if (await db.execute(held)).first() is None:
-        raise RunGone(run_id=str(run_id))
+async def _lock_active_run(db: Connection, run_id: uuid.UUID) -> bool:
+    active = select(run.c.id).where(run.c.id == run_id, run.c.state.in_(HELD)).with_for_update(key_share=True)
+    return (await db.execute(active)).first() is not None
 
 
-async def _there(db: Connection, run_id: uuid.UUID, paths: Sequence[str]) -> dict[str, str]:
-    """Return the hashes of what the run's artifacts hold already."""
-    stmt = select(run_artifact.c.path, blob.c.sha256).join_from(run_artifact, blob)
-    found = stmt.where(run_artifact.c.run_id == run_id, among(run_artifact.c.path, paths))
-    there = {row.path: row.sha256.hex() for row in await db.execute(found)}
+async def _existing_hashes(db: Connection, run_id: uuid.UUID, paths: Sequence[str]) -> dict[str, str]:
+    """Return by path the SHA-256 of artifacts that the run has, its log among them."""
+    artifacts = select(run_artifact.c.path, blob.c.sha256).join_from(run_artifact, blob)
+    artifacts = artifacts.where(run_artifact.c.run_id == run_id, among(run_artifact.c.path, paths))
+    hashes = {row.path: row.sha256.hex() for row in await db.execute(artifacts)}
     log = select(blob.c.sha256).join_from(run, blob, blob.c.id == run.c.log_blob_id).where(run.c.id == run_id)
-    kept = (await db.execute(log)).scalar_one_or_none()
-    return there if kept is None else {**there, LOG_PATH: kept.hex()}
+    log_sha256 = (await db.execute(log)).scalar_one_or_none()
+    return hashes if log_sha256 is None else {**hashes, LOG_PATH: log_sha256.hex()}
 
 
-async def _hold(
-    db: Connection, context: AppContext, row: Row[Any], wanted: Sequence[UploadFile]
-) -> tuple[list[uuid.UUID], list[uuid.UUID]]:
-    """Return the uploads of each path that is wanted, and those of them that were begun now."""
-    if not wanted:
-        return [], []
+async def _continue_uploads(
+    db: Connection, context: AppContext, run_id: uuid.UUID, requested: Sequence[UploadFile]
+) -> dict[str, uuid.UUID]:
+    """Renew the leases of this run's open uploads and return them by path; end those of another size."""
+    sizes = {file.path: file.size_bytes for file in requested}
+    is_open = (upload.c.run_id == run_id) & upload.c.state.in_(UNDER_WAY)
+    opened = await queries.read_rows(db, queries.select_uploads().where(is_open, among(upload.c.path, sizes)))
+    outdated = [row.id for row in opened if row.size_bytes != sizes[row.path]]
+    if outdated:
+        await db.execute(update(upload).where(among(upload.c.id, outdated)).values(state=UploadState.aborted.value))
+    continued = {row.path: row.id for row in opened if row.id not in outdated}
+    if continued:
+        renewed = lease_columns(context.settings, func.now())
+        await db.execute(update(upload).where(among(upload.c.id, continued.values())).values(**renewed))
+    return continued
+
+
+async def _insert_uploads(
+    db: Connection, context: AppContext, owner: ArtifactOwner, requested: Sequence[UploadFile]
+) -> list[uuid.UUID]:
+    if not requested:
+        return []
     now = (await db.execute(select(func.now()))).scalar_one()
-    batch = uuid.uuid4()
-    same = (upload.c.run_id == row.id) & upload.c.state.in_(UNDER_WAY)
-    held = await db.execute(select(upload).where(same, among(upload.c.path, [each.path for each in wanted])))
-    known = {each.path: each for each in held}
-    sizes = {each.path: each.size_bytes for each in wanted}
-    other = [each.id for each in known.values() if each.size_bytes != sizes[each.path]]
-    ended = update(upload).where(among(upload.c.id, other))
-    await db.execute(ended.values(state=UploadState.aborted.value))
-    kept = [each.id for each in known.values() if each.id not in other]
-    await db.execute(update(upload).where(among(upload.c.id, kept)).values(**renewed(context.settings, now)))
-    going_on = {each.path for each in known.values() if each.id in kept}
-    values = [
-        {**new_upload(context, row.started_by_id, row.mission_id, batch, each, now), "run_id": row.id}
-        for each in wanted
-        if each.path not in going_on
+    batch_id = uuid.uuid4()
+    rows = [
+        {**new_upload(context, owner.started_by_id, owner.mission_id, batch_id, file, now), "run_id": owner.run_id}
+        for file in requested
     ]
-    begun: list[uuid.UUID] = []
-    if values:
-        begun = list((await db.execute(upsert(upload).returning(upload.c.id), values)).scalars())
-    return [*kept, *begun], begun
+    return list((await db.execute(upsert(upload).returning(upload.c.id), rows)).scalars())
 
 
-async def _uploads(db: Connection, ids: Sequence[uuid.UUID]) -> dict[uuid.UUID, Row[Any]]:
-    return {row.id: row for row in await db.execute(select(upload).where(among(upload.c.id, ids)))}
-
-
-def _answer(
+def _to_wire(
     actor: Actor,
-    wanted: UploadFile,
-    there: str | None,
-    row: Row[Any] | None,
-    parts: Mapping[uuid.UUID, list[HeldPart]],
+    requested: UploadFile,
+    existing_sha256: str | None,
+    row: UploadRow | None,
+    parts: Mapping[uuid.UUID, list[StoredPart]],
 ) -> UploadDecision:
     if row is not None:
-        return Send(upload=read_upload(row, parts.get(row.id, [])))
-    if wanted.sha256 in {None, there}:
+        return Send(upload=to_upload_read(row, parts.get(row.id, [])))
+    if requested.sha256 in {None, existing_sha256}:
         return Present(file=None)
-    error = FileExists(path=wanted.path, existing_sha256=there, given_sha256=wanted.sha256 or "", existing_file_id=None)
-    return Refused(path=wanted.path, problem=to_problem(error, actor.request_id))
+    error = FileExists(
+        path=requested.path,
+        existing_sha256=existing_sha256,
+        sent_sha256=requested.sha256 or "",
+        existing_file_id=None,
+    )
+    return Refused(path=requested.path, problem=to_problem(error, actor.request_id))
 
 
-async def make_artifacts(db: Connection, run_id: uuid.UUID, rows: Sequence[Row[Any]]) -> Failures:
-    """Make blob and artifact of each upload that the store has whole, while the run is held; else they are gone."""
-    held = select(run.c.id).where(run.c.id == run_id, run.c.state.in_(HELD)).with_for_update(key_share=True)
-    if (await db.execute(held)).first() is None:
-        return {row.id: UploadGone(upload_id=str(row.id)) for row in rows}
-    unfinished = upload.c.state.in_((UploadState.completing.value, UploadState.open.value))
-    locked = select(upload.c.id).where(among(upload.c.id, [row.id for row in rows]), unfinished)
-    still = set((await db.execute(locked.order_by(upload.c.id).with_for_update())).scalars())
-    rows = [row for row in rows if row.id in still]
-    if not rows:
+async def make_artifacts(db: Connection, run_id: uuid.UUID, uploads: Sequence[UploadRow]) -> Failures:
+    """Make the blob and artifact of each upload that the store has whole; all are gone if the run is not active."""
+    if not await _lock_active_run(db, run_id):
+        return {row.id: UploadGone(upload_id=str(row.id)) for row in uploads}
+    unfinished = await queries.lock_unfinished(db, uploads)
+    if not unfinished:
         return {}
-    blob_ids = {row.id: uuid.uuid4() for row in rows}
-    # Nobody reads these as recordings, unless one becomes a file of the mission.
+    blob_ids = {row.id: uuid.uuid4() for row in unfinished}
+    # Not read as recordings, unless one becomes a file of the mission.
     unread = {"content": ContentState.opaque.value, "summarised_at": func.now()}
-    await db.execute(insert(blob).values(**unread), [blob_values(row, blob_ids[row.id]) for row in rows])
+    blobs = [blob_columns(row, blob_ids[row.id]) for row in unfinished]
+    await db.execute(insert(blob).values(**unread), blobs)
     artifacts = [
         {"id": uuid.uuid4(), "run_id": run_id, "path": row.path, "blob_id": blob_ids[row.id]}
-        for row in rows
+        for row in unfinished
         if row.path != LOG_PATH
     ]
     if artifacts:
         await db.execute(insert(run_artifact), artifacts)
-    for row in rows:
+    for row in unfinished:
         if row.path == LOG_PATH:
             await db.execute(update(run).where(run.c.id == run_id).values(log_blob_id=blob_ids[row.id]))
-    done = update(upload).where(among(upload.c.id, blob_ids))
-    await db.execute(done.values(state=UploadState.done.value, cleaned_at=func.now()))
-    await enqueue(db, Job.prove_blob, ids=[str(each) for each in blob_ids.values()], urgency=Urgency.whenever)
+    done = {"state": UploadState.done.value, "cleaned_at": func.now()}
+    await db.execute(update(upload).where(among(upload.c.id, blob_ids)).values(**done))
+    await enqueue(db, Job.verify_blob, ids=[str(id_) for id_ in blob_ids.values()], urgency=Urgency.whenever)
     return {}

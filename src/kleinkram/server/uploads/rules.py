@@ -1,31 +1,29 @@
-"""What is decided about each file that somebody wants to upload, from what is known. Pure: no database, no store."""
+"""What happens with each file: at the begin of its upload, and at its completion. Pure: no database, no store."""
 
 import enum
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
-
-from sqlalchemy import Row
 
 from kleinkram.contract.errors import FileExists, KleinkramError, NameLeased, PathConflict
-from kleinkram.contract.files import BlobState
 from kleinkram.contract.names import name_key
 from kleinkram.contract.uploads import ChecksumKind, UploadFile, UploadState
 from kleinkram.server.files.paths import folder_keys
-from kleinkram.server.uploads.queries import Content
+from kleinkram.server.uploads.queries import Content, ExistingFile, UploadRow
 
-# What a conflict names to who may not read what is there.
-UNSHOWN = "a file that you may not see"
-UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
+HIDDEN_FILE = "a file that you may not see"
+"""What a conflict names to an actor who may not read the mission."""
 
 
-class Way(enum.Enum):
-    """What happens with a file next."""
+class Action(enum.Enum):
+    """What the server does with an announced file."""
 
     present = enum.auto()
+    """Nothing: the mission has this very file."""
     link = enum.auto()
+    """Make the file from a blob that is stored already."""
     hash_first = enum.auto()
+    """Ask the client for the hash, then decide."""
     begin = enum.auto()
     resume = enum.auto()
     refuse = enum.auto()
@@ -33,121 +31,163 @@ class Way(enum.Enum):
 
 @dataclass(frozen=True)
 class Decision:
-    """One file's way; `ref` is the file that is present, the blob to link or the upload to resume."""
+    """One announced file and what happens with it. Of the ids, those that the action needs are set.
 
-    wanted: UploadFile
-    way: Way
-    ref: uuid.UUID | None = None
+    `stolen_upload_id`: another upload of this name whose lease ran out, and which ends now.
+    """
+
+    requested: UploadFile
+    action: Action
+    file_id: uuid.UUID | None = None
+    blob_id: uuid.UUID | None = None
+    upload_id: uuid.UUID | None = None
+    stolen_upload_id: uuid.UUID | None = None
     error: KleinkramError | None = None
-    takes_over: uuid.UUID | None = None
 
 
 @dataclass(frozen=True)
-class Known:
-    """What is known of the names and contents that a request touches, and of who asks."""
+class Facts:
+    """What the database says about the names and contents of one request. Maps go by path key, conflicts by path.
+
+    `may_read`: whether the actor may read the mission; otherwise they learn only that a name is taken.
+    """
 
     person_id: uuid.UUID | None
-    # Whether they may read what is there; else they hear no more of it than that it is there.
     may_read: bool
-    files: Mapping[str, Row[Any]]
-    uploads: Mapping[str, Row[Any]]
-    twin_sizes: frozenset[int]
-    twins: Mapping[Content, uuid.UUID]
+    files: Mapping[str, ExistingFile]
+    uploads: Mapping[str, UploadRow]
+    duplicate_sizes: frozenset[int]
+    duplicates: Mapping[Content, uuid.UUID]
     conflicts: Mapping[str, str]
 
 
-def content_of(wanted: UploadFile) -> Content | None:
-    """Return what a file holds, where its hash is known."""
-    return (wanted.size_bytes, bytes.fromhex(wanted.sha256)) if wanted.sha256 else None
+def decide(requested: UploadFile, facts: Facts) -> Decision:
+    """Decide about one announced file."""
+    key = name_key(requested.path)
+    if other := facts.conflicts.get(requested.path):
+        return _refuse(requested, PathConflict(path=requested.path, other=other))
+    if (existing := facts.files.get(key)) and (decision := _decide_with_existing(requested, existing, facts)):
+        return decision
+    if other_upload := facts.uploads.get(key):
+        return _decide_with_upload(requested, other_upload, facts.person_id)
+    return _decide_new(requested, facts)
 
 
-def decide(wanted: UploadFile, known: Known) -> Decision:
-    """Return what happens with one file."""
-    key = name_key(wanted.path)
-    if other := known.conflicts.get(wanted.path):
-        return Decision(wanted, Way.refuse, error=PathConflict(path=wanted.path, other=other))
-    if existing := known.files.get(key):
-        decision = _beside(wanted, existing, known)
-        if decision:
-            return decision
-    if active := known.uploads.get(key):
-        return _during(wanted, active, known.person_id)
-    return _afresh(wanted, known)
+def _refuse(requested: UploadFile, error: KleinkramError) -> Decision:
+    return Decision(requested, Action.refuse, error=error)
 
 
-def _beside(wanted: UploadFile, existing: Row[Any], known: Known) -> Decision | None:
-    if existing.path != wanted.path:
-        other = existing.path if known.may_read else UNSHOWN
-        return Decision(wanted, Way.refuse, error=PathConflict(path=wanted.path, other=other))
-    if wanted.sha256 is None:
-        return Decision(wanted, Way.hash_first)
-    if content_of(wanted) != (existing.size_bytes, existing.sha256):
-        error = FileExists(
-            path=wanted.path,
-            existing_sha256=existing.sha256.hex() if known.may_read else None,
-            given_sha256=wanted.sha256,
-            existing_file_id=str(existing.id) if known.may_read else None,
-        )
-        return Decision(wanted, Way.refuse, error=error)
-    if existing.state in UNREADABLE:
-        return None  # the same content again: this is how a lost or corrupt file is mended
-    return Decision(wanted, Way.present, ref=existing.id)
-
-
-def _during(wanted: UploadFile, active: Row[Any], person_id: uuid.UUID | None) -> Decision:
-    same = active.person_id == person_id and active.path == wanted.path and active.size_bytes == wanted.size_bytes
-    if same and active.id == wanted.upload_id and active.state == UploadState.open.value:
-        return Decision(wanted, Way.resume, ref=active.id)
-    if active.leased or active.state == UploadState.completing.value:
-        error = NameLeased(path=wanted.path, lease_ends_at=active.lease_ends_at.isoformat(timespec="seconds"))
-        return Decision(wanted, Way.refuse, error=error)
-    return Decision(wanted, Way.begin, takes_over=active.id)
-
-
-def _afresh(wanted: UploadFile, known: Known) -> Decision:
-    content = content_of(wanted)
+def _decide_with_existing(requested: UploadFile, existing: ExistingFile, facts: Facts) -> Decision | None:
+    """Decide about a file whose name is taken; None to repair the damaged file there."""
+    if existing.path != requested.path:
+        other = existing.path if facts.may_read else HIDDEN_FILE
+        return _refuse(requested, PathConflict(path=requested.path, other=other))
+    content = content_of(requested)
     if content is None:
-        return Decision(wanted, Way.hash_first if wanted.size_bytes in known.twin_sizes else Way.begin)
-    if twin := known.twins.get(content):
-        return Decision(wanted, Way.link, ref=twin)
-    return Decision(wanted, Way.begin)
+        return Decision(requested, Action.hash_first)
+    if content != existing.content:
+        return _refuse(requested, _file_exists(requested.path, existing, content, may_read=facts.may_read))
+    if existing.is_damaged:
+        return None
+    return Decision(requested, Action.present, file_id=existing.id)
 
 
-def as_shown(conflicts: dict[str, str], *, may_read: bool) -> dict[str, str]:
-    """Return conflicts of paths with files that are there, as one may hear of them who may read those, or not."""
-    return conflicts if may_read else dict.fromkeys(conflicts, UNSHOWN)
+def _decide_with_upload(requested: UploadFile, other: UploadRow, person_id: uuid.UUID | None) -> Decision:
+    """Decide about a file whose name another upload reserves: resume it, wait for it, or steal its lease."""
+    is_same_file = (other.person_id, other.path, other.size_bytes) == (person_id, requested.path, requested.size_bytes)
+    is_completing = other.state == UploadState.completing.value
+    if is_same_file and other.id == requested.upload_id and not is_completing:
+        return Decision(requested, Action.resume, upload_id=other.id)
+    if other.has_lease or is_completing:
+        lease_ends_at = other.lease_ends_at.isoformat(timespec="seconds")
+        return _refuse(requested, NameLeased(path=requested.path, lease_ends_at=lease_ends_at))
+    return Decision(requested, Action.begin, stolen_upload_id=other.id)
 
 
-def first_come(paths: Sequence[str]) -> dict[int, str]:
-    """Return, of paths that are to stand side by side, the places of those that an earlier one keeps out, with it.
+def _decide_new(requested: UploadFile, facts: Facts) -> Decision:
+    content = content_of(requested)
+    if content is None:
+        is_worth_hashing = requested.size_bytes in facts.duplicate_sizes
+        return Decision(requested, Action.hash_first if is_worth_hashing else Action.begin)
+    if blob_id := facts.duplicates.get(content):
+        return Decision(requested, Action.link, blob_id=blob_id)
+    return Decision(requested, Action.begin)
 
-    The same name twice (in any case or Unicode form), or a file where another needs a folder.
+
+def content_of(requested: UploadFile) -> Content | None:
+    """Return what an announced file is, if its hash is known."""
+    return Content(requested.size_bytes, bytes.fromhex(requested.sha256)) if requested.sha256 else None
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where a completed upload goes: into a new file, or into the existing file `file_id`; or why nowhere.
+
+    `needs_blob`: the uploaded bytes are used. Otherwise the file has the same bytes by another way.
     """
-    files: dict[str, str] = {}
-    folders: dict[str, str] = {}
-    refused: dict[int, str] = {}
-    for place, path in enumerate(paths):
-        key = name_key(path)
-        above = folder_keys(path)
-        other = files.get(key) or folders.get(key) or next((files[each] for each in above if each in files), None)
-        if other is not None:
-            refused[place] = other
-            continue
-        files[key] = path
-        folders |= dict.fromkeys(above, path)
-    return refused
+
+    upload: UploadRow
+    file_id: uuid.UUID | None = None
+    needs_blob: bool = True
+    error: KleinkramError | None = None
 
 
-def blob_values(row: Row[Any], blob_id: uuid.UUID) -> dict[str, object]:
-    """Return the row of the blob that an upload becomes."""
-    # Only a checksum that the store compared itself is kept as its word.
-    verified = row.checksum == ChecksumKind.crc64nvme.value
+def place(upload: UploadRow, existing: ExistingFile | None, conflict: str | None, *, may_read: bool) -> Placement:
+    """Decide what becomes of an upload whose bytes the store has: a new file, a repaired one, or a refusal."""
+    if conflict is not None:
+        return Placement(upload, error=PathConflict(path=upload.path, other=conflict))
+    if existing is None:
+        return Placement(upload)
+    if existing.content != upload.content:
+        return Placement(upload, error=_file_exists(upload.path, existing, upload.content, may_read=may_read))
+    # The same bytes: they repair a damaged file; a sound one was linked or moved here meanwhile.
+    return Placement(upload, file_id=existing.id, needs_blob=existing.is_damaged)
+
+
+def blob_columns(row: UploadRow, blob_id: uuid.UUID) -> dict[str, object]:
+    """Return the columns of the blob that an upload becomes, for an insert."""
+    # Kept as the store's word only if the store compared it.
+    has_store_compared = row.checksum == ChecksumKind.crc64nvme.value
     return {
         "id": blob_id,
         "store_id": row.store_id,
         "key": row.key,
         "size_bytes": row.size_bytes,
-        "crc64nvme": row.crc64nvme if verified else None,
+        "crc64nvme": row.crc64nvme if has_store_compared else None,
         "sha256": row.sha256,
         "uploaded_by_id": row.person_id,
     }
+
+
+def _file_exists(path: str, existing: ExistingFile, content: Content, *, may_read: bool) -> FileExists:
+    return FileExists(
+        path=path,
+        existing_sha256=existing.sha256.hex() if may_read else None,
+        sent_sha256=content.sha256.hex(),
+        existing_file_id=str(existing.id) if may_read else None,
+    )
+
+
+def visible_conflicts(conflicts: dict[str, str], *, may_read: bool) -> dict[str, str]:
+    """Return conflicts with existing files as the actor may see them."""
+    return conflicts if may_read else dict.fromkeys(conflicts, HIDDEN_FILE)
+
+
+def conflicts_among(paths: Sequence[str]) -> dict[int, str]:
+    """Return the positions of paths that conflict with an earlier path of the list, with that path.
+
+    Two paths conflict if they are the same name (in any case or Unicode form), or one is a folder of the other.
+    """
+    files: dict[str, str] = {}
+    folders: dict[str, str] = {}
+    conflicts: dict[int, str] = {}
+    for position, path in enumerate(paths):
+        key, parents = name_key(path), folder_keys(path)
+        parent_file = next((files[parent] for parent in parents if parent in files), None)
+        other = files.get(key) or folders.get(key) or parent_file
+        if other is not None:
+            conflicts[position] = other
+            continue
+        files[key] = path
+        folders |= dict.fromkeys(parents, path)
+    return conflicts

@@ -1,37 +1,36 @@
-"""The upload protocol up to its last part, each step as mark -> store -> finish.
+"""The upload protocol until the last part is sent. Each step marks the row, asks the store, then records the answer.
 
-The store is never asked inside a transaction, and a name is never held without a row that says until when.
+The store is never asked inside a transaction, and a name is never reserved without a row that says until when.
 """
 
-import asyncio
 import datetime
 import uuid
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
-from sqlalchemy import Row, func, select, update
+from sqlalchemy import func, select, update
 
 from kleinkram.contract.errors import (
     NameLeased,
     NotFound,
     PathConflict,
     StoreUnavailable,
-    to_problem,
 )
 from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.files import FileRead
 from kleinkram.contract.names import name_key
 from kleinkram.contract.paging import Page
+from kleinkram.contract.problems import to_problem
 from kleinkram.contract.rights import Scope
 from kleinkram.contract.uploads import (
     ChecksumKind,
     HashFirst,
-    HeldPart,
     Linked,
     Present,
     Refused,
     Send,
+    StoredPart,
     UploadDecision,
     UploadFile,
     UploadRead,
@@ -40,206 +39,308 @@ from kleinkram.contract.uploads import (
 )
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
-from kleinkram.server.audit.service import Event, record
-from kleinkram.server.bulk import upsert_rows
+from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
-from kleinkram.server.db import Connection, among
+from kleinkram.server.db import Connection, among, upsert_rows
 from kleinkram.server.files import service as files
 from kleinkram.server.files.paths import path_conflicts
 from kleinkram.server.missions import service as missions
-from kleinkram.server.pages import Order, PageRequest, fetch_page
+from kleinkram.server.paging import Order, PageRequest, fetch_page
 from kleinkram.server.quotas.service import Amount, project_of, require_room
-from kleinkram.server.tables import mission, upload
+from kleinkram.server.recordings.service import regroup
+from kleinkram.server.tables import blob, file, upload
 from kleinkram.server.tables.upload import UNDER_WAY
 from kleinkram.server.uploads import queries
-from kleinkram.server.uploads.joining import held_whole
-from kleinkram.server.uploads.linking import link_twins
-from kleinkram.server.uploads.rules import Decision, Known, Way, as_shown, content_of, decide, first_come
-from kleinkram.server.uploads.signing_parts import first_checksum, is_multipart, renewed, sign_first
+from kleinkram.server.uploads.parts import (
+    announced_checksum,
+    lease_columns,
+    list_multiparts,
+    sign_only_part,
+    stored_small_files,
+)
+from kleinkram.server.uploads.queries import UploadRow
+from kleinkram.server.uploads.rules import (
+    Action,
+    Decision,
+    Facts,
+    conflicts_among,
+    content_of,
+    decide,
+    visible_conflicts,
+)
 
-_AT_ONCE = 16
+_VIEWER_SUFFIXES = (".mcap", ".bag")
 
 
 async def begin_uploads(
-    context: AppContext, actor: Actor, *, mission_id: uuid.UUID, wanted: Sequence[UploadFile]
+    context: AppContext, actor: Actor, *, mission_id: uuid.UUID, requested: Sequence[UploadFile]
 ) -> list[UploadDecision]:
-    """Decide about each file, hold the names of those to be sent, and open them at the store.
+    """Decide about each file, reserve the names of those to be sent, and open them at the store.
 
-    Idempotent: asked again with the upload's id, an upload goes on where it was.
+    Idempotent: with the id of an upload, the upload continues where it was.
 
     Raises:
-        NotFound: no such mission for `actor`.
-        Forbidden: they may see it, but put nothing into it.
-        QuotaExceeded: its project has no room for those that are not there yet; none of them was begun.
+        NotFound: the actor may not see such a mission.
+        Forbidden: the actor may see it, but not upload into it.
+        QuotaExceeded: the project has no room for the new files; none of them was begun.
     """
     async with context.database.begin() as db:
         await missions.lock_mission_to_fill(db, actor, mission_id)
-        decisions, asked = await _decide_all(db, actor, mission_id=mission_id, wanted=wanted)
-        await _take_over(db, decisions)
-        await require_room(db, actor, project_id=await project_of(db, mission_id), asked=asked)
-        decisions = await _hold_names(db, context, actor, mission_id=mission_id, decisions=decisions)
-        decisions = await link_twins(db, actor, mission_id=mission_id, decisions=decisions)
-        held = [decision.ref for decision in decisions if decision.way in {Way.begin, Way.resume} and decision.ref]
-        rows = await queries.locked_uploads(db, actor, held)
-    try:
-        multipart = [row for row in rows.values() if is_multipart(row)]
-        resumed = {decision.ref for decision in decisions if decision.way is Way.resume and decision.ref}
-        parts = await open_at_store(context, multipart, resumed=resumed) if multipart else {}
-        # So much may be sent and not yet completed that to send it again would take long.
-        parts |= await held_whole(context.storage, [rows[each] for each in resumed])
-    except StoreUnavailable:
-        await let_go(context, [decision.ref for decision in decisions if decision.way is Way.begin])
-        raise
-    reads: dict[uuid.UUID, FileRead] = {}
-    if refs := [d.ref for d in decisions if d.way in {Way.present, Way.link} and d.ref]:
+        facts = await _collect_facts(db, actor, mission_id, requested)
+        decisions = _decide_all(requested, facts)
+        await _steal_leases(db, decisions)
+        project_id = await project_of(db, mission_id)
+        await require_room(db, actor, project_id=project_id, asked=_new_amount(decisions, facts))
+        await _renew_resumed(db, context, decisions)
+        decisions = await _reserve_names(db, context, actor, mission_id, decisions)
+        decisions = await _link_duplicates(db, actor, mission_id, decisions)
+        uploads = await queries.lock_own_uploads(db, actor, [d.upload_id for d in decisions if d.upload_id])
+    parts = await _open_at_store(context, decisions, uploads)
+    file_ids = [decision.file_id for decision in decisions if decision.file_id]
+    visible_files: dict[uuid.UUID, FileRead] = {}
+    if file_ids:
         async with context.database.begin() as db:
-            reads = {read.id: read for read in await files.read_visible_files(db, actor, refs)}
-    return [_answer(context, actor, decision, rows, parts, reads) for decision in decisions]
+            visible_files = {read.id: read for read in await files.read_visible_files(db, actor, file_ids)}
+    begun = _Begun(uploads, parts, visible_files)
+    return [_to_wire(context, actor, decision, begun) for decision in decisions]
 
 
-async def let_go(context: AppContext, upload_ids: Sequence[uuid.UUID | None]) -> None:
-    """Free names whose holder never heard of it."""
-    async with context.database.begin() as db:
-        unheard = upload.c.id.in_([each for each in upload_ids if each]) & (upload.c.state == UploadState.open.value)
-        await db.execute(update(upload).where(unheard).values(state=UploadState.aborted.value))
+# -- deciding ---------------------------------------------------------------------------------------------------------
 
 
-async def _decide_all(
-    db: Connection, actor: Actor, *, mission_id: uuid.UUID, wanted: Sequence[UploadFile]
-) -> tuple[list[Decision], Amount]:
-    keys = [name_key(each.path) for each in wanted]
-    paths = [each.path for each in wanted]
-    contents = [content for each in wanted if (content := content_of(each))]
+async def _collect_facts(db: Connection, actor: Actor, mission_id: uuid.UUID, requested: Sequence[UploadFile]) -> Facts:
+    keys = [name_key(file.path) for file in requested]
+    sizes_without_hash = [file.size_bytes for file in requested if not file.sha256]
+    contents = [content for file in requested if (content := content_of(file))]
     may_read = Scope.read in actor.scopes
-    known = Known(
+    conflicts = await path_conflicts(db, mission_id, [file.path for file in requested])
+    return Facts(
         person_id=actor.person_id,
         may_read=may_read,
-        files=await queries.live_files(db, mission_id, keys),
-        uploads=await queries.active_uploads(db, mission_id, keys),
-        twin_sizes=frozenset(await queries.twin_sizes(db, actor, [e.size_bytes for e in wanted if not e.sha256])),
-        twins=await queries.twins(db, actor, contents) if contents else {},
-        conflicts=as_shown(await path_conflicts(db, mission_id, paths), may_read=may_read),
+        files=await queries.existing_files(db, mission_id, keys),
+        uploads=await queries.lock_uploads_at(db, mission_id, keys),
+        duplicate_sizes=await queries.duplicate_sizes(db, actor, sizes_without_hash),
+        duplicates=await queries.lock_duplicates(db, actor, contents),
+        conflicts=visible_conflicts(conflicts, may_read=may_read),
     )
-    crowded = first_come(paths)
-    decisions = [
-        Decision(each, Way.refuse, error=PathConflict(path=each.path, other=crowded[place]))
-        if place in crowded
-        else decide(each, known)
-        for place, each in enumerate(wanted)
+
+
+def _decide_all(requested: Sequence[UploadFile], facts: Facts) -> list[Decision]:
+    conflicts = conflicts_among([file.path for file in requested])
+    return [
+        Decision(file, Action.refuse, error=PathConflict(path=file.path, other=conflicts[position]))
+        if position in conflicts
+        else decide(file, facts)
+        for position, file in enumerate(requested)
     ]
-    # What mends a file takes the room that the file has already.
-    coming = [each.wanted for each in decisions if each.way in {Way.begin, Way.link}]
-    coming = [each for each in coming if name_key(each.path) not in known.files]
-    return decisions, Amount(len(coming), sum(each.size_bytes for each in coming))
 
 
-async def _take_over(db: Connection, decisions: Sequence[Decision]) -> None:
-    """End the uploads that had names which are wanted now, and whose leases have run out."""
-    lapsed = [decision.takes_over for decision in decisions if decision.takes_over]
-    if lapsed:
-        await db.execute(update(upload).where(among(upload.c.id, lapsed)).values(state=UploadState.aborted.value))
+def _new_amount(decisions: Sequence[Decision], facts: Facts) -> Amount:
+    """Return how much room the request needs. A repaired file takes the room that it has already."""
+    new = [d.requested for d in decisions if d.action in {Action.begin, Action.link}]
+    new = [file for file in new if name_key(file.path) not in facts.files]
+    return Amount(len(new), sum(file.size_bytes for file in new))
 
 
-async def _hold_names(
-    db: Connection, context: AppContext, actor: Actor, *, mission_id: uuid.UUID, decisions: list[Decision]
-) -> list[Decision]:
-    resumed = [decision.ref for decision in decisions if decision.way is Way.resume]
+# -- reserving names --------------------------------------------------------------------------------------------------
+
+
+async def _steal_leases(db: Connection, decisions: Sequence[Decision]) -> None:
+    """End the uploads whose leases ran out and whose names are needed now."""
+    stolen = [decision.stolen_upload_id for decision in decisions if decision.stolen_upload_id]
+    if stolen:
+        await db.execute(update(upload).where(among(upload.c.id, stolen)).values(state=UploadState.aborted.value))
+
+
+async def _renew_resumed(db: Connection, context: AppContext, decisions: Sequence[Decision]) -> None:
+    resumed = [decision.upload_id for decision in decisions if decision.action is Action.resume]
     if resumed:
-        await db.execute(
-            update(upload).where(among(upload.c.id, resumed)).values(**renewed(context.settings, func.now()))
-        )
-    begun = [decision for decision in decisions if decision.way is Way.begin]
-    if not begun:
+        renewed = lease_columns(context.settings, func.now())
+        await db.execute(update(upload).where(among(upload.c.id, resumed)).values(**renewed))
+
+
+async def _reserve_names(
+    db: Connection, context: AppContext, actor: Actor, mission_id: uuid.UUID, decisions: list[Decision]
+) -> list[Decision]:
+    """Insert an upload for each new file. The unique index decides between requests that come at the same time."""
+    new = [decision.requested for decision in decisions if decision.action is Action.begin]
+    if not new:
         return decisions
-    batch = uuid.uuid4()
-    # The database's clock, asked once: leases are compared with it, and machines' clocks differ.
+    # The database's clock, read once: leases are compared with it, and machines' clocks differ.
     now = (await db.execute(select(func.now()))).scalar_one()
-    asked_for = [decision.wanted.upload_id for decision in begun if decision.wanted.upload_id]
-    used = await queries.used_ids(db, asked_for) if asked_for else frozenset()
-    rows = [new_upload(context, actor.person_id, mission_id, batch, each.wanted, now, used=used) for each in begun]
+    proposed = [file.upload_id for file in new if file.upload_id]
+    used = await queries.used_ids(db, proposed) if proposed else frozenset()
+    batch_id = uuid.uuid4()
+    rows = [
+        new_upload(context, actor.person_id, mission_id, batch_id, file, now, id_=_free_id(file, used)) for file in new
+    ]
     statement = upsert_rows(upload, rows).on_conflict_do_nothing().returning(upload.c.id, upload.c.path)
     ids = {row.path: row.id for row in await db.execute(statement)}
-    await publish(db, [ChangeEvent("upload", ChangeKind.created, each, mission_id=mission_id) for each in ids.values()])
-    return [_held(decision, ids) if decision.way is Way.begin else decision for decision in decisions]
+    created = [ChangeEvent("upload", ChangeKind.created, id_, mission_id=mission_id) for id_ in ids.values()]
+    await publish(db, created)
+    return [_with_upload(decision, ids) if decision.action is Action.begin else decision for decision in decisions]
+
+
+def _free_id(requested: UploadFile, used: Collection[uuid.UUID]) -> uuid.UUID:
+    """Return the id that the client proposes, unless an upload has it: then a new one."""
+    if requested.upload_id is None or requested.upload_id in used:
+        return uuid.uuid4()
+    return requested.upload_id
+
+
+def _with_upload(decision: Decision, ids: Mapping[str, uuid.UUID]) -> Decision:
+    path = decision.requested.path
+    if upload_id := ids.get(path):
+        return replace(decision, upload_id=upload_id)
+    now = datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds")
+    return replace(decision, action=Action.refuse, error=NameLeased(path=path, lease_ends_at=now))
 
 
 def new_upload(
     context: AppContext,
     person_id: uuid.UUID | None,
     mission_id: uuid.UUID,
-    batch: uuid.UUID,
-    wanted: UploadFile,
+    batch_id: uuid.UUID,
+    requested: UploadFile,
     now: datetime.datetime,
     *,
-    used: Collection[uuid.UUID] | None = None,
+    id_: uuid.UUID | None = None,
 ) -> dict[str, Any]:
-    """Return the row of an upload that begins: by the id wished for, where those `used` are told and it is not one."""
-    wished = wanted.upload_id
-    upload_id = uuid.uuid4() if wished is None or used is None or wished in used else wished
+    """Return the columns of a new upload, for an insert."""
+    upload_id = id_ or uuid.uuid4()
+    # Viewers choose a reader by how a URL ends.
+    suffix = next((suffix for suffix in _VIEWER_SUFFIXES if requested.path.lower().endswith(suffix)), "")
     return {
         "id": upload_id,
         "mission_id": mission_id,
         "person_id": person_id,
-        "path": wanted.path,
-        "path_key": name_key(wanted.path),
-        "size_bytes": wanted.size_bytes,
-        "part_size_bytes": part_size_bytes(wanted.size_bytes),
+        "path": requested.path,
+        "path_key": name_key(requested.path),
+        "size_bytes": requested.size_bytes,
+        "part_size_bytes": part_size_bytes(requested.size_bytes),
         "checksum": context.storage.checksum.value,
-        "signed_checksum": first_checksum(context.storage, wanted),
+        "signed_checksum": announced_checksum(context.storage, requested),
         "store_id": context.settings.store_id,
-        # One prefix a request: its small files are then found with one listing.
-        "key": f"{batch}/{upload_id}{_viewable_suffix(wanted.path)}",
-        **renewed(context.settings, now),
+        # One prefix for each request, so that one listing finds its small files.
+        "key": f"{batch_id}/{upload_id}{suffix}",
+        **lease_columns(context.settings, now),
     }
 
 
-def _viewable_suffix(path: str) -> str:
-    """Return what a key ends with: viewers go by that of an address, and open nothing without."""
-    return next((suffix for suffix in (".mcap", ".bag") if path.lower().endswith(suffix)), "")
+# -- linking duplicates -----------------------------------------------------------------------------------------------
 
 
-def _held(decision: Decision, ids: Mapping[str, uuid.UUID]) -> Decision:
-    if upload_id := ids.get(decision.wanted.path):
-        return replace(decision, ref=upload_id)
-    now = datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds")
-    return replace(decision, way=Way.refuse, error=NameLeased(path=decision.wanted.path, lease_ends_at=now))
+async def _link_duplicates(
+    db: Connection, actor: Actor, mission_id: uuid.UUID, decisions: list[Decision]
+) -> list[Decision]:
+    """Make files from blobs that are stored already; a file whose own blob is damaged gets the sound one."""
+    linked = [decision for decision in decisions if decision.action is Action.link]
+    if not linked:
+        return decisions
+    rows = [
+        {
+            "id": uuid.uuid4(),
+            "mission_id": mission_id,
+            "blob_id": decision.blob_id,
+            "path": decision.requested.path,
+            "path_key": name_key(decision.requested.path),
+            "origin": "link",
+            "uploaded_by_id": actor.person_id,
+        }
+        for decision in linked
+    ]
+    statement = upsert_rows(file, rows)
+    statement = statement.on_conflict_do_update(
+        index_elements=["mission_id", "path_key"],
+        index_where=file.c.deleted_at.is_(None),
+        set_={"blob_id": statement.excluded.blob_id},
+        # Only a damaged file may be replaced; the lock on the mission keeps other uploads out.
+        where=file.c.blob_id.in_(select(blob.c.id).where(blob.c.state.in_(queries.DAMAGED_STATES))),
+    )
+    file_ids = {row.path: row.id for row in await db.execute(statement.returning(file.c.path, file.c.id))}
+    project_id = await project_of(db, mission_id)
+    events = [
+        Event(
+            "file.link",
+            "file",
+            file_ids[decision.requested.path],
+            decision.requested.path,
+            project_id,
+            after={"sha256": decision.requested.sha256},
+            mission_id=mission_id,
+        )
+        for decision in linked
+        if decision.requested.path in file_ids
+    ]
+    await record_all(db, actor, events)
+    await regroup(db, mission_id)
+    # A file that was damaged a moment ago may have been verified since: then it is as good as its duplicate.
+    healed = [name_key(d.requested.path) for d in linked if d.requested.path not in file_ids]
+    existing = await queries.existing_files(db, mission_id, healed) if healed else {}
+    return [_with_file(d, file_ids, existing) if d.action is Action.link else d for d in decisions]
 
 
-async def open_at_store(
-    context: AppContext, rows: Sequence[Row[Any]], *, resumed: Collection[uuid.UUID] = ()
-) -> dict[uuid.UUID, list[HeldPart]]:
-    """Open the multipart uploads that are not open yet, and return the parts that the store holds of each.
+def _with_file(
+    decision: Decision, file_ids: Mapping[str, uuid.UUID], existing: Mapping[str, queries.ExistingFile]
+) -> Decision:
+    path = decision.requested.path
+    if file_id := file_ids.get(path):
+        return replace(decision, file_id=file_id)
+    return replace(decision, action=Action.present, file_id=existing[name_key(path)].id)
 
-    Of those `resumed`, one may be open whose id was never written down: the process died between.
-    """
-    gate = asyncio.Semaphore(_AT_ONCE)
 
-    async def open_one(row: Row[Any]) -> tuple[uuid.UUID, str, list[HeldPart]]:
-        async with gate:
-            if row.multipart_id is not None:
-                held = await context.storage.held_parts(row.key, row.multipart_id)
-                if held is not None:
-                    return row.id, row.multipart_id, held
-            elif row.id in resumed:
-                for _, multipart_id in await context.storage.open_multiparts(row.key):
-                    return row.id, multipart_id, await context.storage.held_parts(row.key, multipart_id) or []
-            return row.id, await context.storage.begin_multipart(row.key), []
+# -- answering --------------------------------------------------------------------------------------------------------
 
-    answers = await asyncio.gather(*(open_one(row) for row in rows), return_exceptions=True)
-    opened = [answer for answer in answers if not isinstance(answer, BaseException)]
-    fresh = {row.id: row.multipart_id for row in rows}
+
+@dataclass(frozen=True)
+class _Begun:
+    """What the answers to one request are made of, by id."""
+
+    uploads: Mapping[uuid.UUID, UploadRow]
+    parts: Mapping[uuid.UUID, list[StoredPart]]
+    files: Mapping[uuid.UUID, FileRead]
+
+
+async def _open_at_store(
+    context: AppContext, decisions: Sequence[Decision], uploads: Mapping[uuid.UUID, UploadRow]
+) -> dict[uuid.UUID, list[StoredPart]]:
+    """Open the uploads at the store and return the parts that it has; free the new names if the store is away."""
+    resumed = {d.upload_id for d in decisions if d.action is Action.resume and d.upload_id}
+    multipart = [row for row in uploads.values() if row.is_multipart]
+    try:
+        parts = await list_multiparts(context, multipart, resumed=resumed) if multipart else {}
+        # A resumed upload may have so many small files at the store that sending them again would take long.
+        return parts | await stored_small_files(context.storage, [uploads[id_] for id_ in resumed])
+    except StoreUnavailable:
+        await free_names(context, [d.upload_id for d in decisions if d.action is Action.begin and d.upload_id])
+        raise
+
+
+async def free_names(context: AppContext, upload_ids: Sequence[uuid.UUID]) -> None:
+    """End new uploads that their client never learned of."""
     async with context.database.begin() as db:
-        for upload_id, multipart_id, _ in opened:
-            if fresh[upload_id] != multipart_id:
-                await db.execute(update(upload).where(upload.c.id == upload_id).values(multipart_id=multipart_id))
-    for answer in answers:
-        if isinstance(answer, BaseException):
-            raise answer
-    return {upload_id: held for upload_id, _, held in opened}
+        is_open = among(upload.c.id, upload_ids) & (upload.c.state == UploadState.open.value)
+        await db.execute(update(upload).where(is_open).values(state=UploadState.aborted.value))
 
 
-def read_upload(row: Row[Any], held: Sequence[HeldPart]) -> UploadRead:
+def _to_wire(context: AppContext, actor: Actor, decision: Decision, begun: _Begun) -> UploadDecision:
+    requested = decision.requested
+    if decision.error is not None:
+        return Refused(path=requested.path, problem=to_problem(decision.error, actor.request_id))
+    if decision.upload_id is not None:
+        row = begun.uploads[decision.upload_id]
+        parts = begun.parts.get(row.id, [])
+        return Send(upload=to_upload_read(row, parts), part=sign_only_part(context, row, requested))
+    read = begun.files.get(decision.file_id) if decision.file_id else None
+    if decision.action is Action.present and Scope.read not in actor.scopes:
+        return Present(file=read)
+    if read is None:  # also if the file was deleted since: asking again leads to another answer
+        return HashFirst(path=requested.path)
+    return Present(file=read) if decision.action is Action.present else Linked(file=read)
+
+
+def to_upload_read(row: UploadRow, parts: Sequence[StoredPart]) -> UploadRead:
     """Return an upload as its client sees it."""
     return UploadRead(
         id=row.id,
@@ -251,80 +352,60 @@ def read_upload(row: Row[Any], held: Sequence[HeldPart]) -> UploadRead:
         state=UploadState(row.state),
         lease_ends_at=row.lease_ends_at,
         expires_at=row.expires_at,
-        parts=list(held),
+        parts=list(parts),
     )
 
 
-def _answer(
-    context: AppContext,
-    actor: Actor,
-    decision: Decision,
-    rows: Mapping[uuid.UUID, Row[Any]],
-    parts: Mapping[uuid.UUID, list[HeldPart]],
-    reads: Mapping[uuid.UUID, FileRead],
-) -> UploadDecision:
-    if decision.error is not None:
-        return Refused(path=decision.wanted.path, problem=to_problem(decision.error, actor.request_id))
-    if decision.way in {Way.begin, Way.resume} and decision.ref is not None:
-        row = rows[decision.ref]
-        return Send(upload=read_upload(row, parts.get(row.id, [])), part=sign_first(context, row, decision.wanted))
-    read = reads.get(decision.ref) if decision.ref else None
-    if decision.way is Way.present and Scope.read not in actor.scopes:
-        return Present(file=read)
-    if read is None:  # also where the file was deleted since: then the answer to asking again is another one
-        return HashFirst(path=decision.wanted.path)
-    return Present(file=read) if decision.way is Way.present else Linked(file=read)
+# -- one upload, and all of a mission ---------------------------------------------------------------------------------
 
 
 async def abort_upload(context: AppContext, actor: Actor, *, upload_id: uuid.UUID) -> None:
-    """End an upload that is still open; its parts go soon. Nothing happens to one that has ended.
+    """End an open upload; its parts are deleted soon. Does nothing to one that has ended.
 
     Raises:
-        NotFound: `actor` began no such upload.
+        NotFound: the actor began no such upload.
     """
     async with context.database.begin() as db:
-        rows = await queries.locked_uploads(db, actor, [upload_id])
-        if upload_id not in rows:
+        row = (await queries.lock_own_uploads(db, actor, [upload_id])).get(upload_id)
+        if row is None:
             raise NotFound(noun="upload", ref=str(upload_id))
-        still_open = (upload.c.id == upload_id) & (upload.c.state == UploadState.open.value)
-        ended = update(upload).where(still_open).values(state=UploadState.aborted.value)
-        if (await db.execute(ended.returning(upload.c.id))).first() is not None:
-            await record(db, actor, await _aborted(db, rows[upload_id]))
-
-
-async def _aborted(db: Connection, row: Row[Any]) -> Event:
-    of_mission = select(mission.c.project_id).where(mission.c.id == row.mission_id)
-    project_id: uuid.UUID = (await db.execute(of_mission)).scalar_one()
-    return Event("upload.abort", "upload", row.id, row.path, project_id, mission_id=row.mission_id)
+        if row.state != UploadState.open.value:
+            return
+        await db.execute(update(upload).where(upload.c.id == upload_id).values(state=UploadState.aborted.value))
+        project_id = await project_of(db, row.mission_id)
+        event = Event("upload.abort", "upload", row.id, row.path, project_id, mission_id=row.mission_id)
+        await record(db, actor, event)
 
 
 async def get_upload(context: AppContext, actor: Actor, *, upload_id: uuid.UUID) -> UploadRead:
-    """Return an upload with the parts that the store holds.
+    """Return an upload with the parts that the store has.
 
     Raises:
-        NotFound: `actor` began no such upload.
+        NotFound: the actor began no such upload.
     """
     async with context.database.begin() as db:
-        row = (await db.execute(queries.own_uploads(actor).where(upload.c.id == upload_id))).one_or_none()
-    if row is None:
+        rows = await queries.read_rows(db, queries.own_uploads(actor).where(upload.c.id == upload_id))
+    if not rows:
         raise NotFound(noun="upload", ref=str(upload_id))
-    held: list[HeldPart] | None = None
-    if row.state == UploadState.open.value:
-        if row.multipart_id is not None:
-            held = await context.storage.held_parts(row.key, row.multipart_id)
-        else:
-            held = (await held_whole(context.storage, [row])).get(row.id)
-    return read_upload(row, held or [])
+    [row] = rows
+    parts: list[StoredPart] | None = None
+    if row.state == UploadState.open.value and row.multipart_id is not None:
+        parts = await context.storage.list_parts(row.key, row.multipart_id)
+    elif row.state == UploadState.open.value:
+        parts = (await stored_small_files(context.storage, rows)).get(row.id)
+    return to_upload_read(row, parts or [])
 
 
 async def list_uploads(db: Connection, actor: Actor, *, mission_id: uuid.UUID, page: PageRequest) -> Page[UploadRead]:
-    """Return the uploads under way into a mission, oldest first, without asking the store for their parts.
+    """Return the open uploads into a mission, oldest first, without asking the store for their parts.
 
     Raises:
-        NotFound: no such mission for `actor`.
-        Forbidden: they may see it, but put nothing into it.
+        NotFound: the actor may not see such a mission.
+        Forbidden: the actor may see it, but not upload into it.
     """
     await require_mission(db, actor, "list_uploads", mission_id)
     statement = queries.own_uploads(actor).where(upload.c.mission_id == mission_id, upload.c.state.in_(UNDER_WAY))
     rows = await fetch_page(db, statement, Order([upload.c.created_at, upload.c.id]), page)
-    return Page(items=[read_upload(row, []) for row in rows.items], next=rows.next, total=rows.total)
+    return Page(
+        items=[to_upload_read(queries.to_upload(row), []) for row in rows.items], next=rows.next, total=rows.total
+    )

@@ -4,14 +4,14 @@ from fastapi import APIRouter, Request, Response
 from starlette.exceptions import HTTPException
 
 from kleinkram.server.access.operations import PLACES
-from kleinkram.server.dependencies import CurrentSettings
-from kleinkram.server.web.serving import (
+from kleinkram.server.http.dependencies import CurrentSettings
+from kleinkram.server.http.pages import (
     DAY,
     FOREVER,
     app_page,
     asks_for_json,
     built_file,
-    is_of_original,
+    is_original_api_path,
     static_file,
     wants_page,
 )
@@ -26,7 +26,7 @@ async def view(request: Request, settings: CurrentSettings) -> Response:
     Raises:
         HTTPException: 404, for a program.
     """
-    if asks_for_json(request) or (not wants_page(request) and is_of_original(request.url.path)):
+    if asks_for_json(request) or (not wants_page(request) and is_original_api_path(request.url.path)):
         raise HTTPException(404)
     return app_page(settings)
 

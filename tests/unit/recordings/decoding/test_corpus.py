@@ -44,10 +44,10 @@ def check(messages: Iterator[Raw]) -> int:
     """Compare both readers on all messages that ours decodes; returns how many those are."""
     count = 0
     for raw in messages:
-        found = decoder_for(*raw[:4])
-        if not isinstance(found, Decoder):
+        message_decoder = decoder_for(*raw[:4])
+        if not isinstance(message_decoder, Decoder):
             continue
-        ours = found.decode(raw.data)
+        ours = message_decoder.decode(raw.data)
         count += 1
         if raw.name not in OURS_ONLY and isinstance(ours, Value):
             assert differs(ours, other_decoder(*raw[:4])(raw.data)) is None, raw.name
@@ -143,7 +143,7 @@ def test_every_topic_becomes_a_table(name: str, recordings_dir: Path) -> None:
     for raw in mcap_messages(recordings_dir / name):
         topics.setdefault(raw[:4], []).append(raw.data)
     for key, messages in topics.items():
-        found = decoder_for(*key)
-        table = to_arrow(found, ((1, 2, data) for data in messages), notice=fail)
+        message_decoder = decoder_for(*key)
+        table = to_arrow(message_decoder, ((1, 2, data) for data in messages), notice=fail)
         table.validate(full=True)
         assert table.num_rows == len(messages)

@@ -43,15 +43,15 @@ ENCODINGS = [("cdr", "ros2msg"), ("ros1", "ros1msg")]
 def decoder(message_encoding: str, schema_encoding: str, text: str = EVERYTHING) -> Decoder:
     if message_encoding == "ros1":
         text = text.replace("wstring", "string")
-    found = decoder_for(message_encoding, "a/Thing", schema_encoding, text.encode())
-    assert isinstance(found, Decoder), found
-    return found
+    message_decoder = decoder_for(message_encoding, "a/Thing", schema_encoding, text.encode())
+    assert isinstance(message_decoder, Decoder), message_decoder
+    return message_decoder
 
 
-def answers(found: Decoder, data: bytes) -> object:
+def answers(message_decoder: Decoder, data: bytes) -> object:
     """Decode; a DecodeError is an answer, anything else fails the test."""
     try:
-        return to_plain(found.decode(data))
+        return to_plain(message_decoder.decode(data))
     except DecodeError as error:
         return str(error)
 
@@ -83,9 +83,9 @@ words = st.sampled_from(MSG_WORDS.split(" ")) | st.just("\n") | st.text(max_size
 @given(text=st.lists(words, max_size=30).map(" ".join), body=bodies)
 def test_any_msg_text(text: str, body: bytes) -> None:
     for message_encoding, schema_encoding in ENCODINGS:
-        found = decoder_for(message_encoding, "a/Thing", schema_encoding, text.encode("utf-8", "replace"))
-        if isinstance(found, Decoder):
-            answers(found, b"\0\1\0\0" + body)
+        message_decoder = decoder_for(message_encoding, "a/Thing", schema_encoding, text.encode("utf-8", "replace"))
+        if isinstance(message_decoder, Decoder):
+            answers(message_decoder, b"\0\1\0\0" + body)
 
 
 IDL_WORDS = (
@@ -105,9 +105,9 @@ def test_any_idl_text(text: str) -> None:
 @settings(max_examples=150, deadline=None)
 @given(data=st.binary(max_size=200))
 def test_any_json_and_protobuf_bytes(data: bytes) -> None:
-    found = decoder_for("json", "a", "", b"")
-    assert isinstance(found, Decoder)
-    answers(found, data)
+    message_decoder = decoder_for("json", "a", "", b"")
+    assert isinstance(message_decoder, Decoder)
+    answers(message_decoder, data)
     assert isinstance(decoder_for("protobuf", "a", "protobuf", data), (Decoder, Undecodable))
 
 
@@ -125,32 +125,32 @@ def test_any_json_and_protobuf_bytes(data: bytes) -> None:
         "bool[] x",
     ],
 )
-def test_a_length_of_four_billion_costs_nothing(message_encoding: str, schema_encoding: str, text: str) -> None:
+def test_length_of_four_billion_allocates_nothing(message_encoding: str, schema_encoding: str, text: str) -> None:
     text += "\n===\nMSG: a/Nothing\n===\nMSG: a/Many\n" + "\n".join(f"Nothing x{n}" for n in range(500))
-    found = decoder(message_encoding, schema_encoding, text)
+    message_decoder = decoder(message_encoding, schema_encoding, text)
     data = (
         b"\0\1\0\0" + b"\xff\xff\xff\xff" + bytes(40) if message_encoding == "cdr" else b"\xff\xff\xff\xff" + bytes(40)
     )
     tracemalloc.start()
     start = time.process_time()
     with pytest.raises(DecodeError):
-        found.decode(data)
+        message_decoder.decode(data)
     assert time.process_time() - start < 1
     assert tracemalloc.get_traced_memory()[1] < 2**20
     tracemalloc.stop()
 
 
 @pytest.mark.parametrize(("message_encoding", "schema_encoding"), ENCODINGS)
-def test_a_message_never_becomes_more_than_a_million_objects(message_encoding: str, schema_encoding: str) -> None:
+def test_objects_per_message_are_bounded(message_encoding: str, schema_encoding: str) -> None:
     text = "Many[] x\n===\nMSG: a/Nothing\n===\nMSG: a/Many\nuint8 y\n" + "\n".join(f"Nothing x{n}" for n in range(500))
-    found = decoder(message_encoding, schema_encoding, text)
+    message_decoder = decoder(message_encoding, schema_encoding, text)
     head = b"\0\1\0\0" if message_encoding == "cdr" else b""
     with pytest.raises(DecodeError, match="claimed"):
-        found.decode(head + struct.pack("<I", 4000) + bytes(4_000_000))
+        message_decoder.decode(head + struct.pack("<I", 4000) + bytes(4_000_000))
 
 
 @pytest.mark.parametrize("name", ["pkg/a\x00b", "pkg/", "pkg/two words", "pkg/\udcff"])
-def test_a_type_whose_name_is_none(name: str) -> None:
-    found = decoder_for("ros1", name, "ros1msg", b"int8 x")
-    assert isinstance(found, Decoder)
-    assert to_plain(found.decode(b"\x07")) == {"x": 7}
+def test_type_with_an_invalid_name(name: str) -> None:
+    message_decoder = decoder_for("ros1", name, "ros1msg", b"int8 x")
+    assert isinstance(message_decoder, Decoder)
+    assert to_plain(message_decoder.decode(b"\x07")) == {"x": 7}

@@ -27,28 +27,28 @@ XYZI = [field("x", 0), field("y", 4), field("intensity", 12, 4), field("ring", 1
 
 def test_a_cloud_is_a_structured_array() -> None:
     data = struct.pack("<2f4xHBx", 1, 2, 300, 7) + struct.pack("<2f4xHBx", 3, 4, 5, 255)
-    found = points(cloud(data, XYZI))
-    assert found.dtype.names == ("x", "y", "intensity", "ring")
-    assert found.shape == (2,)
-    assert found["x"].tolist() == [1, 3]
-    assert found["intensity"].tolist() == [300, 5]
-    assert found["ring"].tolist() == [7, 255]
-    assert found["x"].dtype == np.float32
+    cloud_array = points(cloud(data, XYZI))
+    assert cloud_array.dtype.names == ("x", "y", "intensity", "ring")
+    assert cloud_array.shape == (2,)
+    assert cloud_array["x"].tolist() == [1, 3]
+    assert cloud_array["intensity"].tolist() == [300, 5]
+    assert cloud_array["ring"].tolist() == [7, 255]
+    assert cloud_array["x"].dtype == np.float32
 
 
 def test_an_organised_cloud_keeps_its_rows() -> None:
     rows = [struct.pack("<4f", row, 0, 0, 0) + struct.pack("<4f", row, 1, 0, 0) + bytes(8) for row in range(3)]
     data = b"".join(rows)[:-8]
-    found = points(cloud(data, [field("x", 0), field("y", 4)], height=3, row_step=40))
-    assert found.shape == (3, 2)
-    assert found["x"].tolist() == [[0, 0], [1, 1], [2, 2]]
-    assert found["y"].tolist() == [[0, 1]] * 3
+    cloud_array = points(cloud(data, [field("x", 0), field("y", 4)], height=3, row_step=40))
+    assert cloud_array.shape == (3, 2)
+    assert cloud_array["x"].tolist() == [[0, 0], [1, 1], [2, 2]]
+    assert cloud_array["y"].tolist() == [[0, 1]] * 3
 
 
 def test_big_endian_and_fields_of_several_numbers() -> None:
     data = struct.pack(">3d", 1, 2, 3) + struct.pack(">3d", 4, 5, 6)
-    found = points(cloud(data, [field("p", 0, 8, 3)], point_step=24, row_step=48, is_bigendian=1))
-    assert found["p"].tolist() == [[1, 2, 3], [4, 5, 6]]
+    cloud_array = points(cloud(data, [field("p", 0, 8, 3)], point_step=24, row_step=48, is_bigendian=1))
+    assert cloud_array["p"].tolist() == [[1, 2, 3], [4, 5, 6]]
 
 
 def test_foxglove() -> None:
@@ -73,13 +73,13 @@ def test_an_empty_cloud() -> None:
         (cloud(bytes(32), XYZI, width=2**31, height=2**31), "do not fit"),
         (cloud(bytes(32), [field("x", 14)]), "does not fit into points"),
         (cloud(bytes(32), [field("x", 0, 8, 2**31)]), "does not fit into points"),
-        (cloud(bytes(32), [field("x", 0), field("x", 4)]), "twice"),
-        (cloud(bytes(32), [field("x", 0, 99)]), "no known type"),
+        (cloud(bytes(32), [field("x", 0), field("x", 4)]), "duplicated"),
+        (cloud(bytes(32), [field("x", 0, 99)]), "unknown type"),
         (cloud(bytes(32), []), "0 fields"),
         (cloud(bytes(32), XYZI, point_step=0), "does not fit"),
         (SimpleNamespace(x=1), "no point cloud"),
     ],
 )
-def test_what_is_no_cloud(message: object, why: str) -> None:
+def test_values_that_are_not_point_clouds_are_refused(message: object, why: str) -> None:
     with pytest.raises(DecodeError, match=why):
         points(message)

@@ -71,9 +71,9 @@ def sample() -> bytes:
 
 
 def decoder(comment: str = "") -> Decoder:
-    found = decoder_for("protobuf", "p.M", "protobuf", described(comment).SerializeToString())
-    assert isinstance(found, Decoder), found
-    return found
+    message_decoder = decoder_for("protobuf", "p.M", "protobuf", described(comment).SerializeToString())
+    assert isinstance(message_decoder, Decoder), message_decoder
+    return message_decoder
 
 
 EXPECTED = {

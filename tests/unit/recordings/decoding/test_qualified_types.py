@@ -109,7 +109,7 @@ def test_a_field_of_another_packages_type_of_the_same_name(make_case: MakeCase) 
 
 
 @pytest.mark.parametrize("field", ["nav_msgs/Path", "nav_msgs/msg/Path"])
-def test_a_type_that_holds_one_of_its_own_base_name_does_not_contain_itself(field: str) -> None:
+def test_type_may_contain_a_type_of_the_same_base_name(field: str) -> None:
     text = f"{field} path\nuint8 n\n{RULE}\nMSG: nav_msgs/Path\nfloat64 x\n"
     ros2 = decoder_for("cdr", "my_msgs/msg/Path", "ros2msg", text.encode())
     assert isinstance(ros2, Decoder), ros2
@@ -119,7 +119,7 @@ def test_a_type_that_holds_one_of_its_own_base_name_does_not_contain_itself(fiel
     assert to_plain(ros1.decode(struct.pack("<dB", 1.5, 7))) == {"path": {"x": 1.5}, "n": 7}
 
 
-def test_a_header_of_the_own_package_counts_in_ros2_only() -> None:
+def test_header_of_the_own_package_is_used_in_ros2_only() -> None:
     text = f"Header h\n{RULE}\nMSG: my_msgs/Header\nuint8 a\n"
     ros2 = decoder_for("cdr", "my_msgs/msg/T", "ros2msg", text.encode())
     assert isinstance(ros2, Decoder)
@@ -130,7 +130,7 @@ def test_a_header_of_the_own_package_counts_in_ros2_only() -> None:
     assert to_plain(ros1.decode(struct.pack("<IIII", 1, 2, 3, 0))) == {"h": header}
 
 
-def test_idl_names_are_found_from_the_inside_out() -> None:
+def test_idl_names_resolve_from_the_innermost_module() -> None:
     text = """
     typedef double Pose;
     module a { module msg { struct Pose { long x; }; }; };
@@ -150,7 +150,7 @@ def test_idl_names_are_found_from_the_inside_out() -> None:
     [(("ros1", "ros1msg"), b"", 0), (("cdr", "ros2msg"), LITTLE, 3), (("cdr", "ros2idl"), LITTLE, 3)],
 )
 @pytest.mark.parametrize("is_array", [False, True])
-def test_bytes_left_over_are_an_error_and_padding_is_not(
+def test_trailing_bytes_are_an_error_but_padding_is_not(
     encodings: tuple[str, str], header: bytes, padding: int, is_array: bool
 ) -> None:
     text = "uint32[] a" if is_array else "uint32 a"

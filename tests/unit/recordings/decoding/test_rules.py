@@ -33,7 +33,7 @@ def plain(decoder: Decoder, data: bytes) -> object:
     return to_plain(decoder.decode(data))
 
 
-def test_numbers_are_aligned_from_behind_the_header() -> None:
+def test_alignment_counts_from_after_the_header() -> None:
     decoder = ros2("uint8 a\nfloat64 b\nuint8 c\nuint16 d\nuint32 e")
     body = struct.pack("<B7xdBxHI", 1, 2.5, 3, 4, 5)
     assert plain(decoder, LITTLE + body) == {"a": 1, "b": 2.5, "c": 3, "d": 4, "e": 5}
@@ -77,7 +77,7 @@ def test_byte_and_char_are_unsigned_in_ros2() -> None:
     assert plain(ros2("byte a\nchar b"), LITTLE + b"\xff\xfe") == {"a": 255, "b": 254}
 
 
-def test_bounds_and_defaults_say_nothing_about_the_bytes() -> None:
+def test_bounds_and_defaults_do_not_affect_the_bytes() -> None:
     decoder = ros2(
         'int32 X=5\nstring<=10 a "x=1 # no comment"\nint32[<=5] b [1, 2]\nstring<=3[<=2] c\nint32[2] d  # two'
     )
@@ -92,8 +92,8 @@ def test_constants_are_read_as_their_type() -> None:
         'bool T=True\nfloat32 F = 1.5 # c\nstring S=a # b\nstring Q="q"\nuint8 H=0x10\nint8 BAD=x\nint8 class=1\nint8 v'
     )
     value = ros2(text).decode(LITTLE + b"\x01")
-    found = {name: getattr(value, name, None) for name in ("T", "F", "S", "Q", "H", "BAD", "class_")}
-    assert found == {"T": True, "F": 1.5, "S": "a # b", "Q": "q", "H": 16, "BAD": None, "class_": 1}
+    constants = {name: getattr(value, name, None) for name in ("T", "F", "S", "Q", "H", "BAD", "class_")}
+    assert constants == {"T": True, "F": 1.5, "S": "a # b", "Q": "q", "H": 16, "BAD": None, "class_": 1}
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
@@ -177,14 +177,14 @@ def test_a_value_compares_prints_copies_and_pickles() -> None:
     ("encoding", "reason"),
     [(3, "PL_CDR (little-endian)"), (9, "D_CDR2 (little-endian)"), (77, "number 77")],
 )
-def test_other_encapsulations_are_named(encoding: int, reason: str) -> None:
+def test_unsupported_encapsulations_are_named_in_the_error(encoding: int, reason: str) -> None:
     with pytest.raises(DecodeError, match="not decoded") as caught:
         ros2("uint8 a").decode(bytes([0, encoding, 0, 0, 1]))
     assert reason in str(caught.value)
-    with pytest.raises(DecodeError, match="header of a CDR message"):
+    with pytest.raises(DecodeError, match="start with a CDR header"):
         ros2("uint8 a").decode(b"\x00\x01")
 
 
-def test_what_cannot_be_decoded_has_a_reason() -> None:
+def test_undecodable_schema_has_a_reason() -> None:
     answer = decoder_for("cdr", "a/msg/B", "flatbuffer", b"x")
     assert answer == Undecodable("a/msg/B", "messages encoded as 'cdr' with a schema in 'flatbuffer' are not decoded")

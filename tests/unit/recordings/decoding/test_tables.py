@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kleinkram.recordings import Recording
 from kleinkram.recordings.decoding import (
     Decoder,
     NoSuchField,
@@ -22,8 +23,8 @@ from kleinkram.recordings.decoding import (
     to_arrow,
     to_pandas,
     to_plain,
+    typed_rows,
 )
-from kleinkram.recordings.reading.recording import Recording
 from kleinkram.recordings.sample import definitions
 
 TEXT = """\
@@ -49,9 +50,9 @@ LITTLE = b"\x00\x01\x00\x00"
 
 
 def decoder(text: str = TEXT, name: str = "a/msg/Thing") -> Decoder:
-    found = decoder_for("cdr", name, "ros2msg", text.encode())
-    assert isinstance(found, Decoder)
-    return found
+    ros_decoder = decoder_for("cdr", name, "ros2msg", text.encode())
+    assert isinstance(ros_decoder, Decoder)
+    return ros_decoder
 
 
 class Cdr:
@@ -80,17 +81,17 @@ class Cdr:
 
 
 short = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=3)
-few = st.lists(st.integers(0, 100).map(float), max_size=2)
-part = st.tuples(short, few)
+short_floats = st.lists(st.integers(0, 100).map(float), max_size=2)
+part = st.tuples(short, short_floats)
 
 
 @st.composite
-def things(draw: st.DrawFn) -> bytes:
+def messages_of_thing(draw: st.DrawFn) -> bytes:
     out = Cdr().put("i", draw(st.integers(-5, 5))).put("I", draw(st.integers(0, 10**9 - 1))).text(draw(short))
     out.put("B", draw(st.integers(0, 1))).put("d", draw(st.floats(allow_nan=False))).put(
         "f", 1, 2, draw(st.integers(0, 9))
     )
-    out.many("h", [int(x) for x in draw(few)]).many("B", [int(x) for x in draw(few)])
+    out.many("h", [int(x) for x in draw(short_floats)]).many("B", [int(x) for x in draw(short_floats)])
     names = draw(st.lists(short, max_size=2))
     out.put("I", len(names))
     for name in names:
@@ -103,26 +104,31 @@ def things(draw: st.DrawFn) -> bytes:
     return LITTLE + out.body
 
 
-def plainly(found: Decoder, messages: list[tuple[int, int, bytes]], monkeypatch: pytest.MonkeyPatch) -> pa.Table:
+def one_by_one(
+    ros_decoder: Decoder, messages: list[tuple[int, int, bytes]], monkeypatch: pytest.MonkeyPatch
+) -> pa.Table:
     with monkeypatch.context() as patch:
-        patch.setattr(tables, "_LEAST_ROWS", 10**9)
-        return to_arrow(found, messages)
+        patch.setattr(typed_rows, "_MIN_ROWS", 10**9)
+        return to_arrow(ros_decoder, messages)
 
 
 @settings(max_examples=40, deadline=None)
-@given(pool=st.lists(things(), min_size=1, max_size=3), order=st.lists(st.integers(0, 2), min_size=20, max_size=90))
-def test_both_ways_agree(pool: list[bytes], order: list[int]) -> None:
+@given(
+    pool=st.lists(messages_of_thing(), min_size=1, max_size=3),
+    order=st.lists(st.integers(0, 2), min_size=20, max_size=90),
+)
+def test_reading_by_shape_gives_the_same_table_as_one_by_one(pool: list[bytes], order: list[int]) -> None:
     messages = [(number, number + 1, pool[which % len(pool)]) for number, which in enumerate(order)]
     messages.insert(7, (99, 99, pool[0][:11]))
-    found = decoder()
-    fast = to_arrow(found, messages)
+    ros_decoder = decoder()
+    fast = to_arrow(ros_decoder, messages)
     with pytest.MonkeyPatch.context() as patch:
-        slow = plainly(found, messages, patch)
+        slow = one_by_one(ros_decoder, messages, patch)
     fast.validate(full=True)
     assert fast.schema == slow.schema
     assert fast.to_pylist() == slow.to_pylist()
     row = fast.to_pylist()[-1]
-    value = to_plain(found.decode(messages[-1][2]))
+    value = to_plain(ros_decoder.decode(messages[-1][2]))
     assert (row["log_time_ns"], row["publish_time_ns"]) == messages[-1][:2]
     assert row["header.stamp_ns"] == value["header"]["stamp"]["sec"] * 10**9 + value["header"]["stamp"]["nanosec"]
     assert (row["raw"], row["names"], row["cov"]) == (value["raw"], value["names"], value["cov"])
@@ -137,7 +143,7 @@ def imu(number: int, frame: str = "imu") -> bytes:
 IMU = decoder(definitions.ros2_definition("sensor_msgs/Imu"), "sensor_msgs/msg/Imu")
 
 
-def test_an_imu() -> None:
+def test_imu_table() -> None:
     table = to_arrow(IMU, ((n, n, imu(n, "imu" if n % 3 else "other")) for n in range(100)))
     assert table["header.frame_id"].to_pylist()[:4] == ["other", "imu", "imu", "other"]
     assert table["header.stamp_ns"].to_pylist() == [n * 10**9 + 5 for n in range(100)]
@@ -146,7 +152,7 @@ def test_an_imu() -> None:
     assert table.schema.field("angular_velocity_covariance").type == pa.list_(pa.float64(), 9)
 
 
-def test_fields_are_chosen_by_what_they_lie_below() -> None:
+def test_selecting_a_field_selects_everything_below_it() -> None:
     messages = [(n, n, imu(n)) for n in range(20)]
     table = to_arrow(IMU, messages, fields=["linear_acceleration.x", "header"])
     assert table.column_names == [
@@ -173,11 +179,11 @@ def test_batches_are_bounded_and_at_least_one(monkeypatch: pytest.MonkeyPatch) -
     assert "linear_acceleration.x" in empty.column_names
 
 
-def test_undecodable_messages_keep_their_row_and_are_told() -> None:
-    told: list[int] = []
+def test_undecodable_messages_keep_their_row_and_are_reported() -> None:
+    errors: list[int] = []
     messages = [(n, n, imu(n) if n % 10 else imu(n)[:50]) for n in range(100)]
-    table = to_arrow(IMU, messages, notice=lambda log_time_ns, error: told.append(log_time_ns))
-    assert told == list(range(0, 100, 10))
+    table = to_arrow(IMU, messages, notice=lambda log_time_ns, error: errors.append(log_time_ns))
+    assert errors == list(range(0, 100, 10))
     assert table["orientation.x"].null_count == 10
     raw = to_arrow(Undecodable("x", "no schema"), [(1, 2**63, b"abc")])
     assert raw.to_pylist() == [{"log_time_ns": 1, "publish_time_ns": None, "data": b"abc"}]
@@ -190,23 +196,23 @@ def test_pandas() -> None:
 
 
 def test_json_tables() -> None:
-    found = decoder_for("json", "Mouse", "jsonschema", b"")
-    assert isinstance(found, Decoder)
+    ros_decoder = decoder_for("json", "Mouse", "jsonschema", b"")
+    assert isinstance(ros_decoder, Decoder)
     values: list[object] = [{"p": {"x": 1}, "s": "a"}, {"p": {"x": 2.5, "y": [1]}}, 3]
     messages = [(n, n, json.dumps(value).encode()) for n, value in enumerate(values)] + [(9, 9, b"{")]
-    table = to_arrow(found, messages)
+    table = to_arrow(ros_decoder, messages)
     assert table["p.x"].to_pylist() == [1, 2.5, None, None]
     assert table["p.y"].to_pylist() == [None, [1], None, None]
     assert table["value"].to_pylist() == [None, None, 3, None]
-    assert to_arrow(found, messages, fields=["p.x"]).column_names[2:] == ["p.x"]
+    assert to_arrow(ros_decoder, messages, fields=["p.x"]).column_names[2:] == ["p.x"]
     with pytest.raises(NoSuchField):
-        to_arrow(found, messages, fields=["q"])
-    doubled = to_arrow(found, [(0, 0, b'{"a.b": 1, "a": {"b": 2}, "log_time_ns": 3}')])
+        to_arrow(ros_decoder, messages, fields=["q"])
+    doubled = to_arrow(ros_decoder, [(0, 0, b'{"a.b": 1, "a": {"b": 2}, "log_time_ns": 3}')])
     assert doubled.column_names == ["log_time_ns", "publish_time_ns", "a.b", "a.b_", "log_time_ns_"]
 
 
 @pytest.mark.parametrize(
-    ("odd", "fine", "column"),
+    ("irregular", "fine", "column"),
     [
         ("18446744073709551615", ["-1", "3"], [-1, 3, None]),
         ("1e400", ["1", "2.5"], [1, 2.5, float("inf")]),
@@ -221,13 +227,15 @@ def test_json_tables() -> None:
         (str(2**63 + 5), ["1", "2"], [1, 2, 2**63 + 5]),
     ],
 )
-def test_one_odd_json_value_is_null_and_named(odd: str, fine: list[str], column: list[object] | None) -> None:
-    found = decoder_for("json", "Mouse", "jsonschema", b"")
-    assert isinstance(found, Decoder)
+def test_json_value_of_another_type_is_null_and_reported(
+    irregular: str, fine: list[str], column: list[object] | None
+) -> None:
+    ros_decoder = decoder_for("json", "Mouse", "jsonschema", b"")
+    assert isinstance(ros_decoder, Decoder)
     noticed: dict[int, str] = {}
-    texts = [*fine, odd]
+    texts = [*fine, irregular]
     messages = [(n, n, f'{{"a": {text}, "s": 0.5}}'.encode()) for n, text in enumerate(texts)]
-    table = to_arrow(found, messages, notice=lambda time, error: noticed.update({time: str(error)}))
+    table = to_arrow(ros_decoder, messages, notice=lambda time, error: noticed.update({time: str(error)}))
     assert table["s"].to_pylist() == [0.5] * 3
     if column is None:
         assert table["a.c"].to_pylist() == [1, 2, None]
@@ -239,7 +247,7 @@ def test_one_odd_json_value_is_null_and_named(odd: str, fine: list[str], column:
 
 
 @pytest.mark.parametrize(
-    ("texts", "column", "odd"),
+    ("texts", "column", "irregular"),
     [
         (["1", "2", '"x"', '"y"', "5", "6"], [1, 2, None, None, 5, 6], [2, 3]),
         (["-1", "2", str(2**63 + 5), "3"], [-1, 2, None, 3], [2]),
@@ -251,25 +259,25 @@ def test_one_odd_json_value_is_null_and_named(odd: str, fine: list[str], column:
         (['"a"', "null", "7", "null", '"b"'], ["a", None, None, None, "b"], [2]),
     ],
 )
-def test_json_that_changes_its_types_between_batches_is_one_table(
-    texts: list[str], column: list[object], odd: list[int], monkeypatch: pytest.MonkeyPatch
+def test_json_types_that_change_between_batches_give_one_table(
+    texts: list[str], column: list[object], irregular: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tables, "BATCH_MESSAGES", 2)
-    found = decoder_for("json", "Mouse", "jsonschema", b"")
-    assert isinstance(found, Decoder)
+    ros_decoder = decoder_for("json", "Mouse", "jsonschema", b"")
+    assert isinstance(ros_decoder, Decoder)
     noticed: list[int] = []
     messages = [(n, n, f'{{"a": {text}}}'.encode()) for n, text in enumerate(texts)]
-    table = to_arrow(found, messages, notice=lambda time, _: noticed.append(time))
+    table = to_arrow(ros_decoder, messages, notice=lambda time, _: noticed.append(time))
     assert table["a"].to_pylist() == column
-    assert noticed == odd
+    assert noticed == irregular
 
 
-def test_a_json_id_beyond_int64_does_not_cost_the_table(make_case: Callable[[str], Path]) -> None:
+def test_json_integer_beyond_int64_does_not_break_the_table(make_case: Callable[[str], Path]) -> None:
     with Recording.open(next(make_case("14A").glob("**/*.mcap"))) as recording:
         assert recording.to_arrow("/detections")["id"].to_pylist() == [1, 2**63 + 5, 3]
 
 
-def test_definitions_that_differ_in_comments_are_one_table(make_case: Callable[[str], Path]) -> None:
+def test_definitions_that_differ_in_comments_give_one_table(make_case: Callable[[str], Path]) -> None:
     with Recording.open(next(make_case("10A").glob("**/*.mcap"))) as recording:
         assert recording.to_arrow("/t")["x"].to_pylist() == [*range(12)]
         assert recording.problems == ()

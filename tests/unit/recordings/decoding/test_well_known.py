@@ -13,8 +13,8 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 from kleinkram.recordings.decoding import DecodeError, Decoder, Undecodable, decoder_for, to_arrow, to_plain
-from kleinkram.recordings.decoding.schema import Array, Primitive, Struct, Type
-from kleinkram.recordings.decoding.well_known import known_definitions
+from kleinkram.recordings.decoding.msg_definitions import known_definitions
+from kleinkram.recordings.decoding.types import Array, Primitive, Struct, Type
 
 RELEASES = [get_typestore(Stores[f"ROS2_{name}"]) for name in ("HUMBLE", "JAZZY", "IRON", "KILTED", "LYRICAL")]
 TYPES = sorted({name for store in RELEASES for name in store.fielddefs})
@@ -45,20 +45,22 @@ def by_ours(kind: Type) -> Any:
 
 
 @pytest.mark.parametrize("name", TYPES)
-def test_every_type_of_ros2_is_known_as_in_humble(name: str) -> None:
+def test_well_known_types_match_humble(name: str) -> None:
     store = next(store for store in RELEASES if name in store.fielddefs)
-    found = decoder_for("cdr", name, "", b"")
-    assert isinstance(found, Decoder), found
-    assert found.struct is not None
-    assert by_ours(found.struct) == by_theirs(store, name)
+    ros_decoder = decoder_for("cdr", name, "", b"")
+    assert isinstance(ros_decoder, Decoder), ros_decoder
+    assert ros_decoder.struct is not None
+    assert by_ours(ros_decoder.struct) == by_theirs(store, name)
     constants = {key: value for key, _, value in store.fielddefs[name][0]}
-    assert dict(found.struct.constants) == constants
+    assert dict(ros_decoder.struct.constants) == constants
 
 
-def test_there_are_packages_of_all_common_interfaces() -> None:
+def test_well_known_types_cover_common_interfaces() -> None:
     packages = {name.partition("/")[0].removesuffix("_msgs") for name in known_definitions()}
-    wanted = "sensor geometry nav visualization trajectory shape stereo action diagnostic lifecycle rosbag2_interfaces"
-    assert packages >= {*wanted.split()}
+    package_names = (
+        "sensor geometry nav visualization trajectory shape stereo action diagnostic lifecycle rosbag2_interfaces"
+    )
+    assert packages >= {*package_names.split()}
 
 
 @pytest.mark.parametrize("store", RELEASES[1:], ids=["jazzy", "iron", "kilted", "lyrical"])
@@ -69,41 +71,43 @@ def test_messages_of_later_releases_are_decoded_by_their_definition(store: Any, 
     names = [field for field, _ in store.fielddefs[name][1]]
     message = store.types[name](**{field: fields.get(field, 7) for field in names})
     data = bytes(store.serialize_cdr(message, name))
-    found = decoder_for("cdr", name, "", b"")
-    assert isinstance(found, Decoder)
-    value = to_plain(found.decode(data))
+    ros_decoder = decoder_for("cdr", name, "", b"")
+    assert isinstance(ros_decoder, Decoder)
+    value = to_plain(ros_decoder.decode(data))
     assert {key: part for key, part in value.items() if key != "header"} == {
         key: fields.get(key, 7) for key in names if key != "header"
     }
     noticed: list[DecodeError] = []
-    table = to_arrow(found, [(time, time, data) for time in range(40)], notice=lambda _, error: noticed.append(error))
+    table = to_arrow(
+        ros_decoder, [(time, time, data) for time in range(40)], notice=lambda _, error: noticed.append(error)
+    )
     assert not noticed
     column = "max_range" if name.endswith("Range") else "opened_file"
     assert table[column].to_pylist() == [fields.get(column, 7)] * 40
 
 
-def test_a_message_that_no_release_explains_is_an_error() -> None:
-    found = decoder_for("cdr", "sensor_msgs/msg/Range", "", b"")
-    assert isinstance(found, Decoder)
+def test_message_that_fits_no_release_is_an_error() -> None:
+    ros_decoder = decoder_for("cdr", "sensor_msgs/msg/Range", "", b"")
+    assert isinstance(ros_decoder, Decoder)
     with pytest.raises(DecodeError, match="left over"):
-        found.decode(LITTLE + bytes(100))
+        ros_decoder.decode(LITTLE + bytes(100))
 
 
-def test_a_recordings_own_definition_goes_first() -> None:
+def test_definition_in_the_recording_wins() -> None:
     own = decoder_for("cdr", "std_msgs/msg/String", "ros2msg", b"int32 data")
     assert isinstance(own, Decoder)
     assert to_plain(own.decode(b"\0\1\0\0" + struct.pack("<i", 5))) == {"data": 5}
     unknown = decoder_for("cdr", "vicon_receiver/msg/Position", "", b"")
     assert isinstance(unknown, Undecodable)
-    assert "holds no definition" in unknown.reason
+    assert "has no definition" in unknown.reason
 
 
 @pytest.mark.parametrize(("message", "schema"), [("cdr", "ros2msg"), ("ros1", "ros1msg"), ("cdr", "ros2idl")])
-def test_an_empty_definition_is_a_missing_one(message: str, schema: str) -> None:
+def test_empty_definition_counts_as_missing(message: str, schema: str) -> None:
     for text in (b"", b"\n \n"):
-        found = decoder_for(message, "vicon_receiver/msg/Position", schema, text)
-        assert isinstance(found, Undecodable)
-        assert "definition" in found.reason
+        ros_decoder = decoder_for(message, "vicon_receiver/msg/Position", schema, text)
+        assert isinstance(ros_decoder, Undecodable)
+        assert "definition" in ros_decoder.reason
 
 
 def test_types_without_fields_have_an_empty_definition() -> None:
@@ -133,9 +137,11 @@ def test_types_named_as_empty_have_no_fields(message: str, name: str) -> None:
 
 def test_a_database_without_definitions_is_decoded(recordings_dir: Path) -> None:
     path = recordings_dir / "ros2-db3/chatter_no_metadata.db3"
-    found = decoder_for("cdr", "std_msgs/msg/String", "", b"")
-    assert isinstance(found, Decoder)
+    ros_decoder = decoder_for("cdr", "std_msgs/msg/String", "", b"")
+    assert isinstance(ros_decoder, Decoder)
     with closing(sqlite3.connect(f"file:{path}?mode=ro&immutable=1", uri=True)) as connection:
-        texts = [to_plain(found.decode(data))["data"] for (data,) in connection.execute("SELECT data FROM messages")]
+        texts = [
+            to_plain(ros_decoder.decode(data))["data"] for (data,) in connection.execute("SELECT data FROM messages")
+        ]
     assert len(texts) == 7
     assert all(text.startswith("Hello") for text in texts)

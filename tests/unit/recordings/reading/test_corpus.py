@@ -11,8 +11,8 @@ from mcap.stream_reader import StreamReader
 from rosbags.rosbag1 import Reader as BagReader
 from rosbags.rosbag2 import Reader as Rosbag2Reader
 
+from kleinkram.recordings import NotARecording, Recording
 from kleinkram.recordings.inspect import inspect_paths
-from kleinkram.recordings.reading import NotARecording, Recording
 
 from ..corpus import Entry, entries, params
 
@@ -35,11 +35,11 @@ READABLE = {
 
 def read(path: Path) -> tuple[list[Plain], tuple[Any, ...]]:
     with Recording.open(path) as recording:
-        found = [(message.topic, message.log_time_ns, message.data) for message in recording.raw_messages()]
-        assert recording.message_count in (None, len(found))
+        actual = [(message.topic, message.log_time_ns, message.data) for message in recording.raw_messages()]
+        assert recording.message_count in (None, len(actual))
         for topic in recording.topics:
-            assert topic.count in (None, sum(name == topic.name for name, _, _ in found))
-        return found, recording.problems
+            assert topic.count in (None, sum(name == topic.name for name, _, _ in actual))
+        return actual, recording.problems
 
 
 def codes_of_summary(path: Path) -> list[str]:
@@ -49,15 +49,15 @@ def codes_of_summary(path: Path) -> list[str]:
 
 
 def read_with_mcap(path: Path) -> list[Plain]:
-    found: list[Plain] = []
+    actual: list[Plain] = []
     topics: dict[int, str] = {}
     with path.open("rb") as file:
         for record in StreamReader(file).records:
             if isinstance(record, records.Channel):
                 topics[record.id] = record.topic
             elif isinstance(record, records.Message):
-                found.append((topics[record.channel_id], record.log_time, record.data))
-    return sorted(found, key=lambda message: message[1])
+                actual.append((topics[record.channel_id], record.log_time, record.data))
+    return sorted(actual, key=lambda message: message[1])
 
 
 @pytest.mark.parametrize("entry", params("MCAP"))

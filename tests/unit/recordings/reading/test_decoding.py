@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 import zstandard
 
-from kleinkram.recordings.mcap.writer import McapWriter
-from kleinkram.recordings.reading import NoSuchTopic, Recording
+from kleinkram.recordings import NoSuchTopic, Recording
+from kleinkram.recordings.formats.mcap.writer import McapWriter
 from kleinkram.recordings.sample import generate_bag, generate_mcap
 
 from ..memory_source import MemorySource
-from .making import T0
+from .builders import T0
 
 
 @pytest.fixture(scope="module", params=["mcap", "bag"])

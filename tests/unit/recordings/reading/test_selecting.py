@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.recordings.reading import NoSuchTopic, Recording, SeveralRecordings
-from kleinkram.recordings.reading.mcap_index import read_index
+from kleinkram.recordings import NoSuchTopic, Recording, SeveralRecordings
+from kleinkram.recordings.formats.mcap.index import read_index
 from kleinkram.recordings.sample import generate_db3, generate_mcap
 
 from ..memory_source import MemorySource
-from .making import T0, Stamped, Watched, bag_of, mcap_of
+from .builders import T0, Stamped, Watched, bag_of, mcap_of
 
 Make = Callable[[Iterable[Iterable[Stamped]]], MemorySource]
 MAKERS = [pytest.param(mcap_of, id="mcap"), pytest.param(bag_of, id="bag")]
@@ -49,7 +49,7 @@ def test_times_may_be_datetimes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("topics", "found"),
+    ("topics", "actual"),
     [
         ("/rare", {"/rare"}),
         ("/camera/*", {"/camera/left", "/camera/right"}),
@@ -58,9 +58,9 @@ def test_times_may_be_datetimes(tmp_path: Path) -> None:
         (None, {"/camera/left", "/camera/right", "/rare"}),
     ],
 )
-def test_topics_by_name_and_glob(topics: str | list[str] | None, found: set[str]) -> None:
+def test_topics_by_name_and_glob(topics: str | list[str] | None, actual: set[str]) -> None:
     recording = Recording.open(mcap_of(drive()))
-    assert {m.topic for m in recording.raw_messages(topics)} == found
+    assert {m.topic for m in recording.raw_messages(topics)} == actual
 
 
 def test_an_unknown_topic_is_named_with_those_there_are() -> None:
@@ -90,11 +90,11 @@ def test_no_chunk_without_the_topic_is_read(parallel_reads: int) -> None:
     opened_with = watched.bytes_read
     assert opened_with < 100_000
     watched.ranges.clear()
-    found = list(recording.raw_messages("/rare", start=T0 + 1000, end=T0 + 2000))
-    assert len(found) == 10
-    wanted = [row for number, row in enumerate(rows) if number % 10 == 0 and 100 <= number < 200]
-    assert watched.bytes_read == sum(row.length for row in wanted)
-    others = [row for row in rows if row not in wanted]
+    actual = list(recording.raw_messages("/rare", start=T0 + 1000, end=T0 + 2000))
+    assert len(actual) == 10
+    expected_names = [row for number, row in enumerate(rows) if number % 10 == 0 and 100 <= number < 200]
+    assert watched.bytes_read == sum(row.length for row in expected_names)
+    others = [row for row in rows if row not in expected_names]
     assert not any(watched.touched(row.start, row.start + row.length) for row in others)
 
 
@@ -109,7 +109,7 @@ def test_one_frame_costs_one_chunk(parallel_reads: int) -> None:
     assert len(watched.ranges) == 1
 
 
-def test_a_run_of_frames_is_fetched_in_few_ranges() -> None:
+def test_consecutive_frames_are_fetched_in_large_ranges() -> None:
     watched = Watched(mcap_of(drive(200)), parallel_reads=8)
     recording = Recording.open(watched)
     watched.ranges.clear()

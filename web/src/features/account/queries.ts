@@ -20,8 +20,8 @@ export function useIdentities() {
   return useQuery({ queryKey: keys.identities, queryFn: ({ signal }) => call(api.GET("/api/v1/me/identities", { signal })) });
 }
 
-export function useWays() {
-  return useQuery({ queryKey: keys.ways, queryFn: ({ signal }) => call(api.GET("/api/v1/auth/ways", { signal })), staleTime: Infinity });
+export function useSignInMethods() {
+  return useQuery({ queryKey: keys.signInMethods, queryFn: ({ signal }) => call(api.GET("/api/v1/auth/methods", { signal })), staleTime: Infinity });
 }
 
 export function useUnlink() {

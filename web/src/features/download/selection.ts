@@ -81,7 +81,7 @@ export const store: Source = {
   linkOf: async ({ fileId }, signal) => {
     const { items: [link] } = await call(api.POST("/api/v1/files/download", { body: { file_ids: [fileId], purpose: "download" }, signal }));
     if (link === undefined) throw new Error("The server gave no address for this file.");
-    // Bytes that nobody proved yet are compared with what the uploader said of them.
+    // Bytes that nobody verified yet are compared with what the uploader said of them.
     return { url: link.url, sha256: link.sha256 };
   },
   fetch: (input, init) => globalThis.fetch(input, init),

@@ -17,16 +17,16 @@ const MOST_TOPICS = 5_000;
 const SOON_MS = 2_000;
 const ALL_RIGHTS = ["READ", "CREATE", "WRITE", "DELETE"] as const;
 
-/** Whether the server will know more of the file shortly: it is being read, or proven. */
-function isComing(file: File | undefined, isProving: boolean): boolean {
-  return file !== undefined && (isProving || (file.content === "pending" && file.summarised_at === null));
+/** Whether the server will know more of the file shortly: it is being read, or verified. */
+function isComing(file: File | undefined, isVerifying: boolean): boolean {
+  return file !== undefined && (isVerifying || (file.content === "pending" && file.summarised_at === null));
 }
 
-export function useFile(fileId: string, isProving: () => boolean) {
+export function useFile(fileId: string, isVerifying: () => boolean) {
   return useQuery({
     queryKey: keys.file(fileId),
     queryFn: ({ signal }) => call(api.GET("/api/v1/files/{file_id}", { params: { path: { file_id: fileId } }, signal })),
-    refetchInterval: (query) => (isComing(query.state.data, isProving()) ? SOON_MS : false),
+    refetchInterval: (query) => (isComing(query.state.data, isVerifying()) ? SOON_MS : false),
   });
 }
 
@@ -81,9 +81,9 @@ export function useFileChanges(fileId: string) {
     },
     meta: { showsItself: true },
   });
-  const prove = useMutation({
-    mutationFn: () => call(api.POST("/api/v1/files/{file_id}/prove", { params: { path } })),
-    onSuccess: () => tell({ tone: "plain", text: texts.proving }),
+  const verify = useMutation({
+    mutationFn: () => call(api.POST("/api/v1/files/{file_id}/verify", { params: { path } })),
+    onSuccess: () => tell({ tone: "plain", text: texts.verifying }),
   });
   const restore = useMutation({
     mutationFn: () => call(api.POST("/api/v1/trash/{noun}/{noun_id}/restore", { params: { path: { noun: "file", noun_id: fileId } } })),
@@ -93,7 +93,7 @@ export function useFileChanges(fileId: string) {
     mutationFn: () => call(api.DELETE("/api/v1/files/{file_id}", { params: { path } })),
     meta: { showsItself: true },
   });
-  return { update, prove, remove, restore, old };
+  return { update, verify, remove, restore, old };
 }
 
 /** What runs made of a file, asked for when somebody is about to delete it. */

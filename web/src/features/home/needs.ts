@@ -15,7 +15,7 @@ export const needTones: Readonly<Record<Need, Tone>> = {
   runs_failed: "attention",
   metadata_missing: "attention",
   scrub_stopped: "bad",
-  proofs_late: "attention",
+  verifications_overdue: "attention",
   jobs_failed: "bad",
   disk_low: "bad",
 };

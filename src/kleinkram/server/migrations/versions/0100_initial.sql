@@ -78,7 +78,7 @@ CREATE TABLE blob (
     md5 bytea,
     state text NOT NULL DEFAULT 'stored',
     state_reason text,
-    proven_at timestamptz,
+    verified_at timestamptz,
     damaged_at timestamptz,
     uploaded_by_id uuid NOT NULL CONSTRAINT fk_blob_uploaded_by_id_person REFERENCES person (id),
     created_at timestamptz NOT NULL DEFAULT now(),
@@ -100,19 +100,19 @@ CREATE TABLE blob (
     CONSTRAINT ck_blob_crc64nvme CHECK (octet_length(crc64nvme) = 8),
     CONSTRAINT ck_blob_depth CHECK (depth IN ('summary', 'scan')),
     CONSTRAINT ck_blob_md5 CHECK (octet_length(md5) = 16),
-    CONSTRAINT ck_blob_proven CHECK (state <> 'proven' OR (md5 IS NOT NULL AND proven_at IS NOT NULL)),
+    CONSTRAINT ck_blob_verified CHECK (state <> 'verified' OR (md5 IS NOT NULL AND verified_at IS NOT NULL)),
     CONSTRAINT ck_blob_sha256 CHECK (octet_length(sha256) = 32),
     CONSTRAINT ck_blob_size_bytes CHECK (size_bytes >= 0),
     CONSTRAINT ck_blob_span CHECK (start_ns <= end_ns),
-    CONSTRAINT ck_blob_state CHECK (state IN ('stored', 'proven', 'lost', 'corrupt'))
+    CONSTRAINT ck_blob_state CHECK (state IN ('stored', 'verified', 'lost', 'corrupt'))
 );
 CREATE INDEX ix_blob_ailing ON blob (id) WHERE state IN ('corrupt', 'lost') OR content IN ('broken', 'recovered', 'error');
 CREATE INDEX ix_blob_doomed ON blob (doomed_at) WHERE doomed_at IS NOT NULL;
 CREATE INDEX ix_blob_duration ON blob ((end_ns::numeric - start_ns::numeric));
 CREATE INDEX ix_blob_key ON blob (store_id, key text_pattern_ops);
-CREATE INDEX ix_blob_proven_at ON blob (proven_at) WHERE state = 'proven' AND doomed_at IS NULL;
+CREATE INDEX ix_blob_verified_at ON blob (verified_at) WHERE state = 'verified' AND doomed_at IS NULL;
 CREATE INDEX ix_blob_size_sha256 ON blob (size_bytes, sha256) WHERE doomed_at IS NULL;
-CREATE INDEX ix_blob_unproven ON blob (created_at) WHERE state = 'stored' AND doomed_at IS NULL;
+CREATE INDEX ix_blob_unverified ON blob (created_at) WHERE state = 'stored' AND doomed_at IS NULL;
 
 CREATE TABLE identity (
     id uuid CONSTRAINT pk_identity PRIMARY KEY,
@@ -141,7 +141,7 @@ CREATE TABLE one_time_code (
     CONSTRAINT uq_one_time_code_secret_sha256 UNIQUE (secret_sha256),
     CONSTRAINT ck_one_time_code_email CHECK ((purpose = 'invitation') = (email IS NOT NULL)),
     CONSTRAINT ck_one_time_code_person CHECK ((purpose IN ('owner', 'reset')) = (person_id IS NOT NULL)),
-    CONSTRAINT ck_one_time_code_purpose CHECK (purpose IN ('claim', 'owner', 'invitation', 'reset')),
+    CONSTRAINT ck_one_time_code_purpose CHECK (purpose IN ('bootstrap', 'owner', 'invitation', 'reset')),
     CONSTRAINT ck_one_time_code_secret_sha256 CHECK (octet_length(secret_sha256) = 32)
 );
 CREATE INDEX ix_one_time_code_person_id ON one_time_code (person_id);
@@ -226,7 +226,7 @@ CREATE TABLE session (
     id uuid CONSTRAINT pk_session PRIMARY KEY,
     person_id uuid NOT NULL CONSTRAINT fk_session_person_id_person REFERENCES person (id),
     secret_sha256 bytea NOT NULL,
-    way text NOT NULL,
+    method text NOT NULL,
     address text,
     user_agent text,
     created_at timestamptz NOT NULL DEFAULT now(),
@@ -353,7 +353,7 @@ CREATE TABLE oidc_login (
     code_verifier text NOT NULL,
     browser_sha256 bytea NOT NULL,
     session_id uuid CONSTRAINT fk_oidc_login_session_id_session REFERENCES session (id),
-    renews boolean NOT NULL DEFAULT false,
+    reauthenticates boolean NOT NULL DEFAULT false,
     return_to text NOT NULL,
     created_at timestamptz NOT NULL DEFAULT now(),
     expires_at timestamptz NOT NULL,

@@ -6,7 +6,7 @@
 import type { components } from "@/api/schema";
 import type { MissionPlace } from "./nouns";
 
-export type HeldPart = components["schemas"]["HeldPart"];
+export type StoredPart = components["schemas"]["StoredPart"];
 
 /** An upload into one mission that has not come to its end. */
 export interface JournalHead {

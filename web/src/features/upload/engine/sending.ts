@@ -1,7 +1,7 @@
 // One file's upload under way: which parts are left, what has been hashed, and whether it has ended.
 
 import type { Hashing, WholeSums } from "./checksums";
-import type { HeldPart, JournalPart } from "./journal";
+import type { StoredPart, JournalPart } from "./journal";
 import type { PartToSign, PlannedFile, UploadFinish, UploadRead } from "./nouns";
 import { slices } from "./reading";
 
@@ -26,7 +26,7 @@ export class Sending {
   latest: PartToSign | null = null;
   ended = false;
   private left = 1; // the hashing itself; parts are added while it runs
-  private readonly held: ReadonlyMap<number, HeldPart>;
+  private readonly held: ReadonlyMap<number, StoredPart>;
 
   constructor(
     readonly planned: PlannedFile,

@@ -86,7 +86,7 @@ describe("an upload", () => {
     arrived("large", large);
   });
 
-  it.each(["sha256", "md5"] as const)("goes to stores that prove parts by %s", async (kind) => {
+  it.each(["sha256", "md5"] as const)("goes to stores that verify parts by %s", async (kind) => {
     house.checksum = kind;
     await desk().start(HEAD, [planned("a", bytesOf(2500)), planned("b", bytesOf(7))]);
     expect([...house.files.keys()].sort()).toEqual(["a", "b"]);
@@ -111,7 +111,7 @@ describe("an upload", () => {
     await desk().start(HEAD, [planned("a", bytesOf(50)), planned("b", bytesOf(60))]);
     const failure = ends().get("a")?.failure;
     const [theirs, ours] = [await sum("sha256", bytesOf(50, 2)), await sum("sha256", bytesOf(50))];
-    expect(failure).toMatchObject({ problem: { code: "file_exists", existing_sha256: theirs, given_sha256: ours } });
+    expect(failure).toMatchObject({ problem: { code: "file_exists", existing_sha256: theirs, sent_sha256: ours } });
     expect(house.files.has("b")).toBe(true);
     expect(last().snapshot).toMatchObject({ doneBytes: 60, totalBytes: 60 });
     expect(await journal.heads("ada")).toEqual([]);

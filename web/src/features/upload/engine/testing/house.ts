@@ -73,7 +73,7 @@ export class House implements UploadApi, Store {
       if (sha256 == null) return { decision: "hash_first", path };
       const existing = await sum("sha256", there);
       if (existing === sha256) return { decision: "present", file: null };
-      return refused(problem("file_exists", 409, { path, existing_sha256: existing, given_sha256: sha256 }));
+      return refused(problem("file_exists", 409, { path, existing_sha256: existing, sent_sha256: sha256 }));
     }
     const active = this.openUploads.find((upload) => upload.path === path);
     if (active !== undefined && active.id === file.upload_id) return this.send(active);

@@ -1,0 +1,244 @@
+"""Shared by all nouns: validating requests, resolving references (id, name, glob) and lists that load page by page."""
+
+from __future__ import annotations
+
+import datetime
+import enum
+import itertools
+import uuid
+from collections.abc import Callable, Iterable, Iterator
+from html import escape
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar, cast
+
+from pydantic import BaseModel, ValidationError
+
+from kleinkram.client._http import Api, query_of
+from kleinkram.client.errors import InvalidInput, ReadingMissing
+from kleinkram.contract.errors import AmbiguousName, NotFound
+from kleinkram.contract.names import is_id, name_key
+from kleinkram.contract.paging import MAX_PAGE_SIZE, Page
+from kleinkram.contract.wording import in_plain_words
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+T = TypeVar("T", bound=BaseModel)
+Time = int | str | datetime.datetime
+"""Nanoseconds since 1970, ISO 8601 text, or a datetime; UTC where it has no zone."""
+
+_EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.timezone.utc)
+
+
+def checked(kind: type[T], what: str, /, **fields: object) -> T:
+    """Return a request model of these fields.
+
+    Raises:
+        InvalidInput: they are not what the model takes; says which and why.
+    """
+    try:
+        return kind.model_validate(fields)
+    except ValidationError as error:
+        raise invalid(what, error) from None
+
+
+def invalid(what: str, error: ValidationError) -> InvalidInput:
+    """Return the named error for fields that a model does not take, about the first that is wrong."""
+    where = " ".join(str(part) for part in error.errors(include_url=False)[0]["loc"])
+    return InvalidInput(what=f"{what} ({where})" if where else what, reason=in_plain_words(error))
+
+
+def as_datetime(what: str, time: object) -> datetime.datetime | None:
+    """Return a time given as nanoseconds since 1970, a datetime (UTC without a zone), or ISO text; None for None.
+
+    Raises:
+        InvalidInput: it is none of these.
+    """
+    if time is None:
+        return None
+    if isinstance(time, datetime.datetime):
+        return time if time.tzinfo else time.replace(tzinfo=datetime.timezone.utc)
+    from kleinkram.recordings.messages import to_ns  # who gives no time does not pay for the readers
+
+    try:
+        moment: datetime.datetime = _EPOCH + datetime.timedelta(microseconds=to_ns(cast(Time, time)) // 1000)
+        return moment
+    except OverflowError:
+        raise InvalidInput(what=f"The time {time!r} ({what})", reason="it is too far from 1970") from None
+    except (TypeError, ValueError) as error:
+        raise InvalidInput(what=f"The time {time!r} ({what})", reason=str(error)) from None
+
+
+RowT = TypeVar("RowT")
+
+_SHOWN_CANDIDATES = 20
+
+
+class HasId(Protocol):
+    """A noun as a list or `get` returned it."""
+
+    @property
+    def id(self) -> uuid.UUID:
+        """Its id."""
+
+
+Ref = str | uuid.UUID | HasId
+"""What stands for a noun: its name, its id (a UUID or text), or the noun itself."""
+
+
+def known_id(ref: Ref, noun: str) -> uuid.UUID | None:
+    """Return the id that a reference is or has; None for a name.
+
+    Raises:
+        InvalidInput: it is none of these.
+    """
+    if isinstance(ref, str):
+        return uuid.UUID(ref) if is_id(ref) else None
+    noun_id = ref if isinstance(ref, uuid.UUID) else getattr(ref, "id", None)
+    if not isinstance(noun_id, uuid.UUID):
+        raise InvalidInput(what=f"The {noun} {ref!r}", reason="give its name, its id, or what a list returned")
+    return noun_id
+
+
+def refs_of(noun: str, value: object) -> list[object]:
+    """Return one reference or several as a list.
+
+    Raises:
+        InvalidInput: there is none, which would stand for all.
+    """
+    several = [*value] if isinstance(value, list | tuple | set | frozenset) else [value]
+    if not several:
+        raise InvalidInput(what=f"The filter ({noun})", reason="it names none; leave it out where all are meant")
+    return several
+
+
+def is_glob(ref: str) -> bool:
+    """Say whether a reference may stand for many."""
+    return "*" in ref or "?" in ref
+
+
+def resolve_one(
+    noun: str, ref: str, rows: Iterable[RowT], *, name: Callable[[RowT], str], label: Callable[[RowT], str]
+) -> RowT:
+    """Return the row that `ref` names, letter case and Unicode form apart; a glob may match just one.
+
+    Raises:
+        NotFound: none does.
+        AmbiguousName: several do; lists them by `label`.
+    """
+    noun_id = list(rows)
+    exact = [row for row in noun_id if name_key(name(row)) == name_key(ref)]
+    if not exact and is_glob(ref):
+        exact = noun_id
+    if not exact:
+        raise NotFound(noun=noun, ref=ref)
+    if len(exact) > 1:
+        raise AmbiguousName(noun=noun, ref=ref, candidates=[label(row) for row in exact[:_SHOWN_CANDIDATES]])
+    return exact[0]
+
+
+_SHOWN = 20
+
+
+class Listing(Iterator[T], Generic[T]):
+    """The rows of a list, fetched while they are read. Each `for` begins again, with what the server has then."""
+
+    def __init__(self, rows: Callable[[], Iterator[T]]) -> None:
+        self._rows = rows
+        self._reading: Iterator[T] | None = None
+
+    def __iter__(self) -> Iterator[T]:
+        return self._rows()
+
+    def __next__(self) -> T:
+        self._reading = self._reading or self._rows()
+        return next(self._reading)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return all rows as a pandas frame: a column a field, those inside of others with dots (`mission.name`).
+
+        Ids are text; fields in `_at` are times (UTC); log times and other integers that may be missing are `Int64`.
+
+        Raises:
+            ReadingMissing: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise ReadingMissing(what="pandas") from None
+        rows = [flat(row) for row in self]
+        frame = pandas.DataFrame(rows, columns=[*dict.fromkeys(itertools.chain.from_iterable(rows))])
+        for name in frame.columns:
+            if name.endswith("_at"):
+                frame[name] = pandas.to_datetime(frame[name], utc=True)
+            elif name.endswith(("_ns", "_bytes", "_count")):
+                frame[name] = frame[name].astype("Int64")
+        return frame
+
+    def _repr_html_(self) -> str:
+        """Return the first rows as a table, for notebooks."""
+        rows = [flat(row) for row in itertools.islice(self, _SHOWN + 1)]
+        return html_table(rows[:_SHOWN], more=len(rows) > _SHOWN)
+
+
+def flat(row: BaseModel) -> dict[str, object]:
+    """Return the fields of a row as plain values, those inside of others under dotted names."""
+    plain: dict[str, object] = {}
+    for name in type(row).model_fields:
+        plain |= _flat(name, getattr(row, name))
+    return plain
+
+
+def _flat(name: str, value: object) -> dict[str, object]:
+    if isinstance(value, BaseModel):
+        return {f"{name}.{inner}": one for inner, one in flat(value).items()}
+    if isinstance(value, dict):
+        return {key: one for inner, part in value.items() for key, one in _flat(f"{name}.{inner}", part).items()}
+    if isinstance(value, list):
+        return {name: [one.model_dump(mode="json") if isinstance(one, BaseModel) else one for one in value]}
+    return {
+        name: value.value if isinstance(value, enum.Enum) else str(value) if isinstance(value, uuid.UUID) else value
+    }
+
+
+def html_table(rows: list[dict[str, object]], *, more: bool = False) -> str:
+    """Return rows as an HTML table without ids; whatever they hold is escaped."""
+    names = [name for name in dict.fromkeys(itertools.chain.from_iterable(rows)) if not _is_id(name)]
+    heading = "".join(f"<th>{escape(name)}</th>" for name in names)
+    body = "".join(f"<tr>{''.join(f'<td>{_cell(row.get(name))}</td>' for name in names)}</tr>" for row in rows)
+    rest = "<p>and more</p>" if more else "" if rows else "<p>Nothing found.</p>"
+    return f"<table><tr>{heading}</tr>{body}</table>{rest}"
+
+
+def _is_id(name: str) -> bool:
+    return name.rpartition(".")[2] in {"id", "etag"} or name.endswith(("_id", "_ids"))
+
+
+def _cell(value: object) -> str:
+    shown = (
+        "" if value is None else f"{value:%Y-%m-%d %H:%M:%SZ}" if isinstance(value, datetime.datetime) else str(value)
+    )
+    return escape(shown)
+
+
+def pages(api: Api, path: str, kind: type[T], query: list[tuple[str, str]], *, limit: int | None = None) -> Listing[T]:
+    """Return the rows of a list in its order, at most `limit` of them."""
+    return Listing(lambda: _rows(api, path, kind, query, limit))
+
+
+def _rows(api: Api, path: str, kind: type[T], query: list[tuple[str, str]], limit: int | None) -> Iterator[T]:
+    left, cursor = limit, None
+    while left is None or left > 0:
+        size = MAX_PAGE_SIZE if left is None else min(left, MAX_PAGE_SIZE)
+        page = api.get(path, Page[kind], [*query, *query_of(None, limit=size, cursor=cursor)])  # type: ignore[valid-type]  # a generic model is made at run time
+        yield from page.items
+        left = None if left is None else left - len(page.items)
+        cursor = page.next
+        if cursor is None:
+            return
+
+
+def count(api: Api, path: str, kind: type[T], query: list[tuple[str, str]]) -> int:
+    """Return how many rows a list has."""
+    page = api.get(path, Page[kind], [*query, ("limit", "1"), ("count", "true")])  # type: ignore[valid-type]  # as above
+    return page.total or 0

@@ -1,0 +1,243 @@
+"""Where a browser comes back to after signing in: a port of 127.0.0.1, for as long as one login takes (RFC 8252).
+
+Any program or page on this machine can knock there; only who brings the login's `state` is listened to.
+"""
+
+import base64
+import hashlib
+import queue
+import secrets
+import socketserver
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import dataclass, field
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler
+from types import TracebackType
+from urllib.parse import parse_qs, urlencode, urlsplit
+
+from typing_extensions import Self
+
+from kleinkram.client._http import Api
+from kleinkram.client.config import Endpoint, EndpointSource, normal_url
+from kleinkram.client.errors import ServerUnreachable
+from kleinkram.client.server import Me
+from kleinkram.contract.errors import (
+    NotAuthenticated,
+    RateLimited,
+    SignInDenied,
+    SignInExpired,
+    SignInPending,
+    SlowDown,
+)
+from kleinkram.contract.signing_in import CliExchange, DeviceBegin, DeviceCode, DeviceExchange, MeRead, SignedIn
+
+_PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>Kleinkram</title></head>
+<body style="font-family: sans-serif; max-width: 32em; margin: 4em auto"><h1>{title}</h1><p>{text}</p></body></html>
+"""
+_HEADERS = {
+    "Content-Type": "text/html; charset=utf-8",
+    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; frame-ancestors 'none'",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store",
+    "Connection": "close",
+}
+# Browsers open connections ahead of time and say nothing on them.
+_SILENCE_S = 10.0
+
+
+class _Denied:
+    """The person refused."""
+
+
+class Loopback:
+    """A port of 127.0.0.1 at which one login waits for its browser. A context manager."""
+
+    def __init__(self, state: str) -> None:
+        self._came: queue.SimpleQueue[str | _Denied] = queue.SimpleQueue()
+        self._server = _LoopbackServer(("127.0.0.1", 0), _listener(state, self._came))
+        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True)
+        self.port: int = self._server.server_address[1]
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._server.shutdown()
+        self._thread.join()
+        self._server.server_close()
+
+    def wait(self, timeout_s: float) -> str:
+        """Return the code that the browser brings.
+
+        Raises:
+            SignInDenied: it says that the person refused.
+            SignInExpired: none came in time.
+        """
+        try:
+            came = self._came.get(timeout=timeout_s)
+        except queue.Empty:
+            raise SignInExpired from None
+        if isinstance(came, _Denied):
+            raise SignInDenied
+        return came
+
+
+class _LoopbackServer(socketserver.ThreadingTCPServer):
+    """A thread a connection, so that a silent one keeps nobody waiting."""
+
+    daemon_threads = True
+
+
+def _listener(state: str, came: "queue.SimpleQueue[str | _Denied]") -> type[BaseHTTPRequestHandler]:
+    class Listener(BaseHTTPRequestHandler):
+        timeout = _SILENCE_S
+
+        def do_GET(self) -> None:
+            target = urlsplit(self.path)
+            parameters = {name: values[0] for name, values in parse_qs(target.query).items()}
+            if target.path != "/":
+                self._answer(HTTPStatus.NOT_FOUND, "Nothing here", "klein waits at another address.")
+            elif not secrets.compare_digest(parameters.get("state", "").encode(), state.encode()):
+                self._answer(HTTPStatus.BAD_REQUEST, "Not signed in", "This belongs to no login that klein waits for.")
+            elif code := parameters.get("code"):
+                self._answer(HTTPStatus.OK, "Back to the terminal", "klein has what it needs. Close this window.")
+                came.put(code)
+            else:
+                self._answer(HTTPStatus.OK, "Not signed in", "klein was told no. Close this window.")
+                came.put(_Denied())
+
+        def log_message(self, format: str, *args: object) -> None:  # noqa: A002  the name that http.server gives it
+            """Say nothing: the query holds a code, and the terminal belongs to klein."""
+
+        def _answer(self, status: HTTPStatus, title: str, text: str) -> None:
+            page = _PAGE.format(title=title, text=text).encode()
+            self.send_response(status)
+            for name, value in {**_HEADERS, "Content-Length": str(len(page))}.items():
+                self.send_header(name, value)
+            self.end_headers()
+            self.wfile.write(page)
+
+    return Listener
+
+
+# How long somebody may take over the page in the browser; the server's codes live no longer.
+BROWSER_PATIENCE_S = 300.0
+_LONGEST_INTERVAL_S = 60.0
+
+
+@dataclass(frozen=True)
+class BrowserLogin:
+    """A login that waits for a browser: `url` is what to open."""
+
+    url: str
+    _server: str
+    _verifier: str = field(repr=False)
+    _loopback: Loopback = field(repr=False)
+
+    def wait(self, timeout_s: float = BROWSER_PATIENCE_S) -> SignedIn:
+        """Wait until the page has sent the browser back, and exchange what it brought for a token.
+
+        Raises:
+            SignInDenied: the person refused.
+            SignInExpired: nothing came in time, or the server knows the code no more.
+        """
+        code = self._loopback.wait(timeout_s)
+        with _stranger(self._server) as api:
+            return api.send("POST", "/auth/cli/token", SignedIn, CliExchange(code=code, code_verifier=self._verifier))
+
+
+@contextmanager
+def begin_browser(url: str, client: str) -> Iterator[BrowserLogin]:
+    """Listen on this machine's loopback for a browser, for as long as the context lasts.
+
+    `client` is what the person reads on the page and what their new token is called.
+    """
+    server, state, verifier = normal_url(url), secrets.token_urlsafe(32), secrets.token_urlsafe(64)
+    digest = hashlib.sha256(verifier.encode()).digest()
+    challenge = base64.urlsafe_b64encode(digest).decode().rstrip("=")
+    with Loopback(state) as loopback:
+        query = {"port": loopback.port, "state": state, "code_challenge": challenge, "client": client}
+        yield BrowserLogin(f"{server}/sign-in/cli?{urlencode(query)}", server, verifier, loopback)
+
+
+def begin_device(url: str, client: str) -> DeviceCode:
+    """Ask a server for a code that can be typed on any machine with a browser."""
+    with _stranger(normal_url(url)) as api:
+        return api.send("POST", "/auth/device", DeviceCode, DeviceBegin(client=client))
+
+
+def wait_for_device(url: str, code: DeviceCode, wait: Callable[[float], object] = time.sleep) -> SignedIn:
+    """Ask until the code was typed, no more often than the server wants; a network that is away is waited for.
+
+    Raises:
+        SignInDenied: the person refused.
+        SignInExpired: nobody typed it in time.
+    """
+    interval_s, left_s = code.interval_s, code.expires_s
+    with _stranger(normal_url(url)) as api:
+        while left_s > 0:
+            wait(interval_s)
+            left_s -= interval_s
+            try:
+                return api.send("POST", "/auth/device/token", SignedIn, DeviceExchange(device_code=code.device_code))
+            except SignInPending as pending:
+                interval_s = max(interval_s, pending.interval_s)
+            except SlowDown as slower:
+                interval_s = max(interval_s, slower.interval_s)
+            except RateLimited as limited:
+                wait(limited.retry_after_s)
+                left_s -= limited.retry_after_s
+            except ServerUnreachable:
+                interval_s = min(interval_s * 2, _LONGEST_INTERVAL_S)
+    raise SignInExpired
+
+
+def who_has(url: str, token: str) -> MeRead:
+    """Return whose a token is.
+
+    Raises:
+        NotAuthenticated: the server does not know it.
+    """
+    with _carrier(normal_url(url), token) as api:
+        return Me(api).get()
+
+
+def end_token(url: str, token: str) -> bool:
+    """Revoke a token at its server; False where it was good for nothing already."""
+    with _carrier(normal_url(url), token) as api:
+        try:
+            Me(api).sign_out()
+        except NotAuthenticated:
+            return False
+    return True
+
+
+def see_server(url: str) -> None:
+    """See that a Kleinkram server answers, before somebody is sent there.
+
+    Raises:
+        ServerUnreachable: nothing answers.
+        AnswerNotUnderstood: something else does.
+    """
+    with _stranger(normal_url(url)) as api, suppress(NotAuthenticated):
+        Me(api).get()
+
+
+def _stranger(url: str) -> AbstractContextManager[Api]:
+    return _carrier(url, None)
+
+
+@contextmanager
+def _carrier(url: str, token: str | None) -> Iterator[Api]:
+    api = Api(Endpoint("(given)", url, token, EndpointSource.argument))
+    try:
+        yield api
+    finally:
+        api.close()

@@ -1,0 +1,489 @@
+"""Reads the messages of one file made of chunks (MCAP, ROS 1 bag), by its table of chunks, in the order of time.
+
+Only chunks that may hold selected messages are read. The next ones are fetched, decompressed and checked meanwhile.
+Of a chunk that fails its checksum or cannot be decompressed, what a scan finds in it is read; one larger than
+`MAX_CHUNK_BYTES` is left out.
+"""
+
+from __future__ import annotations
+
+import heapq
+import zlib
+from array import array
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from operator import itemgetter
+from pathlib import Path
+from typing import NamedTuple
+
+from kleinkram.recordings.chunk_table import ChunkTable, Int64Table, Row, StoredChunk
+from kleinkram.recordings.compression import Buffer, decompress, decompress_beginning, unreadable_chunk
+from kleinkram.recordings.damage_report import ProblemLog
+from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.index_check import IndexCheck, ReadMessageIndex
+from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_CHUNKS, MAX_READ, WINDOW
+from kleinkram.recordings.merge import OVERHEAD_BYTES, MessagePiece, MessageRun, ReadAheadTask, merge, read_ahead
+from kleinkram.recordings.message_counts import ROW, Batch, MessagePlace, PlaceKind
+from kleinkram.recordings.messages import Block, Channel, Selection
+from kleinkram.recordings.sources import Source
+from kleinkram.recordings.streams import ByteStream, open_bytes, open_range
+
+MAX_MESSAGE = 64 * 2**20
+"""Bytes of one message; a larger one is left out."""
+
+MAX_AHEAD = 32 * 2**20
+"""Bytes of chunks that are fetched and decompressed ahead."""
+
+MAX_SALVAGED = 256 * 2**20
+"""Bytes of damaged chunks, in one iteration, that are searched for what can be saved."""
+
+_AHEAD_ON_DISK = 8 * 2**20
+_LEAST_WORKERS = 2
+_GROUP_BYTES = 4 * 2**20
+_HEAD_BYTES = 4096
+_log_time = itemgetter(1)
+
+
+@dataclass(frozen=True)
+class ChunkFormat:
+    """How one format writes chunks and messages.
+
+    Attributes:
+        open_chunk: reads a chunk's record up to its stored bytes.
+        parse_messages: (content of a chunk, wanted channels, selection) -> their messages in the order they are.
+        salvage: where messages are in parts of a file, such as a chunk that is damaged.
+        read_message_index: what the message index behind a chunk lists.
+    """
+
+    open_chunk: Callable[[ByteStream], StoredChunk]
+    parse_messages: Callable[[Buffer, Mapping[int, Channel], Selection], Block]
+    salvage: Salvage
+    read_message_index: ReadMessageIndex
+
+
+@dataclass(frozen=True)
+class ChunkedFile:
+    """A file, its table of chunks, and its channels.
+
+    Attributes:
+        is_part: it is part of a damaged chunk, of which no more can be saved.
+        check: whether the table may be believed; None: it was not made of the file's own index.
+    """
+
+    source: Source
+    format: ChunkFormat
+    table: ChunkTable
+    channels: Mapping[int, Channel]
+    problem_log: ProblemLog
+    is_part: bool = False
+    check: IndexCheck | None = None
+
+
+Loaded = Buffer | Malformed
+"""The content of a chunk, or why there is none."""
+
+
+def pieces_of(file: ChunkedFile, selection: Selection, order: tuple[int, ...]) -> Iterator[MessagePiece]:
+    """Yield the chunks that may hold selected messages, by their first time. Open them in this order."""
+    channels = {
+        number: channel
+        for number, channel in file.channels.items()
+        if selection.topics is None or channel.topic in selection.topics
+    }
+    reader = _ChunkReader(file, channels, selection)
+    yield from reader.pieces(reader.select(), order)
+
+
+class _ChunkReader:
+    def __init__(self, file: ChunkedFile, channels: Mapping[int, Channel], selection: Selection) -> None:
+        self._file = file
+        self._channels = channels
+        self._selection = selection
+        self._salvage_left = MAX_SALVAGED
+        self._searched = False
+        self._numbers = array("Q")
+        self._is_selection_sure = True
+
+    def select(self) -> array[int]:
+        """Return the numbers of the chunks that may hold selected messages, by their first time."""
+        file, channels, check = self._file, frozenset(self._channels), self._file.check
+        if check is not None:
+            check.before_selecting()
+        self._numbers = file.table.select(self._selection, channels)
+        if check is not None and channels and not self._numbers:
+            check.when_nothing_fits()
+            self._numbers = file.table.select(self._selection, channels)
+        self._is_selection_sure = check is None or check.is_done
+        return self._numbers
+
+    def pieces(self, numbers: Iterable[int], order: tuple[int, ...]) -> Iterator[MessagePiece]:
+        """Yield chunks. Open them in this order."""
+        selection, loaded = self._selection, self.load_ahead(numbers)
+        for number in numbers:
+            row = self._file.table.rows[number]
+
+            def open_next(row: Row = row) -> MessageRun:
+                return self._with_missed(row, self.open(row, next(loaded)))
+
+            def read_again(row: Row = row) -> Block:
+                return self.read_again(row)
+
+            first_ns = max(row.first_ns, selection.start_ns)
+            yield MessagePiece(
+                first_ns, (*order, number), open_next, read_again if row.kind == PlaceKind.chunk else None
+            )
+
+    def _with_missed(self, row: Row, run: MessageRun) -> MessageRun:
+        """Return the messages of a chunk. If the index turned out wrong meanwhile, add those of the chunks that were
+        not selected for that reason.
+        """
+        check = self._file.check
+        if check is None or self._is_selection_sure:
+            return run
+        check.settle()
+        if not check.is_done:
+            return run
+        self._is_selection_sure = True
+        selected = set(self._numbers)
+        missed = [n for n in self._file.table.select(self._selection, frozenset(self._channels)) if n not in selected]
+        if not missed:
+            return run
+        own = MessagePiece(row.first_ns, (0,), lambda: run)
+        pieces = heapq.merge([own], self.pieces(missed, (1,)), key=lambda piece: piece.first_ns)
+        return MessageRun([], 0, merge(pieces, self._file.problem_log.note_late))
+
+    def load_ahead(self, numbers: Iterable[int]) -> Iterator[Loaded]:
+        parallel: int = getattr(self._file.source, "parallel_reads", 1)
+        tasks = self._tasks(numbers, together=parallel > 1)
+        most_bytes = MAX_AHEAD if parallel > 1 else _AHEAD_ON_DISK
+        for group in read_ahead(tasks, workers=max(_LEAST_WORKERS, parallel), most_bytes=most_bytes):
+            yield from group
+
+    def _tasks(self, numbers: Iterable[int], *, together: bool) -> Iterator[ReadAheadTask[list[Loaded]]]:
+        """Yield what to fetch; over a network, adjacent chunks are fetched together."""
+        group: list[Row] = []
+        size, previous, alone = 0, -1, True
+        for number in numbers:
+            row = self._file.table.rows[number]
+            joins = together and not alone and number == previous + 1 and row.start - group[0].start < _GROUP_BYTES
+            if group and not joins:
+                yield self._task(group, size)
+                alone = False
+                group, size = [], 0
+            group.append(row)
+            size += min(row.length + row.uncompressed_bytes, 2 * MAX_CHUNK_BYTES)
+            previous = number
+        if group:
+            yield self._task(group, size)
+
+    def _task(self, group: list[Row], size: int) -> ReadAheadTask[list[Loaded]]:
+        return ReadAheadTask(size, lambda: self._load_group(group))
+
+    def _load_group(self, group: list[Row]) -> list[Loaded]:
+        first = group[0]
+        span = max(row.start + row.length for row in group) - first.start
+        if len(group) == 1 or span > MAX_READ:
+            return [self._load(row) for row in group]
+        data = memoryview(self._file.source.read(first.start, span))
+        return [self._take(row, data[row.start - first.start :][: row.length]) for row in group]
+
+    def _load(self, row: Row) -> Loaded:
+        if row.kind == PlaceKind.records:
+            if row.length > MAX_MESSAGE:
+                return Malformed(
+                    f"byte {row.start}", f"a message of {row.length} bytes; at most {MAX_MESSAGE} are read"
+                )
+        elif row.length > MAX_CHUNK_BYTES and row.kind == PlaceKind.chunk:
+            return unreadable_chunk("", stored=row.length, uncompressed=0) or b""
+        return self._take(row, _read(self._file.source, row.start, row.length))
+
+    def _take(self, row: Row, data: Buffer) -> Loaded:
+        """Return the content of a row: records as they are, a chunk decompressed."""
+        return data if row.kind == PlaceKind.records else self._unpack(row, data)
+
+    def _unpack(self, row: Row, data: Buffer) -> Loaded:
+        try:
+            stream = open_bytes(bytes(data[:_HEAD_BYTES]), row.start)
+            head = self._file.format.open_chunk(stream)
+            if row.kind == PlaceKind.chunk and (
+                why := unreadable_chunk(head.compression, stored=row.length, uncompressed=head.uncompressed_bytes)
+            ):
+                return why
+            start = stream.position - row.start
+            stored = memoryview(data)[start : start + head.stored_bytes]
+            if row.kind == PlaceKind.cut:
+                most_bytes = min(head.uncompressed_bytes, MAX_CHUNK_BYTES)
+                return decompress_beginning(head.compression, bytes(stored), most_bytes)
+            content = decompress(head.compression, stored, head.uncompressed_bytes)
+            if head.crc and zlib.crc32(content) != head.crc:
+                return Malformed(f"byte {row.start}", "its checksum is wrong")
+        except Malformed as error:
+            return error
+        return content
+
+    def open(self, row: Row, loaded: Loaded) -> MessageRun:
+        if isinstance(loaded, Malformed):
+            return self._salvaged(row, loaded)
+        try:
+            messages = self._parse(row, loaded)
+        except Malformed as error:
+            return self._salvaged(row, error)
+        return MessageRun(messages, len(loaded) + OVERHEAD_BYTES * len(messages))
+
+    def read_again(self, row: Row) -> Block:
+        loaded = self._load(row)
+        if isinstance(loaded, Malformed):
+            return []
+        try:
+            return self._parse(row, loaded)
+        except Malformed:
+            return []  # it was whole when it was read before: the file changes meanwhile
+
+    def _salvaged(self, row: Row, damage: Malformed) -> MessageRun:
+        """Scan a damaged chunk, or the file where the index lists a chunk that is not there."""
+        file = self._file
+        gaps: Iterable[FileGap] = []
+        if not file.is_part and row.kind != PlaceKind.records:
+            is_there = row.kind == PlaceKind.cut or end_of_chunk(file.source, row, file.format.open_chunk) is not None
+            gaps = [FileGap(row.start, row.end)] if is_there else self._unlisted()
+        size = sum(gap.end - gap.start for gap in gaps)
+        saved = file.format.salvage(file.source, gaps, file.channels) if 0 < size <= self._salvage_left else None
+        if saved is None or not saved.table.rows:
+            self._note(row, damage)
+            return MessageRun([], 0)
+        self._salvage_left -= size
+        self._note_part(row, damage)
+        inside = ChunkedFile(saved.part, file.format, saved.table, file.channels, file.problem_log, is_part=True)
+        return MessageRun([], 0, self._compared(row, merge(pieces_of(inside, self._selection, ()))))
+
+    def _unlisted(self) -> Iterable[FileGap]:
+        """Return the ranges in which unlisted chunks may be; nothing at the second call."""
+        if self._searched:
+            return []
+        self._searched = True
+        file = self._file
+        message = "its index lists chunks that are not there; the space between the others is read instead"
+        file.problem_log.add("index-damaged", file.source.name, message)
+        return unlisted(file.source, file.table.rows, file.format.open_chunk)
+
+    def _compared(self, row: Row, blocks: Iterator[Block]) -> Iterator[Block]:
+        for block in blocks:
+            self._compare_start(row, block)
+            yield block
+
+    def _parse(self, row: Row, content: Buffer) -> Block:
+        """Return the selected messages by time.
+
+        Raises:
+            Malformed: a record is damaged.
+        """
+        parse, messages = self._file.format.parse_messages, Block()
+        readable_ranges = self._file.table.readable_ranges.get(row.start, ((0, len(content)),))
+        for start, end in readable_ranges:
+            messages += parse(content[start:end], self._channels, self._selection)
+        messages.sort(key=_log_time)
+        self._compare_start(row, messages)
+        return messages
+
+    def _compare_start(self, row: Row, messages: Block) -> None:
+        """Report a chunk with messages outside the times in the index: it may have been opened too late for them."""
+        if not messages:
+            return
+        if messages[-1].log_time_ns > row.last_ns:
+            message = "it holds later messages than the index says"
+            self._file.problem_log.add("index-damaged", f"chunk at byte {row.start}", message)
+            self._doubt_index()
+        if messages[0].log_time_ns < row.first_ns:
+            self._doubt_index()
+            message = (
+                "it holds earlier messages than the index says; those that came too late to be in order are left out"
+            )
+            self._file.problem_log.add("index-damaged", f"chunk at byte {row.start}", message)
+
+    def _doubt_index(self) -> None:
+        if self._file.check is not None:
+            self._file.check.doubt()
+
+    def _note_part(self, row: Row, error: Malformed) -> None:
+        message = f"only what could be saved of it is read: {error.message}"
+        self._file.problem_log.add("damaged", f"chunk at byte {row.start}", message)
+
+    def _note(self, row: Row, error: Malformed) -> None:
+        what = "messages" if row.kind == PlaceKind.records else "chunk"
+        self._file.problem_log.add("damaged", f"{what} at byte {row.start}", f"left out: {error.message}")
+
+
+def _read(source: Source, offset: int, length: int) -> bytes:
+    if length <= MAX_READ:
+        return source.read(offset, length)
+    return b"".join(
+        source.read(at, min(MAX_READ, offset + length - at)) for at in range(offset, offset + length, MAX_READ)
+    )
+
+
+_MOST_OF_RUN = 8192
+_MAX_RANGES = 200_000
+_NO_TIME = (2**64 - 1, 0)
+
+
+class ChunkTableBuilder:
+    """Makes a table of chunks from the places of messages that a scan finds.
+
+    Attributes:
+        counts: messages by channel; those of several channels of one topic count for one of them.
+    """
+
+    def __init__(self, table: ChunkTable, problem_log: ProblemLog) -> None:
+        self.counts: dict[int, int] = {}
+        self.problem_log = problem_log
+        self.table = table
+        self._place: MessagePlace | None = None
+        self._channels: set[int] = set()
+        self._first_ns, self._last_ns = _NO_TIME
+        self._messages = 0
+        self._counts_here: dict[int, int] = {}
+        self._range_count = 0
+
+    def on_messages(self, place: MessagePlace, batch: Batch) -> None:
+        """Note messages at a place. May be called several times for one place."""
+        if not any(batch.values()):
+            return
+        if self._place is None or not self._joins(place):
+            self.close()
+            self._place = place
+        elif place.kind == PlaceKind.records:
+            length = self._place.length + place.length
+            self._place = self._place._replace(length=length, uncompressed=length)
+        seen: set[int] = set()
+        for number, rows in batch.items():
+            stamps = rows[0::ROW]
+            if not stamps:
+                continue
+            self._channels.add(number)
+            if id(rows) in seen:  # channels of one topic share it
+                continue
+            seen.add(id(rows))
+            self._counts_here[number] = self._counts_here.get(number, 0) + len(stamps)
+            self._messages += len(stamps)
+            self._first_ns, self._last_ns = min(self._first_ns, min(stamps)), max(self._last_ns, max(stamps))
+
+    def close(self) -> None:
+        """End the current row, if there is one."""
+        place = self._place
+        if place is not None and self._remembers(place):
+            kind, start, length, uncompressed, readable_ranges = place
+            members = self.table.sets.number(self._channels)
+            times = self._first_ns, self._last_ns
+            self.table.rows.append(Row(start, length, start + length, *times, kind, members, uncompressed))
+            if readable_ranges is not None:
+                self.table.readable_ranges[start] = readable_ranges
+        for number, count in self._counts_here.items():
+            self.counts[number] = self.counts.get(number, 0) + count
+        self._begin()
+
+    def _begin(self) -> None:
+        self._place, self._messages = None, 0
+        self._channels, self._counts_here = set(), {}
+        self._first_ns, self._last_ns = _NO_TIME
+
+    def _joins(self, place: MessagePlace) -> bool:
+        known = self._place
+        if known is None or known.kind != place.kind:
+            return False
+        if place.kind != PlaceKind.records:
+            return known.start == place.start
+        fits = known.length + place.length <= WINDOW and self._messages < _MOST_OF_RUN
+        return fits and known.start + known.length == place.start
+
+    def _remembers(self, place: MessagePlace) -> bool:
+        """Return whether there is room for another place. Bounds the memory for files full of damage."""
+        self._range_count += len(place.readable_ranges or ())
+        if self._range_count <= _MAX_RANGES and len(self.table.rows) < MAX_CHUNKS:
+            return True
+        self.problem_log.add("too-damaged", f"byte {place.start}", "left out: the file has too many places to remember")
+        return False
+
+
+_HEAD_WINDOW = 4096
+
+
+class FileGap(NamedTuple):
+    """A range of a file: [start, end)."""
+
+    start: int
+    end: int
+
+
+class JoinedGaps:
+    """Ranges of a source, joined behind the magic of its format: a `Source` that can be scanned."""
+
+    path: Path | None = None
+
+    def __init__(self, source: Source, magic: bytes, gaps: Iterable[FileGap]) -> None:
+        self.name = source.name
+        self._source = source
+        self._magic = magic
+        self._starts = array("Q")
+        self._ends = array("Q", [len(magic)])
+        for start, end in gaps:
+            start, end = max(start, len(magic)), min(end, source.size_bytes)
+            if start < end:
+                self._starts.append(start)
+                self._ends.append(self._ends[-1] + end - start)
+        self.size_bytes = self._ends[-1]
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Return the bytes at an offset of the joined ranges."""
+        data = self._magic[offset : offset + length]
+        while len(data) < length:
+            at = offset + len(data)
+            number = bisect_right(self._ends, at)
+            size = min(length - len(data), self._ends[number] - at)
+            data += self._source.read(self._starts[number - 1] + at - self._ends[number - 1], size)
+        return data
+
+
+@dataclass(frozen=True)
+class SalvagedMessages:
+    """Where a scan found messages in part of a file."""
+
+    part: JoinedGaps
+    table: ChunkTable
+
+
+Salvage = Callable[[Source, Iterable[FileGap], Mapping[int, Channel]], SalvagedMessages]
+OpenChunk = Callable[[ByteStream], StoredChunk]
+
+
+def end_of_chunk(source: Source, row: Row, open_chunk: OpenChunk) -> int | None:
+    """Return where the chunk of a row ends; None if there is no chunk, or it does not fit into the row.
+
+    Raises:
+        SourceError: as `Source.read`.
+    """
+    stream = open_range(source, row.start, row.end, window=_HEAD_WINDOW)
+    try:
+        head = open_chunk(stream)
+    except Malformed:
+        return None
+    end = stream.position + head.stored_bytes
+    return end if end <= row.end else None
+
+
+def unlisted(source: Source, rows: Int64Table[Row], open_chunk: OpenChunk) -> Int64Table[FileGap]:
+    """Return the ranges of a file that belong to no chunk at the places that the index lists.
+
+    `rows`: in the order of their places. Reads the head of each chunk.
+
+    Raises:
+        SourceError: as `Source.read`.
+    """
+    gaps, at = Int64Table(FileGap, len(FileGap._fields)), 0
+    for row in rows:
+        end = end_of_chunk(source, row, open_chunk) if row.start >= at else None
+        if end is not None:
+            gaps.append(FileGap(at, row.start))
+            at = end
+    gaps.append(FileGap(at, source.size_bytes))
+    return gaps

@@ -1,0 +1,195 @@
+"""Compact tables of chunks: 8 bytes a cell, for millions of chunks."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Container, Iterable, Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+from operator import le
+from typing import Generic, NamedTuple, TypeVar
+
+from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.limits import MAX_CHUNKS
+from kleinkram.recordings.message_counts import ReadableRanges
+from kleinkram.recordings.messages import Selection
+
+MAX_SET_BYTES = 16 * 2**20
+
+ANY_CHANNEL = 0
+"""The set of a chunk of which is not known who is in it."""
+
+UNKNOWN = 2**64 - 1
+"""Stands for a number that the index of this format does not say."""
+
+
+class ChannelSets:
+    """Sets of channels. A set that many chunks share is stored once."""
+
+    def __init__(self) -> None:
+        self.members: list[frozenset[int]] = [frozenset()]
+        self._numbers: dict[frozenset[int], int] = {}
+        self._bytes = 0
+
+    def number(self, channel_ids: Iterable[int]) -> int:
+        """Return the number of a set of channels; `ANY_CHANNEL` once the sets take too much memory."""
+        members = frozenset(channel_ids)
+        number = self._numbers.get(members)
+        if number is None:
+            self._bytes += 200 + 64 * len(members)
+            if self._bytes > MAX_SET_BYTES:
+                return ANY_CHANNEL
+            number = self._numbers[members] = len(self.members)
+            self.members.append(members)
+        return number
+
+    def listed(self, number: int) -> frozenset[int] | None:
+        """Return the channels of a set; None if unknown."""
+        return None if number == ANY_CHANNEL else self.members[number]
+
+
+RowT = TypeVar("RowT", bound=tuple[int, ...])
+
+
+class Int64Table(Generic[RowT]):
+    """Rows of unsigned 64-bit numbers. `make` builds a row, a NamedTuple of `columns` numbers."""
+
+    def __init__(self, make: Callable[..., RowT], columns: int) -> None:
+        self._make = make
+        self._columns = columns
+        self._cells = array("Q")
+
+    def __len__(self) -> int:
+        return len(self._cells) // self._columns
+
+    def __getitem__(self, number: int) -> RowT:
+        at = number * self._columns
+        return self._make(*self._cells[at : at + self._columns])
+
+    def __iter__(self) -> Iterator[RowT]:
+        return (self[number] for number in range(len(self)))
+
+    def append(self, row: RowT) -> None:
+        """Add a row.
+
+        Raises:
+            Malformed: a number that no file can hold, or more than `MAX_CHUNKS` rows.
+        """
+        if len(self) >= MAX_CHUNKS:
+            raise Malformed("index", f"more than {MAX_CHUNKS} chunks", certain=False)
+        size = len(self._cells)
+        try:
+            self._cells.extend(row)
+        except OverflowError:
+            del self._cells[size:]
+            raise Malformed("index", "a chunk lies beyond any possible file size") from None
+
+    def replace(self, number: int, row: RowT) -> None:
+        """Replace a row."""
+        at = number * self._columns
+        self._cells[at : at + self._columns] = array("Q", row)
+
+    def pop(self) -> None:
+        """Remove the last row, if there is one."""
+        del self._cells[-self._columns :]
+
+    def column(self, number: int) -> array[int]:
+        """Return one column."""
+        return self._cells[number :: self._columns]
+
+    def sort(self) -> None:
+        """Sort the rows by their first column."""
+        keys = self.column(0)
+        if all(map(le, keys, keys[1:])):
+            return
+        ordered = array("Q")
+        for number in sorted(range(len(self)), key=keys.__getitem__):
+            ordered.extend(self[number])
+        self._cells = ordered
+
+
+def smallest_to_come(values: array[int]) -> Iterator[int | None]:
+    """Yield, for each value, the smallest of the later ones; None for the last."""
+    smallest = array("Q")
+    for value in reversed(values):
+        smallest.append(min(value, smallest[-1]) if smallest else value)
+    smallest.reverse()
+    yield from smallest[1:]
+    if smallest:
+        yield None
+
+
+class StoredChunk(NamedTuple):
+    """The fields of a chunk before its stored bytes. `crc`: of the uncompressed bytes; 0: none."""
+
+    compression: str
+    uncompressed_bytes: int
+    crc: int
+    stored_bytes: int
+
+
+class Row(NamedTuple):
+    """A chunk, or records outside of chunks: [start, start + length). Times are inclusive; `uncompressed_bytes` may be
+    a guess.
+
+    `end`: behind its message indexes. `kind`: as in `MessagePlace`. `stored_bytes`, `messages`: `UNKNOWN` where the
+    index does not say.
+    """
+
+    start: int
+    length: int
+    end: int
+    first_ns: int
+    last_ns: int
+    kind: int
+    channels: int
+    uncompressed_bytes: int
+    stored_bytes: int = UNKNOWN
+    messages: int = UNKNOWN
+
+
+@dataclass
+class ChunkTable:
+    """The chunks of one file, in the order of the file.
+
+    Attributes:
+        readable_ranges: of damaged chunks, by their start: the ranges of the content that can be read.
+    """
+
+    rows: Int64Table[Row] = field(default_factory=lambda: Int64Table(Row, len(Row._fields)))
+    readable_ranges: dict[int, ReadableRanges] = field(default_factory=dict)
+    sets: ChannelSets = field(default_factory=ChannelSets)
+
+    def known_channels(self) -> frozenset[int]:
+        """Return all channels that are known to be in some chunk."""
+        return frozenset().union(*self.sets.members)
+
+    def span(self, without: Container[int] = ()) -> tuple[int | None, int | None]:
+        """Return the first and last time of all chunks, except empty ones and those that start at the places in
+        `without`.
+        """
+        rows = [row for row in self.rows if row.uncompressed_bytes and row.start not in without]
+        first_ns = min((row.first_ns for row in rows), default=None)
+        return first_ns, max((row.last_ns for row in rows), default=None)
+
+    def select(self, selection: Selection, channel_ids: frozenset[int]) -> array[int]:
+        """Return the numbers of the rows that may hold messages of these channels in the selected time, by first time,
+        then by place.
+        """
+        hits = [
+            number == ANY_CHANNEL or bool(members & channel_ids) for number, members in enumerate(self.sets.members)
+        ]
+        columns = (self.rows.column(Row._fields.index(name)) for name in ("first_ns", "last_ns", "channels"))
+        start_ns, end_ns = selection.start_ns, selection.end_ns
+        firsts, lasts, sets = columns
+        numbers = array(
+            "Q",
+            (
+                number
+                for number, (first_ns, last_ns, members) in enumerate(zip(firsts, lasts, sets, strict=True))
+                if first_ns < end_ns and last_ns >= start_ns and hits[members]
+            ),
+        )
+        if any(firsts[after] < firsts[before] for before, after in pairwise(numbers)):
+            numbers = array("Q", sorted(numbers, key=firsts.__getitem__))
+        return numbers

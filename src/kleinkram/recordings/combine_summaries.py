@@ -1,0 +1,293 @@
+"""Combines the summaries of the files of one recording."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+from kleinkram.recordings.formats.rosbag2.metadata import (
+    METADATA_NAME,
+    MemberFacts,
+    Rosbag2Metadata,
+    TopicFacts,
+    compare_metadata,
+    lost_messages,
+)
+from kleinkram.recordings.model import (
+    Content,
+    Depth,
+    Lost,
+    Problem,
+    RecordingFormat,
+    RecordingSummary,
+    TopicSummary,
+    counted,
+)
+from kleinkram.recordings.timeline import LEAST_JUMP_NS, StampRun, bulk, join, within
+from kleinkram.recordings.topic_statistics import bounded, find_quality_warnings, rate_hz
+
+_WORST_FIRST = (
+    Content.error,
+    Content.pending,
+    Content.broken,
+    Content.opaque,
+    Content.recovered,
+    Content.indexed,
+)
+_READABLE = (Content.indexed, Content.recovered)
+_MOST_FACTS = 100
+_CLOCK_JUMP = "clock-jump"
+_OF_THE_WHOLE = frozenset(("silent-topic", "starts-late", "stops-early", "long-gap"))
+"""Problems that a member has by being one of several; looked for again in the whole."""
+
+
+def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) -> RecordingSummary:
+    """Merge the summaries of the members of one recording, given in the order of recording.
+
+    Counts are added; a count that one member does not know is not known of the whole. Silences between members count
+    as gaps. Where members overlap in time, the longest gap of a topic is an upper bound.
+
+    `content` is `error` or `pending` if a member is; else `recovered` where something can be read and something not;
+    else that of the members. `reason` is that of the worst, after its name, if there are `names`. `format` is that of
+    the first member that can be read.
+
+    Raises:
+        ValueError: there is no summary.
+    """
+    if not summaries:
+        raise ValueError("a recording has at least one member")
+    if len(summaries) == 1:
+        return summaries[0]
+    island = bulk(run for summary in summaries if (run := _span(summary)) is not None)
+    topics = _combine_topics(summaries, island)
+    jumps = _jumps_between(summaries, names)
+    first = next((summary for summary in summaries if summary.content in _READABLE), summaries[0])
+    return RecordingSummary(
+        format=first.format,
+        content=_content({summary.content for summary in summaries}),
+        reason=_reason(summaries, names),
+        message_count=_total(_readable_count(summary) for summary in summaries),
+        start_ns=island.first_ns if island else None,
+        end_ns=island.last_ns if island else None,
+        compression=tuple(sorted({name for summary in summaries for name in summary.compression})),
+        topics=topics,
+        problems=bounded(
+            [
+                *(problem for one in summaries for problem in one.problems if problem.code not in _OF_THE_WHOLE),
+                *_changed_types(summaries),
+                *jumps,
+                *find_quality_warnings(
+                    topics,
+                    island.last_ns - island.first_ns if island else None,
+                    longest_silence_ns=0
+                    if jumps or any(one.code == _CLOCK_JUMP for summary in summaries for one in summary.problems)
+                    else None,
+                ),
+            ]
+        ),
+        library=first.library,
+        profile=first.profile,
+        attachments=sum(summary.attachments for summary in summaries),
+        metadata_records=sum(summary.metadata_records for summary in summaries),
+        bytes_read=sum(summary.bytes_read for summary in summaries),
+        depth=Depth.scan if all(summary.depth is Depth.scan for summary in summaries) else Depth.summary,
+        lost=_lost(summaries),
+        facts=tuple(dict.fromkeys(fact for summary in summaries for fact in summary.facts))[:_MOST_FACTS],
+    )
+
+
+def _readable_count(summary: RecordingSummary) -> int | None:
+    """Return the messages of a file; 0 if nothing of it can be read."""
+    unreadable = summary.content in (Content.broken, Content.opaque)
+    return summary.message_count or 0 if unreadable else summary.message_count
+
+
+def _changed_types(summaries: Sequence[RecordingSummary]) -> list[Problem]:
+    """Report the topics whose type differs between files."""
+    types: dict[str, dict[str, None]] = defaultdict(dict)
+    for summary in summaries:
+        for topic in summary.topics:
+            types[topic.name][topic.message_type] = None
+    return [
+        Problem("topic-types-differ", name, f"its type changes between the files: {', '.join(type_names)}")
+        for name, type_names in sorted(types.items())
+        if len(type_names) > 1
+    ]
+
+
+def _jumps_between(summaries: Sequence[RecordingSummary], names: Sequence[str]) -> list[Problem]:
+    """Report the files before which the clock was set back: most of their topics begin before the file before ended."""
+    problems = []
+    ended: dict[str, int] = {}
+    for number, summary in enumerate(summaries):
+        spans = [(one.name, one.first_ns, one.last_ns) for one in summary.topics]
+        known = [(name, first_ns, last_ns) for name, first_ns, last_ns in spans if first_ns is not None and last_ns]
+        shared = [ended[name] - first_ns for name, first_ns, _ in known if name in ended]
+        back = sorted(back_ns for back_ns in shared if back_ns > LEAST_JUMP_NS)
+        if 2 * len(back) > len(shared):
+            where = names[number] if names else f"file {number + 1}"
+            message = f"it begins {back[-1] / 1e9:.1f} s before the file before it ends: the clock was set in between, "
+            problems.append(Problem(_CLOCK_JUMP, where, message + "so order, span and gaps are unreliable"))
+        ended.update((name, last_ns) for name, _, last_ns in known)
+    return problems
+
+
+def _content(contents: set[Content]) -> Content:
+    for unsettled in (Content.error, Content.pending):
+        if unsettled in contents:
+            return unsettled
+    if len(contents) == 1:
+        return next(iter(contents))
+    return Content.recovered if contents & set(_READABLE) else Content.broken
+
+
+def _reason(summaries: Sequence[RecordingSummary], names: Sequence[str]) -> str | None:
+    """Return the reason of the worst file, and how many others have one."""
+    numbers_with_reason = [number for number, summary in enumerate(summaries) if summary.reason]
+    if not numbers_with_reason:
+        return None
+    worst = min(numbers_with_reason, key=lambda number: _WORST_FIRST.index(summaries[number].content))
+    name = f"{names[worst]}: " if names else ""
+    others = f" (and {len(numbers_with_reason) - 1} more files are not whole)" if len(numbers_with_reason) > 1 else ""
+    return f"{name}{summaries[worst].reason}{others}"
+
+
+def _lost(summaries: Sequence[RecordingSummary]) -> Lost | None:
+    losses = [summary.lost for summary in summaries if summary.lost is not None]
+    if not losses and _content({summary.content for summary in summaries}) is not Content.recovered:
+        return None
+    untold = any(summary.lost is None and summary.content in (Content.broken, Content.opaque) for summary in summaries)
+    messages = None if untold else _total(lost.messages for lost in losses)
+    return Lost(sum(lost.bytes for lost in losses), sum(lost.chunks for lost in losses), messages)
+
+
+def _total(counts: Iterable[int | None]) -> int | None:
+    total = 0
+    for count in counts:
+        if count is None:
+            return None
+        total += count
+    return total
+
+
+def _span(summary: RecordingSummary) -> StampRun | None:
+    if summary.start_ns is None or summary.end_ns is None:
+        return None
+    counted = sum((topic.count or 0) - topic.suspect_count for topic in summary.topics)
+    return StampRun(summary.start_ns, summary.end_ns, counted, 0)
+
+
+def _combine_topics(summaries: Sequence[RecordingSummary], island: StampRun | None) -> tuple[TopicSummary, ...]:
+    by_name: dict[str, list[TopicSummary]] = defaultdict(list)
+    for summary in summaries:
+        for topic in summary.topics:
+            by_name[topic.name].append(topic)
+    return tuple(_combine_topic(by_name[name], island) for name in sorted(by_name))
+
+
+def _combine_topic(parts: list[TopicSummary], island: StampRun | None) -> TopicSummary:
+    runs = join(run for part in parts if (run := _run(part)) is not None)
+    run = within(runs, island)
+    count = _total(part.count for part in parts)
+    return replace(
+        parts[0],
+        count=count,
+        first_ns=run.first_ns if run else None,
+        last_ns=run.last_ns if run else None,
+        rate_hz=rate_hz(run.count, run.first_ns, run.last_ns) if run else None,
+        longest_gap_ns=run.longest_gap_ns if run and run.count > 1 else None,
+        head_gap_ns=run.first_ns - island.first_ns if run and island else None,
+        tail_gap_ns=island.last_ns - run.last_ns if run and island else None,
+        out_of_order_count=_total(part.out_of_order_count for part in parts),
+        stored_bytes=_total(part.stored_bytes for part in parts),
+        suspect_count=0 if count is None else count - (run.count if run else 0),
+        density=run.density if run else None,
+    )
+
+
+def _run(topic: TopicSummary) -> StampRun | None:
+    if topic.first_ns is None or topic.last_ns is None or topic.count is None:
+        return None
+    return StampRun(
+        topic.first_ns, topic.last_ns, topic.count - topic.suspect_count, topic.longest_gap_ns or 0, topic.density
+    )
+
+
+MESSAGE_ZSTD = "message-zstd"
+"""What `compression` says where the data of each message is compressed by itself."""
+
+_FORMATS = {"sqlite3": RecordingFormat.rosbag2_db3, "mcap": RecordingFormat.mcap}
+
+
+def combine_folder(
+    metadata: Rosbag2Metadata | None, names: Sequence[str], summaries: Sequence[RecordingSummary]
+) -> RecordingSummary:
+    """Merge the summaries of a rosbag2 folder, in the order of recording, and compare them with its metadata.yaml.
+
+    `metadata` is None where it could not be understood. `names` are those of the files, without folder. Where files
+    are missing, or a damaged one holds fewer messages than the metadata says, that is the recording's loss.
+    """
+    if metadata is None:
+        problem = Problem("metadata-damaged", METADATA_NAME, "it is not the metadata of a rosbag2 recording")
+        summary = combine(summaries, names)
+        return replace(summary, problems=bounded([problem, *summary.problems]))
+    members = [_facts(name, summary) for name, summary in zip(names, summaries, strict=True)]
+    if not summaries:
+        return _without_data(metadata)
+    summary = combine(summaries, names)
+    problems = compare_metadata(metadata, members, [_topic_facts(topic) for topic in summary.topics])
+    summary = _with_compression(metadata, summary)
+    summary = _with_loss(metadata, members, summary, problems)
+    return replace(summary, problems=bounded([*problems, *summary.problems]))
+
+
+def _facts(name: str, summary: RecordingSummary) -> MemberFacts:
+    return MemberFacts(name, summary.message_count, summary.start_ns, summary.end_ns, summary.format)
+
+
+def _topic_facts(topic: TopicSummary) -> TopicFacts:
+    return TopicFacts(topic.name, topic.message_type, topic.message_encoding, topic.count)
+
+
+def _without_data(metadata: Rosbag2Metadata) -> RecordingSummary:
+    count = len(metadata.files)
+    what = "a data file" if count == 1 else f"{count} data files"
+    claimed = f" with {counted(metadata.message_count, 'message')}" if metadata.message_count is not None else ""
+    return RecordingSummary(
+        format=_FORMATS.get(metadata.storage or "", RecordingFormat.rosbag2_metadata),
+        content=Content.broken,
+        reason=f"metadata.yaml names {what}{claimed}, but none is there",
+        problems=bounded(compare_metadata(metadata, ())),
+        lost=Lost(0, 0, metadata.message_count),
+    )
+
+
+def _with_compression(metadata: Rosbag2Metadata, summary: RecordingSummary) -> RecordingSummary:
+    if metadata.compression_mode != "message":
+        return summary
+    name = f"message-{metadata.compression}" if metadata.compression else MESSAGE_ZSTD
+    return replace(summary, compression=tuple(sorted({name, *summary.compression} - {"none"})))
+
+
+def _with_loss(
+    metadata: Rosbag2Metadata, members: Sequence[MemberFacts], summary: RecordingSummary, problems: Sequence[Problem]
+) -> RecordingSummary:
+    missing = [problem.where for problem in problems if problem.code == "member-missing"]
+    if summary.content not in (Content.indexed, Content.recovered, Content.broken):
+        return summary
+    if not missing and summary.content is Content.indexed:
+        return summary
+    reasons = [summary.reason] if summary.reason else []
+    if missing:
+        reasons.append(f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing")
+    lost = summary.lost or Lost(0, 0, None)
+    messages = lost_messages(metadata, members)
+    if messages is not None and summary.message_count is not None:
+        reasons.append(f"{summary.message_count} of {counted(metadata.message_count or 0, 'message')} can be read")
+    return replace(
+        summary,
+        content=Content.recovered if summary.content is Content.indexed else summary.content,
+        reason="; ".join(reasons),
+        lost=replace(lost, messages=messages if messages is not None else lost.messages),
+    )

@@ -1,0 +1,316 @@
+"""Decompression of chunks and messages: bounded by the size that they claim."""
+
+from __future__ import annotations
+
+import bz2
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Protocol
+
+import lz4.frame
+import zstandard
+
+from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_ZSTD_WINDOW, WINDOW
+from kleinkram.recordings.streams import ByteStream, Refill
+
+_LEAST_ZEROS = 64
+Buffer = bytes | memoryview
+ReadUpTo = Callable[[int], bytes]
+
+
+def is_known_compression(name: str) -> bool:
+    """Return whether chunks with this compression can be read; `name` as in MCAP or a bag."""
+    return name in ("", "none", "zstd") or name in _AT_ONCE
+
+
+def unknown_compression(name: str) -> Malformed:
+    """Return why a chunk with an unknown compression is not read."""
+    return Malformed("chunk", f"unknown compression '{name}'", certain=False)
+
+
+def unreadable_chunk(name: str, *, stored: int, uncompressed: int) -> Malformed | None:
+    """Return why a chunk cannot be read, by its compression and sizes; None: it can."""
+    if not is_known_compression(name):
+        return unknown_compression(name)
+    size = max(stored, uncompressed)
+    if size > MAX_CHUNK_BYTES:
+        return Malformed("chunk", f"it has {size} bytes; chunks above {MAX_CHUNK_BYTES} are not read", certain=False)
+    return None
+
+
+def open_decompressed(name: str, read: ReadUpTo, uncompressed_bytes: int) -> ByteStream:
+    """Decompress what `read` returns; `name` as in MCAP or a bag.
+
+    Raises:
+        Malformed: at once for another name; while reading for bad data, or more bytes than were claimed.
+    """
+    if name in ("", "none"):
+        return ByteStream(_bounded(lambda: read(WINDOW), uncompressed_bytes))
+    if name == "bz2":
+        return ByteStream(_bounded(_in_windows(name, read, bz2.BZ2Decompressor(), OSError), uncompressed_bytes))
+    if name == "zstd":
+        return ByteStream(_bounded(_zstd(read), uncompressed_bytes))
+    if name == "lz4":
+        decompressor = lz4.frame.LZ4FrameDecompressor()
+        return ByteStream(_bounded(_in_windows(name, read, decompressor, RuntimeError), uncompressed_bytes))
+    raise unknown_compression(name)
+
+
+def decompress(name: str, stored: Buffer, uncompressed_bytes: int) -> bytes:
+    """Decompress a whole chunk; `name` as in MCAP or a bag.
+
+    Raises:
+        Malformed: another name, bad data, or not exactly `uncompressed_bytes`.
+    """
+    if name in ("", "none"):
+        raw = bytes(stored)
+    elif name == "zstd":
+        raw = _zstd_at_once(stored, uncompressed_bytes)
+    elif name in _AT_ONCE:
+        raw, whole = _AT_ONCE[name](stored, uncompressed_bytes)
+        if not whole:
+            raise Malformed("chunk", f"its {name} data do not end where it ends")
+    else:
+        raise unknown_compression(name)
+    if len(raw) != uncompressed_bytes:
+        raise Malformed("chunk", f"{uncompressed_bytes} bytes are claimed, {len(raw)} came out")
+    return raw
+
+
+def decompress_beginning(name: str, stored: bytes, uncompressed_bytes: int) -> bytes:
+    """Decompress a chunk whose end is missing, as far as possible, up to `uncompressed_bytes`."""
+    if name in ("", "none"):
+        return stored[:uncompressed_bytes]
+    pieces = [stored]
+    try:
+        return _beginning_of(open_decompressed(name, lambda _: pieces.pop() if pieces else b"", uncompressed_bytes))
+    except Malformed:
+        return b""
+
+
+def without_zero_tail(name: str, stored: bytes) -> bytes | None:
+    """Return compressed data without trailing zeros; None unless there are so many that sectors must be lost."""
+    without_zeros = stored.rstrip(b"\0")
+    return without_zeros if name not in ("", "none") and len(stored) - len(without_zeros) >= _LEAST_ZEROS else None
+
+
+def _beginning_of(stream: ByteStream) -> bytes:
+    pieces: list[bytes] = []
+    with suppress(Malformed):
+        pieces.extend(iter(stream.take_some, b""))
+    return b"".join(pieces)
+
+
+def _zstd_at_once(stored: Buffer, uncompressed_bytes: int) -> bytes:
+    try:
+        claimed = zstandard.frame_content_size(stored)
+        if claimed == uncompressed_bytes:
+            return zstandard.ZstdDecompressor().decompress(stored, allow_extra_data=False)
+    except zstandard.ZstdError:
+        pass  # what is wrong with it is said below, if it is not that a frame without content follows
+    # Of unknown size, or of several frames: piece by piece, so that no claim is believed.
+    pieces = [bytes(stored)]
+    stream = open_decompressed("zstd", lambda _: pieces.pop() if pieces else b"", uncompressed_bytes)
+    return b"".join(iter(stream.take_some, b""))
+
+
+def _lz4_at_once(stored: Buffer, uncompressed_bytes: int) -> tuple[bytes, bool]:
+    context = lz4.frame.create_decompression_context()
+    try:
+        # One byte more than claimed, so that the end mark and its checksum are read, too. By way of a context, because
+        # LZ4FrameDecompressor copies what it is given.
+        raw, used, is_whole = lz4.frame.decompress_chunk(context, stored, max_length=uncompressed_bytes + 1)
+    except (RuntimeError, EOFError) as error:
+        raise Malformed("chunk", f"its lz4 data is damaged ({error})") from error
+    return raw, is_whole and used == len(stored)
+
+
+def _bz2_at_once(stored: Buffer, uncompressed_bytes: int) -> tuple[bytes, bool]:
+    decompressor = bz2.BZ2Decompressor()
+    try:
+        raw = decompressor.decompress(stored, max_length=uncompressed_bytes + 1)
+    except (OSError, EOFError) as error:
+        raise Malformed("chunk", f"its bz2 data is damaged ({error})") from error
+    return raw, decompressor.eof and not decompressor.unused_data
+
+
+_AT_ONCE = {"lz4": _lz4_at_once, "bz2": _bz2_at_once}
+
+
+def _bounded(refill: Refill, most: int) -> Refill:
+    total = 0
+
+    def refill_bounded() -> bytes:
+        nonlocal total
+        piece = refill()
+        total += len(piece)
+        if total > most:
+            raise Malformed("chunk", f"more than the {most} bytes that it claims to hold")
+        return piece
+
+    return refill_bounded
+
+
+class _ZstdInput:
+    """File-like input of zstandard's reader; notes the window size of the first frame."""
+
+    def __init__(self, read: ReadUpTo) -> None:
+        self._read = read
+        self.window = 0
+        self.frames = ZstdFrames()
+
+    def read(self, size: int = WINDOW) -> bytes:
+        data = self._read(size)
+        self.frames.feed(data)
+        if not self.window and data:
+            self.window = max(1, zstandard.get_frame_parameters(data).window_size)
+            if self.window > MAX_ZSTD_WINDOW:
+                raise Malformed("chunk", f"its zstd data want {self.window} bytes of memory to be read", certain=False)
+        return data
+
+
+def _zstd(read: ReadUpTo) -> Refill:
+    decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_ZSTD_WINDOW)
+    reading = _ZstdInput(read)
+    reader = decompressor.stream_reader(reading, read_across_frames=True)  # type: ignore[arg-type]  # only read() is used
+
+    def refill() -> bytes:
+        try:
+            piece = reader.read(WINDOW)
+        except zstandard.ZstdError as error:
+            # zstandard has one error for bad data and for too little memory. The latter is not the file's fault:
+            # whether there was enough is tried out, and a MemoryError says that there was not.
+            bytearray(reading.window + WINDOW)
+            raise Malformed("chunk", f"its zstd data is damaged ({error})") from error
+        if not piece and not reading.frames.at_end_of_frame:
+            raise Malformed("chunk", "its zstd data breaks off")
+        return piece
+
+    return refill
+
+
+class _Decompressor(Protocol):
+    """The common interface of the lz4 and bz2 decompressors."""
+
+    @property
+    def eof(self) -> bool:
+        """Whether the end of the data was reached."""
+
+    @property
+    def needs_input(self) -> bool:
+        """Whether nothing more comes out of what it was given."""
+
+    @property
+    def unused_data(self) -> bytes | None:
+        """What followed the end."""
+
+    def decompress(self, data: bytes, max_length: int = -1) -> bytes:
+        """Return what comes out, at most so many bytes."""
+
+
+def _in_windows(name: str, read: ReadUpTo, decompressor: _Decompressor, damage: type[Exception]) -> Refill:
+    """Return a function that decompresses the next window; `damage`: the exception of this library for damaged data."""
+
+    def refill() -> bytes:
+        while not decompressor.eof:
+            data = read(WINDOW) if decompressor.needs_input else b""
+            if decompressor.needs_input and not data:
+                raise Malformed("chunk", f"its {name} data breaks off")
+            try:
+                piece = decompressor.decompress(data, max_length=WINDOW)
+            except damage as error:
+                raise Malformed("chunk", f"its {name} data is damaged ({error})") from error
+            if piece:
+                return piece
+        if decompressor.unused_data or read(1):
+            raise Malformed("chunk", "its data do not end where it ends")
+        return b""
+
+    return refill
+
+
+class ZstdFrames:
+    """Tracks zstd frames, to know whether data end at the end of a frame: zstandard does not tell."""
+
+    def __init__(self) -> None:
+        self._head = b""
+        self._head_bytes = 4
+        self._skip = 0
+        self._step: Callable[[bytes], None] = self._on_magic
+        self._checksum_bytes = 0
+
+    @property
+    def at_end_of_frame(self) -> bool:
+        """Return whether the bytes so far end with a frame."""
+        return not self._head and not self._skip and self._step == self._on_magic
+
+    def feed(self, data: bytes) -> None:
+        """Follow the next packed bytes."""
+        at = 0
+        while at < len(data):
+            if self._skip:
+                passed = min(self._skip, len(data) - at)
+                self._skip -= passed
+                at += passed
+                continue
+            piece = data[at : at + self._head_bytes - len(self._head)]
+            self._head += piece
+            at += len(piece)
+            if len(self._head) == self._head_bytes:
+                head, self._head = self._head, b""
+                self._step(head)
+
+    def _next(self, step: Callable[[bytes], None], head_bytes: int, *, skip: int = 0) -> None:
+        self._step, self._head_bytes, self._skip = step, head_bytes, skip
+
+    def _on_magic(self, head: bytes) -> None:
+        if head[1:] == b"\x2a\x4d\x18" and head[0] >> 4 == 5:
+            self._next(self._on_skippable, 4)
+        else:
+            self._next(self._on_descriptor, 1)
+
+    def _on_skippable(self, head: bytes) -> None:
+        self._next(self._on_magic, 4, skip=int.from_bytes(head, "little"))
+
+    def _on_descriptor(self, head: bytes) -> None:
+        size_flag, single_segment = head[0] >> 6, head[0] >> 5 & 1
+        self._checksum_bytes = 4 if head[0] & 4 else 0
+        size_bytes = (single_segment, 2, 4, 8)[size_flag]
+        self._next(self._on_block, 3, skip=(1 - single_segment) + (0, 1, 2, 4)[head[0] & 3] + size_bytes)
+
+    def _on_block(self, head: bytes) -> None:
+        block = int.from_bytes(head, "little")
+        body = 1 if block >> 1 & 3 == 1 else block >> 3
+        if block & 1:
+            self._next(self._on_magic, 4, skip=body + self._checksum_bytes)
+        else:
+            self._next(self._on_block, 3, skip=body)
+
+
+_of_thread = threading.local()
+
+
+def unpack_message(stored: bytes, most_bytes: int) -> bytes:
+    """Decompress a message that rosbag2 compressed by itself (zstd).
+
+    Raises:
+        Malformed: it is damaged, or holds more than `most_bytes`.
+    """
+    try:
+        claimed = zstandard.get_frame_parameters(stored).content_size
+        if claimed in (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR):
+            raise Malformed("message", "its zstd frame does not say how large it is", certain=False)
+        if claimed > most_bytes:
+            raise Malformed("message", f"{claimed} bytes are claimed; at most {most_bytes} are read", certain=False)
+        return _decompressor().decompress(stored)
+    except zstandard.ZstdError as error:
+        raise Malformed("message", f"its zstd data is damaged ({error})") from error
+
+
+def _decompressor() -> zstandard.ZstdDecompressor:
+    known: zstandard.ZstdDecompressor | None = getattr(_of_thread, "decompressor", None)
+    if known is None:
+        known = _of_thread.decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_ZSTD_WINDOW)
+    return known

@@ -1,0 +1,165 @@
+"""What is damaged in a file, what is lost of it, and the problems found while it is read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.limits import FREE_UNPACKED, MAX_DAMAGE, MAX_EXPANSION, MAX_PROBLEMS
+from kleinkram.recordings.model import Lost, Problem, counted
+
+_FREE_WASTED_BYTES = 256 * 2**20
+_WASTED_SHARE = 4
+
+
+@dataclass
+class DamageReport:
+    """What a scan could not read.
+
+    Attributes:
+        damage: what is wrong, in the order of the file; empty for a whole file. At most `MAX_DAMAGE`.
+        index_faults: what the file's index says that is not so.
+        messages: lost ones, as far as the indexes behind damaged chunks say.
+        messages_are_known: those account for all that is lost.
+        unverified: messages that were saved out of a chunk whose checksum is missing with its end.
+        unpacked_bytes: that came out of compressed chunks.
+        wasted_bytes: of records that were read, led nowhere, and were searched through.
+    """
+
+    damage: list[Malformed] = field(default_factory=list)
+    index_faults: list[Malformed] = field(default_factory=list)
+    bytes: int = 0
+    chunks: int = 0
+    messages: int = 0
+    messages_are_known: bool = True
+    unverified: int = 0
+    wasted_bytes: int = 0
+    unpacked_bytes: int = 0
+
+    def unpack(self, uncompressed: int, *, end: int) -> None:
+        """Count the uncompressed size of a chunk that ends at a place in the file.
+
+        Raises:
+            Malformed: with it, the file would unpack to more than any recording does.
+        """
+        if not self.may_unpack(uncompressed, end=end):
+            most = _most_unpacked(end)
+            message = (
+                f"not decompressed: with its {uncompressed} bytes, the file would expand to more than {most} (limit)"
+            )
+            raise Malformed("chunk", message, certain=False)
+
+    def may_unpack(self, uncompressed: int, *, end: int) -> bool:
+        """Count as `unpack` does and return True; return False, uncounted, above the limit."""
+        if self.unpacked_bytes + uncompressed > _most_unpacked(end):
+            return False
+        self.unpacked_bytes += uncompressed
+        return True
+
+    def is_search_budget_spent(self, position: int) -> bool:
+        """Return whether more bytes were searched without result, up to a place in the file, than real damage explains.
+
+        Behind a chunk that turns out to be none, the search begins inside it: a file of nothing but heads of chunks
+        would be read as often as it has heads.
+        """
+        return self.wasted_bytes > _FREE_WASTED_BYTES + _WASTED_SHARE * position
+
+    def skip_chunk(self, start: int, size_bytes: int, messages: int, why: Malformed) -> None:
+        """Count a chunk that cannot be read, and whose index lists so many messages."""
+        self.note(Malformed(f"chunk at byte {start}", why.message, certain=why.certain))
+        self.chunks += 1
+        self.bytes += size_bytes
+        self.messages += messages
+
+    def note(self, damage: Malformed) -> None:
+        """Add a damaged place."""
+        if len(self.damage) < MAX_DAMAGE:
+            self.damage.append(_alone(damage))
+
+    def note_index(self, fault: Malformed) -> None:
+        """Add a fault of the index."""
+        if len(self.index_faults) < MAX_DAMAGE:
+            self.index_faults.append(_alone(fault))
+
+    def problems(self) -> list[Problem]:
+        """Return damage and index faults as problems, up to one more than a summary lists."""
+        listed = [Problem("damaged", fault.where, fault.message) for fault in self.damage[: MAX_PROBLEMS + 1]]
+        return listed + [
+            Problem("index-damaged", fault.where, fault.message) for fault in self.index_faults[: MAX_PROBLEMS + 1]
+        ]
+
+    def total(self, *, claimed: int | None, readable: int) -> Lost:
+        """Return the loss, which may be zero. `claimed`: messages that the file should hold; None: unknown."""
+        messages = self.messages if self.messages_are_known else None
+        if claimed is not None and claimed >= readable:
+            messages = claimed - readable
+        return Lost(self.bytes, self.chunks, messages)
+
+
+def _most_unpacked(end: int) -> int:
+    return FREE_UNPACKED + MAX_EXPANSION * end
+
+
+def _alone(fault: Malformed) -> Malformed:
+    """Return a copy without traceback: its frames would keep their buffers alive."""
+    return Malformed(fault.where, fault.message, certain=fault.certain)
+
+
+@dataclass
+class IndexedChunk:
+    """The messages that the index records after a chunk list, and those that were readable."""
+
+    start: int
+    readable: int
+    damaged: bool
+    records: int = 0
+    messages: int = 0
+
+    def settle(self, losses: DamageReport) -> None:
+        """Compare both, after all index records of the chunk."""
+        if not self.damaged:
+            if self.records and self.messages != self.readable:
+                message = f"its index lists {counted(self.messages, 'message')}, it holds {self.readable}"
+                losses.note_index(Malformed(f"chunk at byte {self.start}", message))
+        elif self.records:
+            losses.messages += max(0, self.messages - self.readable)
+        else:
+            losses.messages_are_known = False
+
+
+class ProblemLog:
+    """The problems of one recording: each once, up to `MAX_PROBLEMS`."""
+
+    def __init__(self) -> None:
+        self._problems: dict[tuple[str, str], Problem] = {}
+        self._left_out = 0
+        self._late_count = 0
+
+    def add(self, code: str, where: str, message: str) -> None:
+        """Add a problem, unless there is one with this code and place."""
+        if (code, where) in self._problems:
+            return
+        if len(self._problems) < MAX_PROBLEMS:
+            self._problems[code, where] = Problem(code, where, message)
+        else:
+            self._left_out += 1
+
+    def note_late(self, messages: int) -> None:
+        """Set how many messages one iteration has left out so far because they came too late to be in order."""
+        self._late_count = max(self._late_count, messages)
+
+    def all(self, known: Iterable[Problem] = ()) -> tuple[Problem, ...]:
+        """Return the `known` problems from elsewhere, then those of this log in their order."""
+        merged: dict[tuple[str, str], Problem] = {}
+        for problem in (*known, *self._problems.values()):
+            merged.setdefault((problem.code, problem.where), problem)
+        problems = list(merged.values())
+        if self._late_count:
+            late = counted(self._late_count, "message is", "messages are")
+            message = f"{late} left out: earlier than the index says, too late to be put in order"
+            problems.append(Problem("too-late", "messages", message))
+        if self._left_out:
+            message = f"{self._left_out} more problems are not listed"
+            problems.append(Problem("more-problems", "file", message))
+        return tuple(problems)

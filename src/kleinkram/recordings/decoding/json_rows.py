@@ -1,0 +1,224 @@
+"""JSON and protobuf messages as Arrow batches, whose columns are known only once the messages are read.
+
+Where the values of a JSON field disagree on their type, the column takes the most frequent one; a value that does not
+fit is null and reported. Whole numbers are int64, or uint64 if one needs it and none is negative; with fractions among
+them all are float64.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import pyarrow as pa
+
+from kleinkram.recordings.decoding.columns import TIME_COLUMNS, NoSuchField, Notice, timed_batch
+from kleinkram.recordings.decoding.decoder import Decoder
+from kleinkram.recordings.decoding.errors import DecodeError
+from kleinkram.recordings.decoding.values import to_row
+
+_INT64 = range(-(2**63), 2**63)
+_UINT64 = range(2**64)
+_SHOWN = 40
+
+
+class JsonArrays:
+    """Builds the arrays of one batch of JSON messages.
+
+    Attributes:
+        type_name: of the messages, for errors.
+        log_ns: the log time of each message.
+        notice: called with the log time of a message and what of it is null.
+    """
+
+    def __init__(self, type_name: str, log_ns: list[int], notice: Callable[[int, DecodeError], None]) -> None:
+        self._type_name = type_name
+        self._log_ns = log_ns
+        self._notice = notice
+
+    def build(self, values: list[Any]) -> Any:
+        """Return one array of all messages; never raises because of a value."""
+        return self.build_field("", values)
+
+    def build_field(self, name: str, values: list[Any]) -> Any:
+        """Return the array of one field of all messages; never raises because of a value."""
+        return self._array(name, values, list(range(len(values))))
+
+    def _array(self, name: str, values: list[Any], rows: list[int]) -> Any:
+        """Return the values of a field; `rows`: the message that each belongs to."""
+        kinds = Counter(_kind(value) for value in values if value is not None)
+        if not kinds:
+            return pa.nulls(len(values))
+        (kind, _), *others = kinds.most_common()
+        if others:
+            values = self._checked(name, kind, values, rows, lambda value: _kind(value) == kind)
+        if kind == "object":
+            return self._structs(name, values, rows)
+        if kind == "list":
+            return self._lists(name, values, rows)
+        if kind == "number":
+            return self._numbers(name, values, rows)
+        if kind == "text":
+            return pa.array(self._checked(name, "text", values, rows, _is_utf8), pa.string())
+        return pa.array(values)
+
+    def _structs(self, name: str, values: list[Any], rows: list[int]) -> Any:
+        keys = dict.fromkeys(key for value in values if value is not None for key in value)
+        parts = {
+            key: self._array(f"{name}.{key}" if name else str(key), [v and v.get(key) for v in values], rows)
+            for key in keys
+        }
+        if not parts:
+            return pa.array([None if value is None else {} for value in values], pa.struct([]))
+        names = [str(key).encode("utf-8", "replace").decode() for key in parts]
+        is_null = pa.array([value is None for value in values])
+        return pa.StructArray.from_arrays(list(parts.values()), names=names, mask=is_null)
+
+    def _lists(self, name: str, values: list[Any], rows: list[int]) -> Any:
+        offsets: list[int | None] = []
+        inside: list[Any] = []
+        inside_rows: list[int] = []
+        for value, row in zip(values, rows, strict=True):
+            offsets.append(None if value is None else len(inside))
+            inside += value or ()
+            inside_rows += [row] * len(value or ())
+        offsets.append(len(inside))
+        return pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), self._array(name, inside, inside_rows))
+
+    def _numbers(self, name: str, values: list[Any], rows: list[int]) -> Any:
+        present = [value for value in values if value is not None]
+        if any(isinstance(value, float) for value in present):
+            values = self._checked(name, "float64", values, rows, _is_float)
+            return pa.array([None if value is None else float(value) for value in values], pa.float64())
+        needs_unsigned = any(value not in _INT64 for value in present) and all(value >= 0 for value in present)
+        kind, bounds = ("uint64", _UINT64) if needs_unsigned else ("int64", _INT64)
+        values = self._checked(name, kind, values, rows, lambda value: value in bounds)
+        return pa.array(values, pa.uint64() if needs_unsigned else pa.int64())
+
+    def _checked(
+        self, name: str, kind: str, values: list[Any], rows: list[int], fits: Callable[[Any], bool]
+    ) -> list[Any]:
+        """Return the values, with None for those that do not fit, which are reported."""
+        fitting = []
+        for value, row in zip(values, rows, strict=True):
+            is_fitting = value is None or fits(value)
+            fitting.append(value if is_fitting else None)
+            if not is_fitting:
+                self._notice(self._log_ns[row], _misfit(self._type_name, name or "value", kind, value))
+        return fitting
+
+
+def joined(type_name: str, tables: Iterable[Any], notice: Callable[[int, DecodeError], None]) -> Any:
+    """Return batches as one table. A column whose type differs between batches is rebuilt from all its values."""
+    tables = list(tables)
+    for name in dict.fromkeys(name for table in tables for name in table.column_names):
+        having = [place for place, table in enumerate(tables) if name in table.column_names]
+        try:
+            pa.concat_tables([tables[place].select([name]) for place in having], promote_options="permissive")
+        except pa.ArrowException:
+            log_ns = [stamp for place in having for stamp in tables[place]["log_time_ns"].to_pylist()]
+            values = [value for place in having for value in tables[place][name].to_pylist()]
+            array = JsonArrays(type_name, log_ns, notice).build_field(name, values)
+            at = 0
+            for place in having:
+                table = tables[place]
+                column = array.slice(at, len(table))
+                tables[place] = table.set_column(table.column_names.index(name), name, column)
+                at += len(table)
+    return pa.concat_tables(tables, promote_options="permissive")
+
+
+def _misfit(type_name: str, name: str, kind: str, value: object) -> DecodeError:
+    shown = ascii(value) if not isinstance(value, int) or value.bit_length() < 256 else "a number beyond all columns"
+    return DecodeError(type_name, f"its field '{name[:100]}' is {shown[:_SHOWN]}, which a column of {kind} cannot hold")
+
+
+def _kind(value: object) -> str:
+    if isinstance(value, bool):
+        return "bool"
+    if isinstance(value, (int, float)):
+        return "number"
+    if isinstance(value, str):
+        return "text"
+    if isinstance(value, dict):
+        return "object"
+    return "list" if isinstance(value, list) else "bytes"
+
+
+def _is_float(value: float) -> bool:
+    try:
+        float(value)
+    except OverflowError:
+        return False
+    return True
+
+
+def _is_utf8(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+class JsonRows:
+    """Builds batches of JSON and protobuf messages."""
+
+    def __init__(self, decoder: Decoder, fields: Sequence[str] | None, notice: Notice) -> None:
+        self._decoder = decoder
+        self._fields = fields
+        self._notice = notice
+
+    def __call__(self, log_ns: list[int], publish_ns: list[int], data: list[bytes]) -> Any:
+        """Return the batch of some messages."""
+        values = [self._decoded(log, raw) for log, raw in zip(log_ns, data, strict=True)]
+        try:
+            array = pa.array(values)
+        except (ValueError, TypeError, OverflowError, pa.ArrowException):
+            array = JsonArrays(self._decoder.type_name, log_ns, self._notice).build(values)
+        named = _named_once(_flattened("", array))
+        if self._fields is not None:
+            self._check([name for name, _ in named] if values else list(self._fields))
+            named = [(name, part) for name, part in named if any(_below(name, field) for field in self._fields)]
+        return timed_batch(log_ns, publish_ns, [name for name, _ in named], [part for _, part in named])
+
+    def _check(self, names: list[str]) -> None:
+        for field in self._fields or ():
+            if not any(_below(name, field) for name in names):
+                raise NoSuchField(
+                    self._decoder.type_name, f"there is no field '{field}'; there are {', '.join(names[:40])}"
+                )
+
+    def _decoded(self, log_ns: int, data: bytes) -> Any:
+        try:
+            value = to_row(self._decoder.decode(data))
+        except DecodeError as error:
+            self._notice(log_ns, error)
+            return None
+        return value if isinstance(value, dict) else {"value": value}
+
+
+def _named_once(named: list[tuple[str, Any]]) -> list[tuple[str, Any]]:
+    """Put "_" behind names that are taken: {"a.b": 1, "a": {"b": 2}} has two columns."""
+    taken = set(TIME_COLUMNS)
+    unique = []
+    for name, array in named:
+        while name in taken:
+            name += "_"
+        taken.add(name)
+        unique.append((name, array))
+    return unique
+
+
+def _below(name: str, field: str) -> bool:
+    return name == field or name.startswith(f"{field}.")
+
+
+def _flattened(prefix: str, array: Any) -> list[tuple[str, Any]]:
+    if not pa.types.is_struct(array.type):
+        return [(prefix, array)] if prefix else []
+    columns: list[tuple[str, Any]] = []
+    for field, part in zip(array.type, array.flatten(), strict=True):
+        columns += _flattened(f"{prefix}.{field.name}" if prefix else field.name, part)
+    return columns

@@ -1,0 +1,370 @@
+"""ROS messages as Arrow batches: messages of one shape are read together, the others one by one.
+
+A shape says where each value lies in a message. Two messages have the same shape exactly if they have the same size
+and the same bytes wherever a length is written, and most messages of a topic do. Such messages form rows of a byte
+matrix, and the columns of the table are cut out of it without decoding any message by itself.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from kleinkram.recordings.decoding.columns import (
+    Notice,
+    TableColumn,
+    arrow_of,
+    arrow_type,
+    column_name,
+    is_bytes,
+    is_time,
+    timed_batch,
+)
+from kleinkram.recordings.decoding.decoder import Decoder
+from kleinkram.recordings.decoding.errors import DecodeError
+from kleinkram.recordings.decoding.types import Array, Primitive, Struct, Type
+from kleinkram.recordings.decoding.values import NS, Value
+from kleinkram.recordings.decoding.wire import ENCAPSULATIONS, ROS1, Wire, is_numbers
+
+_MAX_NODES = 1500
+_MAX_SHAPES = 32  # per batch and message size
+_MIN_ROWS = 16  # fewer messages are decoded one by one
+
+
+class NoShape(Exception):
+    """The message is damaged or has too many parts; decode it by itself."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number at an offset."""
+
+    offset: int
+    kind: Primitive
+
+
+@dataclass(frozen=True)
+class Text:
+    """A text of `length` bytes."""
+
+    offset: int
+    length: int
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Consecutive numbers."""
+
+    offset: int
+    count: int
+    kind: Primitive
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The elements of an array, or the fields of a type, in order."""
+
+    parts: tuple[Node, ...]
+
+
+Node = Number | Text | Numbers | Parts
+
+
+@dataclass(frozen=True)
+class Shape:
+    """The positions of the values of a message.
+
+    Attributes:
+        fixed: offsets of all bytes that determine the shape.
+        root: the fields of the message.
+    """
+
+    order: str
+    fixed: tuple[int, ...]
+    root: Parts
+
+
+def shape_of(root: Struct, data: bytes, message_encoding: str) -> Shape:
+    """Return the shape of a message.
+
+    Raises:
+        NoShape: the message is damaged or has too many parts.
+    """
+    wire = ROS1
+    if message_encoding != "ros1":
+        if len(data) < 4 or data[0] or data[1] not in ENCAPSULATIONS:
+            raise NoShape
+        wire = ENCAPSULATIONS[data[1]]
+    reader = _ShapeReader(data, wire)
+    parts = reader.fields(root)
+    if not reader.at <= len(data) <= reader.at + wire.padding:
+        raise NoShape
+    header = (0, 1) if wire.start else ()
+    fixed = (*header, *(place + step for place in reader.lengths for step in range(4)))
+    return Shape(wire.order, fixed, parts)
+
+
+class _ShapeReader:
+    def __init__(self, data: bytes, wire: Wire) -> None:
+        self._data = data
+        self._wire = wire
+        self.at = wire.start
+        self.lengths: list[int] = []
+        self._nodes = 0
+        self._count = struct.Struct(f"{wire.order}I")
+
+    def fields(self, kind: Struct) -> Parts:
+        if not kind.fields:
+            self.at += self._wire.empty_size if self.at < len(self._data) else 0
+        return Parts(tuple(self._read(field.type) for field in kind.fields))
+
+    def _read(self, kind: Type) -> Node:
+        self._nodes += 1
+        if self._nodes > _MAX_NODES:
+            raise NoShape
+        if isinstance(kind, Struct):
+            return self.fields(kind)
+        if isinstance(kind, Array):
+            return self._array(kind)
+        if kind.code:
+            self._align(kind.size)
+            self.at += kind.size
+            return Number(self.at - kind.size, kind)
+        if kind.name == "wstring":
+            raise NoShape
+        length = self._length()
+        self.at += length
+        return Text(self.at - length, max(0, length - self._wire.counts_nul))
+
+    def _array(self, kind: Array) -> Node:
+        if not is_numbers(kind) and self._wire.has_lengths:
+            self._length()
+        count = self._length() if kind.length is None else kind.length
+        if not is_numbers(kind):
+            return Parts(tuple(self._elements(kind.element, count)))
+        if not isinstance(kind.element, Primitive):
+            raise NoShape
+        if count:
+            self._align(kind.element.size)
+        self.at += count * kind.element.size
+        return Numbers(self.at - count * kind.element.size, count, kind.element)
+
+    def _elements(self, kind: Type, count: int) -> Iterator[Node]:
+        if count > _MAX_NODES:
+            raise NoShape
+        return (self._read(kind) for _ in range(count))
+
+    def _length(self) -> int:
+        self._align(4)
+        try:
+            (length,) = self._count.unpack_from(self._data, self.at)
+        except struct.error:
+            raise NoShape from None
+        self.lengths.append(self.at)
+        self.at += 4
+        return int(length)
+
+    def _align(self, size: int) -> None:
+        size = min(size, self._wire.alignment)
+        self.at += (self._wire.start - self.at) % size
+
+
+def gather(rows: Any, shape: Shape, columns: list[TableColumn]) -> list[Any]:
+    """Return an Arrow array for each column.
+
+    Args:
+        rows: uint8 [N, size of a message], all of one shape.
+        shape: of each of them.
+        columns: the columns to read.
+
+    Raises:
+        NoShape: a column cannot be read this way.
+    """
+    reader = _ColumnReader(rows, shape.order)
+    return [reader.array(_node(shape.root, column.path), column.kind) for column in columns]
+
+
+def _node(node: Node, path: tuple[int, ...]) -> Node:
+    for place in path:
+        if not isinstance(node, Parts):
+            raise NoShape
+        node = node.parts[place]
+    return node
+
+
+class _ColumnReader:
+    def __init__(self, rows: Any, order: str) -> None:
+        self._rows = rows
+        self._order = order
+
+    def array(self, node: Node, kind: Type) -> Any:
+        """Return the values of one node in all rows."""
+        if isinstance(node, Number):
+            return arrow_of(self._numbers(node.offset, 1, node.kind))
+        if isinstance(node, Text):
+            return self._texts(node)
+        if isinstance(node, Numbers) and isinstance(kind, Array):
+            return self._arrays(node, kind)
+        if isinstance(node, Parts) and is_time(kind):
+            whole, rest = node.parts
+            return arrow_of(self._integers(whole) * NS + self._integers(rest))
+        if isinstance(node, Parts) and isinstance(kind, Struct) and kind.fields:
+            inside = [self.array(part, field.type) for part, field in zip(node.parts, kind.fields, strict=True)]
+            names = [column_name(field.name, field.type) for field in kind.fields]
+            return pa.StructArray.from_arrays(inside, names=names)
+        if isinstance(node, Parts) and isinstance(kind, Array):
+            return self._lists(node, kind)
+        raise NoShape
+
+    def _numbers(self, offset: int, count: int, kind: Primitive) -> Any:
+        """Return `count` numbers per row, row after row, in native byte order."""
+        cut = np.ascontiguousarray(self._rows[:, offset : offset + count * kind.size]).reshape(-1)
+        if kind.code == "?":
+            return cut != 0
+        dtype = np.dtype(f"{self._order}{kind.code}")
+        return cut.view(dtype).astype(dtype.newbyteorder("="), copy=False)
+
+    def _integers(self, node: Node) -> Any:
+        if not isinstance(node, Number):
+            raise NoShape
+        return self._numbers(node.offset, 1, node.kind).astype(np.int64)
+
+    def _arrays(self, node: Numbers, kind: Array) -> Any:
+        values = self._numbers(node.offset, node.count, node.kind)
+        if is_bytes(kind):
+            buffers = [None, pa.py_buffer(self._offsets(node.count)), pa.py_buffer(values)]
+            return pa.Array.from_buffers(pa.binary(), len(self._rows), buffers)
+        return self._listed(arrow_of(values), node.count, kind)
+
+    def _lists(self, node: Parts, kind: Array) -> Any:
+        count, rows = len(node.parts), len(self._rows)
+        if not count:
+            return self._listed(pa.array([], arrow_type(kind.element)), 0, kind)
+        by_place = pa.concat_arrays([self.array(part, kind.element) for part in node.parts])
+        by_row = np.arange(rows * count).reshape(count, rows).T.reshape(-1)
+        return self._listed(by_place.take(arrow_of(by_row)), count, kind)
+
+    def _listed(self, values: Any, count: int, kind: Array) -> Any:
+        if kind.length is not None:
+            return (
+                pa.FixedSizeListArray.from_arrays(values, type=arrow_type(kind)) if count else _empty(self._rows, kind)
+            )
+        return pa.ListArray.from_arrays(arrow_of(self._offsets(count)), values)
+
+    def _offsets(self, length: int) -> Any:
+        return np.arange(len(self._rows) + 1, dtype=np.int32) * np.int32(length)
+
+    def _texts(self, node: Text) -> Any:
+        cut = np.ascontiguousarray(self._rows[:, node.offset : node.offset + node.length])
+        if (cut == cut[0]).all():
+            text = str(cut[0].tobytes(), "utf-8", "replace").encode()
+            return self._strings(len(text), text * len(cut))
+        if (cut < 128).all():
+            return self._strings(node.length, cut)
+        return pa.array([str(row.tobytes(), "utf-8", "replace") for row in cut], pa.string())
+
+    def _strings(self, length: int, joined: Any) -> Any:
+        """Return consecutive texts of `length` bytes each."""
+        buffers = [None, pa.py_buffer(self._offsets(length)), pa.py_buffer(joined)]
+        return pa.Array.from_buffers(pa.string(), len(self._rows), buffers)
+
+
+def _empty(rows: Any, kind: Array) -> Any:
+    return pa.array([[]] * len(rows), arrow_type(kind))
+
+
+class TypedRows:
+    """Builds batches of one ROS type: messages of one shape together, the rest one by one."""
+
+    def __init__(self, decoder: Decoder, struct: Struct, columns: list[TableColumn], notice: Notice) -> None:
+        self._decoder = decoder
+        self._struct = struct
+        self._columns = columns
+        self._notice = notice
+
+    def __call__(self, log_ns: list[int], publish_ns: list[int], data: list[bytes]) -> Any:
+        """Return the batch of some messages."""
+        groups: list[tuple[Any, list[Any]]] = []
+        single: list[int] = []
+        for places in _by_size(data):
+            left = self._shaped(places, data, groups)
+            single += left.tolist()
+        if single or not groups:
+            single.sort()
+            values = [self._decoded(log_ns[place], data[place]) for place in single]
+            groups.append((np.array(single, np.int64), [_column(column, values) for column in self._columns]))
+        if len(groups) == 1:
+            return timed_batch(log_ns, publish_ns, [c.name for c in self._columns], groups[0][1])
+        order = arrow_of(np.argsort(np.concatenate([places for places, _ in groups]), kind="stable"))
+        joined = [pa.concat_arrays([arrays[n] for _, arrays in groups]).take(order) for n in range(len(self._columns))]
+        return timed_batch(log_ns, publish_ns, [c.name for c in self._columns], joined)
+
+    def _shaped(self, places: Any, data: list[bytes], groups: list[tuple[Any, list[Any]]]) -> Any:
+        """Read messages of one size by shape; return the indices of those that are left."""
+        if len(places) < _MIN_ROWS:
+            return places
+        rows = np.frombuffer(b"".join([data[place] for place in places.tolist()]), np.uint8)
+        rows = rows.reshape(len(places), -1)
+        for _ in range(_MAX_SHAPES):
+            try:
+                shape = shape_of(self._struct, rows[0].tobytes(), self._decoder.message_encoding)
+                fixed = list(shape.fixed)
+                fits = (rows[:, fixed] == rows[0, fixed]).all(axis=1)
+                if fits.sum() < _MIN_ROWS:
+                    return places
+                is_whole = bool(fits.all())
+                groups.append((places[fits], gather(rows if is_whole else rows[fits], shape, self._columns)))
+            except NoShape:
+                return places
+            places, rows = places[~fits], rows[~fits]
+            if len(places) < _MIN_ROWS:
+                return places
+        return places
+
+    def _decoded(self, log_ns: int, data: bytes) -> Value | None:
+        try:
+            return self._decoder.decode(data)  # type: ignore[return-value]  # a type with a layout makes values
+        except DecodeError as error:
+            self._notice(log_ns, error)
+            return None
+
+
+def _by_size(data: list[bytes]) -> Iterator[Any]:
+    """Yield the indices of the messages of one size, for each size."""
+    sizes = np.fromiter(map(len, data), np.int64, len(data))
+    order = np.argsort(sizes, kind="stable")
+    ends = np.flatnonzero(np.diff(sizes[order])) + 1
+    yield from np.split(order, ends) if len(order) else ()
+
+
+def _column(column: TableColumn, values: list[Any]) -> Any:
+    """Return one column of decoded messages (None: undecodable)."""
+    for name in column.names:
+        values = [None if value is None else getattr(value, name, None) for value in values]
+    return pa.array([None if value is None else _cell(column.kind, value) for value in values], arrow_type(column.kind))
+
+
+def _cell(kind: Type, value: Any) -> Any:
+    """Return a value for Arrow; None where the definition of another release lacks the field."""
+    if value is None:
+        return None
+    if is_time(kind):
+        whole, rest = (getattr(value, name) for name in value._fields)
+        return whole * NS + rest
+    if isinstance(kind, Struct):
+        return {
+            column_name(field.name, field.type): _cell(field.type, getattr(value, field.name, None))
+            for field in kind.fields
+        }
+    if isinstance(kind, Array):
+        if is_bytes(kind):
+            return value.tobytes()
+        if hasattr(value, "dtype"):
+            return value if value.dtype.isnative else value.astype(value.dtype.newbyteorder("="))
+        return [_cell(kind.element, part) for part in value]
+    return value

@@ -1,0 +1,1 @@
+"""Formats of recordings, each behind the interface in `base`."""

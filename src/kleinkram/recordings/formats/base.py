@@ -1,0 +1,218 @@
+"""The interface of a file format: how it is recognised, and what can be read of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple, Protocol
+
+from kleinkram.recordings.chunk_reader import ChunkedFile, ChunkFormat, pieces_of
+from kleinkram.recordings.chunk_table import ChunkTable
+from kleinkram.recordings.damage_report import ProblemLog
+from kleinkram.recordings.errors import SourceError, TooCostly
+from kleinkram.recordings.index_check import IndexCheck, contradicts_itself
+from kleinkram.recordings.merge import MessagePiece
+from kleinkram.recordings.messages import Channel, Selection
+from kleinkram.recordings.model import RecordingFormat, RecordingSummary
+from kleinkram.recordings.sources import FileSource, SequentialReader, Source, SourceReader
+from kleinkram.recordings.temporary_files import TooLarge, temporary_database
+
+HEAD_BYTES = 4096
+"""Bytes at the start of a file by which it is recognised."""
+
+LONG_HEAD_BYTES = 65536
+"""Likewise of a database, whose schema is at its start."""
+
+MAX_UNASKED_BYTES = 2**30
+"""Bytes of a file without index that are read over a network unless more is allowed."""
+
+
+class Head(NamedTuple):
+    """The first bytes of a file. `path`: where it is on this machine, or None."""
+
+    data: bytes
+    path: Path | None = None
+
+
+class Summarise(Protocol):
+    """Summarises a file by reading as little as possible; `pending` if it must be read whole and is larger than
+    `most_bytes`.
+    """
+
+    def __call__(self, source: Source, /, *, most_bytes: int) -> RecordingSummary:
+        """Raise `SourceError` where bytes cannot be read, and nothing else."""
+
+
+@dataclass
+class RecordingFile:
+    """A file to be opened.
+
+    Attributes:
+        path: where it is on this machine.
+        database: where a database is that SQLite reads: the file itself, or a copy that was made to open it.
+        unpacked: what is inside, where the file is compressed as a whole.
+    """
+
+    source: Source
+    path: Path | None = None
+    database: Path | None = None
+    unpacked: RecordingFile | None = None
+
+    @property
+    def base_name(self) -> str:
+        """Its name without folder."""
+        return PurePosixPath(self.source.name).name
+
+
+@dataclass(frozen=True)
+class OpenContext:
+    """Limits for opening a file, and what is known of its recording.
+
+    Attributes:
+        stack: closes what is opened here, with the recording.
+        most_bytes: a file with more bytes is not read whole to open it; None: as `limit_of` says.
+        message_compression: of each message by itself, as metadata.yaml says.
+        logs: logs and journals of databases, by their names.
+    """
+
+    problem_log: ProblemLog
+    stack: ExitStack
+    most_bytes: int | None = None
+    message_compression: str = ""
+    logs: Mapping[str, Source] = field(default_factory=dict)
+
+    def limit_of(self, source: Source) -> int | None:
+        """Return how many bytes of a file may be read only to open it; None: all."""
+        if self.most_bytes is not None:
+            return self.most_bytes
+        return None if isinstance(source, FileSource) else MAX_UNASKED_BYTES
+
+    def copy(self, read: Callable[[int], bytes], name: str, logs: Mapping[str, Source] | None = None) -> Path:
+        """Write a file, and a database's logs by their suffixes, to temporary files until the recording is closed.
+
+        Raises:
+            SourceError: it cannot be read, or there is no room for it.
+        """
+        reads = {suffix: SourceReader(log).read for suffix, log in (logs or {}).items()}
+        try:
+            return self.stack.enter_context(temporary_database(read, reads))
+        except TooLarge as error:
+            raise SourceError(f"{name}: {error}") from error
+
+
+@dataclass(frozen=True)
+class Format:
+    """One file format.
+
+    Attributes:
+        matches: whether a file is of this format; the formats are asked in the order of the registry.
+        extensions: those that promise this format, or one that is as good.
+        description: what such a file is, for people.
+        scan: reads a whole file; None: such a file is only recognised.
+        summarise: None: a small file is scanned, a larger one only recognised.
+        open: opens its messages; None: it holds none that are read.
+        refusal: why its messages are not read.
+    """
+
+    kind: RecordingFormat
+    matches: Callable[[Head], bool]
+    description: str
+    extensions: tuple[str, ...] = ()
+    is_text: bool = False
+    scan: Callable[[SequentialReader], RecordingSummary] | None = None
+    summarise: Summarise | None = None
+    open: Callable[[RecordingFile, OpenContext], Member] | None = None
+    refusal: str = ""
+
+
+@dataclass(frozen=True)
+class MemberContents:
+    """What a file's index says; None: unknown.
+
+    Attributes:
+        channels: by their number in the file.
+        counts: messages by channel; a channel that is not among them has none.
+        start_ns: earliest log time, inclusive.
+        end_ns: latest log time, inclusive.
+    """
+
+    channels: Mapping[int, Channel]
+    counts: Mapping[int, int] | None
+    message_count: int | None
+    start_ns: int | None
+    end_ns: int | None
+
+
+class Member(Protocol):
+    """One file of a recording."""
+
+    @property
+    def contents(self) -> MemberContents:
+        """What the file's index says."""
+
+    @property
+    def summary(self) -> RecordingSummary | None:
+        """The summary, if the file was scanned to be opened."""
+
+    def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[MessagePiece]:
+        """Yield the parts that may hold selected messages, by first time."""
+
+
+class ChunkedMember:
+    """A file made of chunks.
+
+    Args of `__init__`:
+        table: its chunks.
+        summary: what is in it, if it was scanned to be opened.
+        with_index_check: whether the table comes from the file's own index, which may be wrong.
+        claimed_span: first and last time of all messages, as the statistics say.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        chunk_format: ChunkFormat,
+        table: ChunkTable,
+        contents: MemberContents,
+        problem_log: ProblemLog,
+        *,
+        summary: RecordingSummary | None = None,
+        with_index_check: bool = False,
+        claimed_span: tuple[int | None, int | None] = (None, None),
+    ) -> None:
+        check = IndexCheck(source, table, problem_log, chunk_format.read_message_index) if with_index_check else None
+        if check is not None and contradicts_itself(table, claimed_span):
+            check.doubt()
+            check.settle()
+        self._contents = contents
+        self._file = ChunkedFile(source, chunk_format, table, contents.channels, problem_log, check=check)
+        self.summary = summary
+
+    @property
+    def contents(self) -> MemberContents:
+        """What the index says; once the index turned out wrong, the span by its message indexes."""
+        check = self._file.check
+        if check is None or check.span is None:
+            return self._contents
+        return replace(self._contents, start_ns=check.span[0], end_ns=check.span[1])
+
+    def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[MessagePiece]:
+        """Yield the chunks that may hold selected messages, by first time."""
+        return pieces_of(self._file, selection, order)
+
+    def doubt_index(self) -> None:
+        """Note that the file's index is wrong."""
+        if self._file.check is not None:
+            self._file.check.doubt()
+
+
+def check_cost(source: Source, most_bytes: int | None, why: str) -> None:
+    """Check that a file may be read whole; `most_bytes` None: whatever its size.
+
+    Raises:
+        TooCostly: it has more bytes.
+    """
+    if most_bytes is not None and source.size_bytes > most_bytes:
+        raise TooCostly(source.name, source.size_bytes, why)

@@ -1,0 +1,1 @@
+"""MCAP: records, index, scan, messages, writer."""

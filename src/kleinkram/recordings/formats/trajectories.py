@@ -1,0 +1,303 @@
+"""Trajectories (TUM, KITTI, EuRoC) and tables (CSV): poses, times and path length, in one pass.
+
+TUM's stamps are seconds; many tools write milliseconds, microseconds or nanoseconds instead. The first stamp that
+is not 0 tells: the largest unit counts in which it lies before 2262, the last year that int64 nanoseconds hold.
+
+Source: TUM RGB-D file formats (`timestamp tx ty tz qx qy qz qw`, seconds and metres); KITTI odometry (the upper
+3 x 4 of a pose a line, row by row, metres); EuRoC MAV's state_groundtruth_estimate0/data.csv (nanoseconds, place,
+quaternion with w first, then 9 more columns) and vicon0/data.csv (the first 8 of them).
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from dataclasses import dataclass, field
+from decimal import Decimal
+from math import hypot, isfinite
+
+from kleinkram.recordings.formats.documents import read_lines, text_format
+from kleinkram.recordings.model import Content, Fact, Problem, RecordingFormat, RecordingSummary, counted
+from kleinkram.recordings.sources import SequentialReader
+
+_UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+_UNIT_NAMES = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
+_MAX_STAMP_DIGITS = 40
+_LATEST_NS = 2**63 - 1
+_UNIT_TOLERANCE = 0.01
+_REASONS = {
+    RecordingFormat.tum: "a trajectory (TUM), not a recording",
+    RecordingFormat.kitti: "a trajectory (KITTI), not a recording",
+}
+_COLUMNS = {RecordingFormat.tum: 8, RecordingFormat.kitti: 12}
+_PLACES_OF_KITTI = (3, 7, 11)
+
+
+@dataclass
+class Trajectory:
+    """What is known of a trajectory so far.
+
+    Attributes:
+        unit: of its stamps, a key of `_UNITS`; empty until the first one that is not 0 is read.
+    """
+
+    unit: str = ""
+    poses: int = 0
+    length_m: float = 0.0
+    bad_lines: int = 0
+    first_bad_line: int = 0
+    backward: int = 0
+    not_unit: int = 0
+    start_ns: int | None = None
+    end_ns: int | None = None
+    last_place: tuple[float, ...] = field(default=())
+    last_ns: int = -1
+
+
+def describe_trajectory(kind: RecordingFormat, reader: SequentialReader) -> RecordingSummary:
+    """Read a whole trajectory. Its times are those of its poses, as integer nanoseconds; KITTI has none.
+
+    Raises:
+        SourceError: as `SequentialReader.read`.
+    """
+    trajectory = Trajectory()
+    for number, line in enumerate(read_lines(reader), 1):
+        text = line.strip()
+        if text and not text.startswith(b"#") and not _add(trajectory, kind, text):
+            trajectory.bad_lines += 1
+            trajectory.first_bad_line = trajectory.first_bad_line or number
+    return RecordingSummary(
+        kind,
+        Content.opaque,
+        _REASONS[kind],
+        start_ns=trajectory.start_ns,
+        end_ns=trajectory.end_ns,
+        problems=(*_unit_problems(trajectory), *trajectory_problems(trajectory)),
+        facts=tuple(trajectory_facts(trajectory)),
+    )
+
+
+def trajectory_facts(trajectory: Trajectory) -> list[Fact]:
+    """Return number of poses, path length and duration."""
+    facts = [Fact("poses", trajectory.poses), Fact("path_length", round(trajectory.length_m, 3), "m")]
+    if trajectory.start_ns is not None and trajectory.end_ns is not None:
+        facts.append(Fact("duration", round((trajectory.end_ns - trajectory.start_ns) / 1e9, 6), "s"))
+    if trajectory.unit not in ("", "s"):
+        facts.append(Fact("stamp_unit", trajectory.unit))
+    return facts
+
+
+def _add(trajectory: Trajectory, kind: RecordingFormat, text: bytes) -> bool:
+    """Add a pose; return whether the line is one."""
+    cells = text.split()
+    if len(cells) != _COLUMNS[kind]:
+        return False
+    if kind is RecordingFormat.tum:
+        return add_stamped_pose(trajectory, cells)
+    try:
+        numbers = [float(cell) for cell in cells]
+    except ValueError:
+        return False
+    if not all(map(isfinite, numbers)):
+        return False
+    _add_place(trajectory, tuple(numbers[column] for column in _PLACES_OF_KITTI))
+    return True
+
+
+def add_stamped_pose(trajectory: Trajectory, cells: list[bytes]) -> bool:
+    """Add a pose of 8 cells (stamp, position, quaternion); return whether they are one."""
+    try:
+        numbers = [float(cell) for cell in cells]
+        if not trajectory.unit and numbers[0]:
+            trajectory.unit = unit_of(cells[0].decode())
+        stamp = parse_stamp(cells[0].decode(), trajectory.unit or "s")
+    except (ValueError, UnicodeDecodeError):
+        return False
+    if not all(map(isfinite, numbers)):
+        return False
+    trajectory.backward += stamp < trajectory.last_ns
+    trajectory.last_ns = stamp
+    trajectory.start_ns = stamp if trajectory.start_ns is None else min(trajectory.start_ns, stamp)
+    trajectory.end_ns = stamp if trajectory.end_ns is None else max(trajectory.end_ns, stamp)
+    trajectory.not_unit += abs(hypot(*numbers[4:]) - 1) > _UNIT_TOLERANCE
+    _add_place(trajectory, tuple(numbers[1:4]))
+    return True
+
+
+def _add_place(trajectory: Trajectory, place: tuple[float, ...]) -> None:
+    if trajectory.last_place:
+        trajectory.length_m += hypot(*(a - b for a, b in zip(place, trajectory.last_place, strict=True)))
+    trajectory.last_place = place
+    trajectory.poses += 1
+
+
+def unit_of(text: str) -> str:
+    """Return the unit of a first stamp: the largest in which int64 nanoseconds can hold it.
+
+    Raises:
+        ValueError: it is no number, or none that a clock can show in any unit.
+    """
+    for unit in _UNITS:
+        try:
+            parse_stamp(text, unit)
+        except ValueError:
+            continue
+        return unit
+    raise ValueError(text)
+
+
+def parse_stamp(text: str, unit: str = "s") -> int:
+    """Return a stamp, such as `1403638128.545096874` or `1.4e9`, as nanoseconds, without rounding by floats.
+
+    Raises:
+        ValueError: it is no number, or none that a clock can show.
+    """
+    try:
+        number = Decimal(text[:_MAX_STAMP_DIGITS] if "e" not in text.lower() else text)
+        is_usual = number.is_finite() and number.adjusted() < _MAX_STAMP_DIGITS
+        stamp = int(number * _UNITS[unit]) if is_usual else -1
+    except ArithmeticError:
+        stamp = -1
+    if not 0 <= stamp <= _LATEST_NS:
+        raise ValueError(text)
+    return stamp
+
+
+def _unit_problems(trajectory: Trajectory) -> list[Problem]:
+    if trajectory.unit in ("", "s"):
+        return []
+    message = f"the stamps are in {_UNIT_NAMES[trajectory.unit]}, where TUM has seconds; they are read as such"
+    return [Problem("stamp-unit", "file", message)]
+
+
+def trajectory_problems(trajectory: Trajectory) -> list[Problem]:
+    """Return what is wrong with a trajectory."""
+    problems: list[Problem] = []
+    if trajectory.bad_lines:
+        message = f"{counted(trajectory.bad_lines, 'line is no pose', 'lines are no poses')}"
+        problems.append(Problem("lines-damaged", f"line {trajectory.first_bad_line}", message))
+    if trajectory.backward:
+        message = f"{counted(trajectory.backward, 'pose is', 'poses are')} stamped earlier than the one before"
+        problems.append(Problem("out-of-order", "file", message))
+    if trajectory.not_unit:
+        message = f"{trajectory.not_unit} rotations are no unit quaternions"
+        problems.append(Problem("rotation-not-unit", "file", message))
+    return problems
+
+
+_MOST_NAMES = 64
+_MAX_NAME = 128
+_POSE_COLUMNS = 8
+_EUROC_COLUMNS = (8, 17)
+_STAMP = re.compile(r"time|stamp|\bt\b", re.I)
+
+
+def describe_table(reader: SequentialReader) -> RecordingSummary:
+    """Read a whole table. Its first line is a header if no cell of it is a number.
+
+    Raises:
+        SourceError: as `SequentialReader.read`.
+    """
+    names: list[str] = []
+    columns = rows = 0
+    trajectory: Trajectory | None = None
+    for number, line in enumerate(read_lines(reader), 1):
+        if not line.strip():
+            continue
+        if columns == 0:
+            # The names of EuRoC's tables are behind a comment sign.
+            cells = _cells(line.lstrip(b"#"))
+            columns = len(cells)
+            if line.startswith(b"#") or not any(map(_is_number, cells)):
+                names = cells
+                continue
+        if line.startswith(b"#"):
+            continue
+        rows += 1
+        pose = line.split(b",")[:_POSE_COLUMNS]
+        if rows == 1 and _are_poses(names, columns, pose):
+            trajectory = Trajectory(unit=_unit_in(names))
+        if trajectory is not None and not add_stamped_pose(trajectory, pose):
+            trajectory.bad_lines += 1
+            trajectory.first_bad_line = trajectory.first_bad_line or number
+    facts = [Fact("columns", columns), Fact("rows", rows)]
+    facts += [Fact("column", name[:_MAX_NAME]) for name in names[:_MOST_NAMES] if name]
+    if trajectory is None or not trajectory.poses:
+        reason = "a table (CSV), not a recording"
+        return RecordingSummary(RecordingFormat.csv, Content.opaque, reason, facts=tuple(facts))
+    return RecordingSummary(
+        RecordingFormat.csv,
+        Content.opaque,
+        "a trajectory (CSV), not a recording",
+        start_ns=trajectory.start_ns,
+        end_ns=trajectory.end_ns,
+        problems=tuple(trajectory_problems(trajectory)),
+        facts=(*trajectory_facts(trajectory), *facts),
+    )
+
+
+def _are_poses(names: list[str], columns: int, pose: list[bytes]) -> bool:
+    """Return whether a table holds poses, by its column names, or by a unit quaternion."""
+    if columns < _POSE_COLUMNS:
+        return False
+    if names:
+        return bool(_STAMP.search(names[0])) and all(map(_has, names[1:4], "xyz")) and all(map(_is_turn, names[4:8]))
+    try:
+        numbers = [float(cell) for cell in pose]
+    except ValueError:
+        return False
+    return columns in _EUROC_COLUMNS and abs(hypot(*numbers[4:]) - 1) < _UNIT_TOLERANCE
+
+
+def _has(name: str, axis: str) -> bool:
+    """Return whether a column is a position along an axis: "p_RS_R_x [m]", "tx", "position.x"."""
+    return bool(re.match(rf"(p|t|pos|position|translation|)([_.]\w+)?[_.]?{axis}\b", name, re.I))
+
+
+def _is_turn(name: str) -> bool:
+    """Return whether a column is part of a quaternion: "q_RS_w []", "qx", "orientation.x"."""
+    return bool(re.match(r"(q|quat|quaternion|rot|rotation|orientation)([_.]\w+)?[_.]?[wxyz]\b", name, re.I))
+
+
+def _unit_in(names: list[str]) -> str:
+    """Return the unit in the first column's name; empty if there is none."""
+    match = re.search(r"\[\s*(s|ms|us|ns)\s*\]", names[0]) if names else None
+    return match[1] if match else ""
+
+
+def _cells(line: bytes) -> list[str]:
+    try:
+        cells = next(csv.reader([line.decode("utf-8", "replace")]), [])
+    except csv.Error:
+        cells = line.decode("utf-8", "replace").split(",")
+    return [cell.strip() for cell in cells]
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+_NO_MESSAGES = "which holds no messages: use `klein inspect` or `kleinkram.recordings.inspect` for its"
+_TRAJECTORY_FACTS = "number of poses, path length and time span, and `numpy.loadtxt` or evo for the poses"
+TUM = text_format(
+    RecordingFormat.tum,
+    _REASONS[RecordingFormat.tum],
+    lambda reader: describe_trajectory(RecordingFormat.tum, reader),
+    f"it is a trajectory (TUM), {_NO_MESSAGES} {_TRAJECTORY_FACTS}",
+)
+KITTI = text_format(
+    RecordingFormat.kitti,
+    _REASONS[RecordingFormat.kitti],
+    lambda reader: describe_trajectory(RecordingFormat.kitti, reader),
+    f"it is a trajectory (KITTI), {_NO_MESSAGES} {_TRAJECTORY_FACTS}",
+)
+CSV = text_format(
+    RecordingFormat.csv,
+    "a table (CSV), not a recording",
+    describe_table,
+    f"it is a table (CSV), {_NO_MESSAGES} columns, rows and poses, and `pandas.read_csv` for the rows",
+)

@@ -1,0 +1,313 @@
+"""Compares the index of chunks with the messages in them.
+
+A reader that selects chunks by the times and channels of an index leaves out messages where these are wrong. A summary
+compares the index of chunks with the message indexes behind them, a scan with the messages themselves.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from operator import gt
+from typing import NamedTuple
+
+from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN, ChannelSets, ChunkTable, Int64Table, Row
+from kleinkram.recordings.damage_report import ProblemLog
+from kleinkram.recordings.merge import ReadAheadTask, read_ahead
+from kleinkram.recordings.message_counts import ROW, Batch, PlaceKind
+from kleinkram.recordings.model import Problem, counted
+from kleinkram.recordings.sources import FileSource, Source
+from kleinkram.recordings.topic_statistics import merge_similar
+
+_MAX_FAULTS = 10_000
+
+
+class ChunkClaim(NamedTuple):
+    """A chunk at [start, end), by the index or by a scan: inclusive times, channels, messages.
+
+    `channels`: number of a set; `end`, `messages`: `UNKNOWN` where the index does not say.
+    """
+
+    start: int
+    end: int
+    first_ns: int
+    last_ns: int
+    channels: int
+    messages: int
+
+
+@dataclass
+class ChunkMessages:
+    """Times and channels of the messages of one chunk."""
+
+    first_ns: int = UNKNOWN
+    last_ns: int = 0
+    messages: int = 0
+    channels: set[int] = field(default_factory=set)
+
+    def add(self, batch: Batch) -> None:
+        """Add the messages of a batch."""
+        for rows in batch.arrays.values():
+            self._add_stamps(rows[0::ROW])
+        self.channels.update(batch)
+
+    def add_index(self, channel_id: int, stamps: Sequence[int]) -> None:
+        """Add what a message index says of one channel."""
+        if stamps:
+            self._add_stamps(stamps)
+            self.channels.add(channel_id)
+
+    def _add_stamps(self, stamps: Sequence[int]) -> None:
+        if stamps:
+            first_ns, last_ns = min(stamps), max(stamps)
+            if first_ns < self.first_ns:
+                self.first_ns = first_ns
+            if last_ns > self.last_ns:
+                self.last_ns = last_ns
+            self.messages += len(stamps)
+
+
+@dataclass
+class IndexFaults:
+    """Faults of the index: one for each chunk, up to a limit."""
+
+    _by_chunk: dict[int, Problem] = field(default_factory=dict)
+
+    def note(self, start: int, message: str) -> None:
+        """Note a fault; the first one of a chunk counts."""
+        self._add(start, _fault(start, message))
+
+    def _add(self, start: int, problem: Problem) -> None:
+        if len(self._by_chunk) < _MAX_FAULTS:
+            self._by_chunk.setdefault(start, problem)
+
+    def compare(self, claim: ChunkClaim, listed: frozenset[int] | None, messages: ChunkMessages) -> None:
+        """Compare the claim of a chunk with its messages. `listed`: its channels; None: unknown."""
+        problem = fault_of_claim(claim, listed, messages)
+        if problem is not None:
+            self._add(claim.start, problem)
+
+    def problems(self) -> list[Problem]:
+        """Return the faults as problems; similar ones are merged."""
+        by_code: dict[str, list[Problem]] = defaultdict(list)
+        for _, problem in sorted(self._by_chunk.items()):
+            by_code[problem.code].append(problem)
+        return [problem for code in sorted(by_code) for problem in merge_similar(by_code[code], "chunks")]
+
+
+def fault_of_claim(claim: ChunkClaim, listed: frozenset[int] | None, messages: ChunkMessages) -> Problem | None:
+    """Return what is wrong with the claim of a chunk; None: nothing."""
+    if messages.messages and (
+        wrong := wrong_times((claim.first_ns, claim.last_ns), (messages.first_ns, messages.last_ns))
+    ):
+        return _fault(claim.start, f"the index is wrong: it says that its messages {wrong}")
+    if listed is not None and not messages.channels <= listed:
+        missing = ", ".join(map(str, sorted(messages.channels - listed)[:5]))
+        message = f"the index is wrong: it omits messages of channel {missing}"
+        return _fault(claim.start, message)
+    if claim.messages in (messages.messages, UNKNOWN):
+        return None
+    message = f"the index says that it holds {counted(claim.messages, 'message')}, it holds {messages.messages}"
+    return Problem("counts-disagree", f"chunk at byte {claim.start}", message)
+
+
+def _fault(start: int, message: str) -> Problem:
+    return Problem("index-damaged", f"chunk at byte {start}", message)
+
+
+def wrong_compression(named: str) -> str:
+    """Describe an index entry with a wrong compression."""
+    return f"the index is wrong: it says that the chunk is compressed by '{named}'"
+
+
+def wrong_times(claimed: tuple[int, int], actual: tuple[int, int]) -> str | None:
+    """Describe how claimed times, earliest and latest, differ from the actual ones; None: they are equal."""
+    if claimed == actual:
+        return None
+    parts = [
+        f"{what} {abs(stated - true) / 1e9:.9g} s {'later' if stated > true else 'earlier'}"
+        for what, stated, true in zip(("begin", "end"), claimed, actual, strict=True)
+        if stated != true
+    ]
+    return f"{' and '.join(parts)} than they do"
+
+
+def compare_with_scan(
+    claims: Int64Table[ChunkClaim],
+    actual: Int64Table[ChunkClaim],
+    sets: ChannelSets,
+    faults: IndexFaults,
+    *,
+    is_damaged: bool,
+) -> None:
+    """Compare an index with the chunks of a scan; sorts both tables.
+
+    A chunk that could not be read whole has `UNKNOWN` messages. Where a file is damaged, a chunk that only one of the
+    tables holds is no fault of the index.
+    """
+    claims.sort()
+    actual.sort()
+    at, unlisted = 0, array("Q")
+    for claim in claims:
+        while at < len(actual) and actual[at].start < claim.start:
+            unlisted.append(actual[at].start)
+            at += 1
+        if at == len(actual) or actual[at].start != claim.start:
+            if not is_damaged:
+                faults.note(claim.start, "the index is wrong: it lists a chunk that is not here")
+            continue
+        chunk = actual[at]
+        at += 1
+        if UNKNOWN not in (claim.end, chunk.end) and claim.end != chunk.end:
+            faults.note(claim.start, f"the index is wrong: it says that the chunk ends at byte {claim.end}")
+        if chunk.messages != UNKNOWN:
+            channels = set(sets.members[chunk.channels])
+            here = ChunkMessages(chunk.first_ns, chunk.last_ns, chunk.messages, channels)
+            faults.compare(claim, sets.listed(claim.channels), here)
+    unlisted.extend(actual[number].start for number in range(at, len(actual)))
+    for start in () if is_damaged else unlisted:
+        faults.note(start, "the index is wrong: it does not list this chunk")
+
+
+def new_table() -> Int64Table[ChunkClaim]:
+    """Return an empty table of chunks."""
+    return Int64Table(ChunkClaim, len(ChunkClaim._fields))
+
+
+MAX_COMPARED_NEAR = 4096
+"""Chunks of a local file that are all compared; of a file with more, so many at even distances are compared first."""
+
+MAX_COMPARED_FAR = 16
+"""Likewise over a network, where nothing seems to fit a selection."""
+
+_JOB_BYTES = 64 * 2**10
+_MOST_BYTES_AHEAD = 2**20
+
+ReadMessageIndex = Callable[[Source, Row], ChunkMessages | None]
+"""Returns what the message index behind a chunk lists; None where there is none that can be read."""
+
+
+@dataclass
+class IndexCheck:
+    """The comparison of a file's chunk index with its message indexes.
+
+    Attributes:
+        is_done: all of it was compared, or it does not come from the file.
+        is_doubted: something in it was seen to be wrong.
+        span: earliest and latest log time of all chunks; None while not all of a doubted index was compared.
+    """
+
+    source: Source
+    table: ChunkTable
+    problem_log: ProblemLog
+    read_message_index: ReadMessageIndex
+    is_done: bool = False
+    is_doubted: bool = False
+    span: tuple[int, int] | None = None
+    _is_sampled: bool = False
+
+    def doubt(self) -> None:
+        """Note that the index is wrong somewhere."""
+        self.is_doubted = True
+
+    def before_selecting(self) -> None:
+        """Compare what is cheap to compare, before chunks are selected.
+
+        Raises:
+            SourceError: as `Source.read`.
+        """
+        if isinstance(self.source, FileSource) and self.source.parallel_reads == 1:
+            self._compare_some(MAX_COMPARED_NEAR)
+        self.settle()
+
+    def when_nothing_fits(self) -> None:
+        """Compare some chunks, because none seems to fit a selection.
+
+        Raises:
+            SourceError: as `Source.read`.
+        """
+        self._compare_some(MAX_COMPARED_FAR)
+        self.settle()
+
+    def settle(self) -> None:
+        """Compare all chunks, if the index is in doubt and was not compared yet.
+
+        Raises:
+            SourceError: as `Source.read`.
+        """
+        if self.is_doubted and not self.is_done:
+            self._compare(range(len(self.table.rows)), is_all=True)
+
+    def _compare_some(self, most: int) -> None:
+        count = len(self.table.rows)
+        if self.is_done or self.is_doubted or self._is_sampled or not count:
+            return
+        step = max(1, count // most)
+        self._compare([*range(0, count, step), count - 1] if step > 1 else range(count), is_all=step == 1)
+        self._is_sampled = True
+
+    def _compare(self, numbers: Iterable[int], *, is_all: bool) -> None:
+        rows, first_ns, last_ns = self.table.rows, UNKNOWN, 0
+        for number, messages in self._read_message_indexes(numbers):
+            row = rows[number]
+            corrected = self._corrected(row, messages)
+            if corrected != row:
+                rows.replace(number, corrected)
+                self.is_doubted = True
+            if row.uncompressed_bytes and (times := _times_of(row, messages)):
+                first_ns, last_ns = min(first_ns, times[0]), max(last_ns, times[1])
+        if is_all:
+            self.is_done = True
+            self.span = (first_ns, last_ns) if self.is_doubted and first_ns <= last_ns else None
+
+    def _read_message_indexes(self, numbers: Iterable[int]) -> Iterator[tuple[int, ChunkMessages | None]]:
+        def task_of(number: int) -> ReadAheadTask[tuple[int, ChunkMessages | None]]:
+            row = self.table.rows[number]
+            return ReadAheadTask(_JOB_BYTES, lambda: (number, self.read_message_index(self.source, row)))
+
+        tasks = (task_of(number) for number in numbers)
+        workers: int = getattr(self.source, "parallel_reads", 1)
+        if workers == 1:
+            return (task.run() for task in tasks)
+        return read_ahead(tasks, workers=workers, most_bytes=_MOST_BYTES_AHEAD)
+
+    def _corrected(self, row: Row, messages: ChunkMessages | None) -> Row:
+        """Return a row extended by the times and channels of its message index; report a difference."""
+        if row.kind != PlaceKind.chunk:
+            return row
+        is_contradiction = row.first_ns > row.last_ns
+        if messages is None or not messages.messages:
+            return row._replace(first_ns=0, last_ns=UNKNOWN, channels=ANY_CHANNEL) if is_contradiction else row
+        sets = self.table.sets
+        listed = sets.listed(row.channels)
+        claim = ChunkClaim(row.start, UNKNOWN, row.first_ns, row.last_ns, row.channels, UNKNOWN)
+        fault = fault_of_claim(claim, listed, messages)
+        if fault is None:
+            return row
+        self.problem_log.add(fault.code, fault.where, fault.message)
+        first_ns, last_ns = messages.first_ns, messages.last_ns
+        if not is_contradiction:
+            first_ns, last_ns = min(first_ns, row.first_ns), max(last_ns, row.last_ns)
+        channels = ANY_CHANNEL if listed is None else sets.number(listed | messages.channels)
+        return row._replace(first_ns=first_ns, last_ns=last_ns, channels=channels)
+
+
+def _times_of(row: Row, messages: ChunkMessages | None) -> tuple[int, int] | None:
+    """Return the times of a chunk by its message index, or else by the index; None if contradictory."""
+    if messages is not None and messages.messages:
+        return messages.first_ns, messages.last_ns
+    return (row.first_ns, row.last_ns) if row.first_ns <= row.last_ns else None
+
+
+def contradicts_itself(table: ChunkTable, span: tuple[int | None, int | None]) -> bool:
+    """Return whether the times of chunks cannot be true. `span`: of all messages, by the statistics."""
+    firsts, lasts = (table.rows.column(Row._fields.index(name)) for name in ("first_ns", "last_ns"))
+    if any(map(gt, firsts, lasts)):
+        return True
+    if None in span or not firsts:
+        return False
+    sizes = table.rows.column(Row._fields.index("uncompressed_bytes"))
+    filled = [first for first, size in zip(firsts, sizes, strict=True) if size]
+    return span != (min(filled, default=span[0]), max(lasts))

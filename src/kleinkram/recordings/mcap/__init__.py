@@ -1,1 +1,0 @@
-"""MCAP: records, the index, summaries, scans, writing."""

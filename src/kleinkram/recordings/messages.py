@@ -1,0 +1,171 @@
+"""Messages, channels, topics and selections."""
+
+from __future__ import annotations
+
+import datetime
+import re
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+# Names of seconds and nanoseconds: of ROS 2, ROS 1, Foxglove's JSON, and protobuf.
+_STAMPS = (("sec", "nanosec"), ("secs", "nsecs"), ("sec", "nsec"), ("seconds", "nanos"))
+END_OF_TIME_NS = 2**64
+"""Behind every log time that a file can hold."""
+
+
+@dataclass(frozen=True)
+class Schema:
+    """A message type, as the file defines it.
+
+    Attributes:
+        encoding: how `data` is written: "ros1msg", "ros2msg", "ros2idl", "protobuf", "jsonschema"; empty: none.
+        data: the definition itself; empty where the file holds none (rosbag2 databases before Iron).
+    """
+
+    name: str
+    encoding: str
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A topic as one publisher wrote it.
+
+    Attributes:
+        message_encoding: how messages are written: "ros1", "cdr", "json", "protobuf".
+        message_compression: "zstd" where rosbag2 compressed each message by itself; already undone in what is read.
+    """
+
+    topic: str
+    message_encoding: str
+    schema: Schema
+    message_compression: str = ""
+
+
+class RawMessage(NamedTuple):
+    """An undecoded message.
+
+    Attributes:
+        log_time_ns: when it was recorded, nanoseconds of the log clock.
+        publish_time_ns: when it was sent; only MCAP keeps it, elsewhere the log time.
+        sequence: a number that its publisher gave; only MCAP keeps it, elsewhere 0.
+    """
+
+    topic: str
+    log_time_ns: int
+    publish_time_ns: int
+    sequence: int
+    data: bytes
+    channel: Channel
+
+    @property
+    def schema(self) -> Schema:
+        """The schema of its channel."""
+        return self.channel.schema
+
+
+Block = list[RawMessage]
+
+
+class Message(NamedTuple):
+    """A decoded message. Times as in `RawMessage`.
+
+    Attributes:
+        value: what `kleinkram.recordings.decoding` makes of it; the bytes where its schema cannot be decoded. Its
+            attributes are those of the message's definition, which no type checker knows.
+    """
+
+    topic: str
+    log_time_ns: int
+    publish_time_ns: int
+    sequence: int
+    value: Any  # Any: what fields it has, the file says
+    channel: Channel
+
+    @property
+    def schema(self) -> Schema:
+        """The schema of its channel."""
+        return self.channel.schema
+
+    @property
+    def stamp_ns(self) -> int | None:
+        """When it was measured, in ns: the stamp in its header, or its own; None without one."""
+        header = _field(self.value, "header")
+        for stamp in (_field(header, "stamp"), _field(self.value, "stamp"), _field(self.value, "timestamp")):
+            for seconds, nanoseconds in _STAMPS:
+                whole, rest = _field(stamp, seconds), _field(stamp, nanoseconds)
+                if isinstance(whole, int) and isinstance(rest, int):
+                    return whole * 1_000_000_000 + rest
+        return None
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of a recording, over all its files.
+
+    Attributes:
+        message_type: name of its type; of the first channel, should they differ.
+        count: messages; None where only reading all of them would tell.
+        undecodable: why its messages stay bytes; None where they can be decoded.
+    """
+
+    name: str
+    message_type: str
+    schema: Schema
+    message_encoding: str
+    count: int | None
+    undecodable: str | None
+
+
+class Selection(NamedTuple):
+    """start <= log time < end, and topics (None: all)."""
+
+    topics: frozenset[str] | None = None
+    start_ns: int = 0
+    end_ns: int = END_OF_TIME_NS
+
+
+def _field(value: object, name: str) -> object:
+    """Return a field of a decoded or JSON message; None if it has none of that name."""
+    return value.get(name) if isinstance(value, dict) else getattr(value, name, None)
+
+
+_EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.timezone.utc)
+_MICROSECOND = datetime.timedelta(microseconds=1)
+_ISO = re.compile(r"(\d{4}-\d\d-\d\d)(?:[T ](\d\d:\d\d)(?::(\d\d)(?:\.(\d{1,9}))?)?)?\s?(Z|[+-]\d\d:?\d\d)?", re.ASCII)
+
+Time = int | str | datetime.datetime
+"""Nanoseconds since 1970 (UTC), an aware datetime (pandas' too), or ISO 8601 text, which is UTC unless it says."""
+
+
+def to_ns(time: Time) -> int:
+    """Return nanoseconds since 1970.
+
+    Raises:
+        ValueError: a datetime without time zone, or a text that is no time.
+        TypeError: it is none of the kinds of `Time`.
+    """
+    if isinstance(time, str):
+        return _read(time)
+    if isinstance(time, datetime.datetime):
+        if time.tzinfo is None:
+            raise ValueError(f"{time} has no time zone; give one, such as datetime.timezone.utc")
+        beyond = int(getattr(time, "nanosecond", 0))  # pandas' own, which a datetime lacks
+        return (time - _EPOCH) // _MICROSECOND * 1000 + beyond
+    try:
+        return time.__index__()  # numpy's integers, too
+    except AttributeError:
+        raise TypeError(f"{time!r} is no time: give nanoseconds since 1970, an aware datetime, or ISO text") from None
+
+
+def _read(text: str) -> int:
+    wrong = ValueError(f"{text!r} is no time; write it like 2026-05-01T10:00:00Z")
+    if (match := _ISO.fullmatch(text.strip())) is None:
+        raise wrong
+    try:
+        day, minute, second, fraction, zone = match.groups()
+        offset = "+00:00" if zone in (None, "Z") else zone if ":" in zone else f"{zone[:3]}:{zone[3:]}"
+        at = datetime.datetime.fromisoformat(f"{day}T{minute or '00:00'}:{second or '00'}{offset}")
+    except ValueError:
+        raise wrong from None
+    return (at - _EPOCH) // _MICROSECOND * 1000 + int((fraction or "0").ljust(9, "0"))

@@ -1,0 +1,199 @@
+"""Opens the files of one recording from a path, a folder or sources."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+from kleinkram.recordings.combine_summaries import combine, combine_folder
+from kleinkram.recordings.damage_report import ProblemLog
+from kleinkram.recordings.errors import NotARecording, SeveralRecordings
+from kleinkram.recordings.formats.base import ChunkedMember, Member, OpenContext, RecordingFile
+from kleinkram.recordings.formats.documents import UNKNOWN
+from kleinkram.recordings.formats.registry import format_of
+from kleinkram.recordings.formats.rosbag2.database import LOG_SUFFIXES
+from kleinkram.recordings.formats.rosbag2.db3 import ROSBAG2_DB3
+from kleinkram.recordings.formats.rosbag2.metadata import (
+    MAX_TEXT,
+    Rosbag2Metadata,
+    compare_names,
+    parse_rosbag2_metadata,
+)
+from kleinkram.recordings.model import RecordingSummary
+from kleinkram.recordings.recording_groups import METADATA_NAME, RecordingGroup, read_folder, recording_of_metadata
+from kleinkram.recordings.sources import FileSource, Source, SourceReader
+from kleinkram.recordings.summary import scan, summarise
+
+
+@runtime_checkable
+class HasSources(Protocol):
+    """Something with the files of one recording, such as a file on a server."""
+
+    def sources(self) -> Sequence[Source]:
+        """Return the files in the order of recording, a metadata.yaml among them where there is one."""
+
+    def close(self) -> None:
+        """Release the sources; called once, when the recording is closed."""
+
+
+MAX_SCANNED_FOR_PROBLEMS = 64 * 2**20
+"""Bytes of a file that `Recording.problems` reads whole where the file's index is enough to read its messages, and not
+to say what is wrong with it."""
+
+Openable = str | os.PathLike[str] | Source | HasSources | Sequence[Source]
+
+
+@dataclass(frozen=True)
+class Opened:
+    """The opened files of a recording.
+
+    Attributes:
+        files: names of the data files, in the order of recording.
+        members: the same files.
+        summarise: returns what `klein inspect` says of the recording.
+        stack: what is to be closed with them.
+    """
+
+    name: str
+    files: tuple[str, ...]
+    members: tuple[Member, ...]
+    summarise: Callable[[], RecordingSummary]
+    stack: ExitStack
+
+
+def open_members(what: Openable, problem_log: ProblemLog, *, most_bytes: int | None = None) -> Opened:
+    """Open the files of a recording; `most_bytes` as in `Recording.open`.
+
+    Raises:
+        FileNotFoundError: there is no such file or folder.
+        NotARecording: there are no messages in it that we read.
+        SeveralRecordings: the folder holds several.
+        TooCostly: a file has no index that can be used, and more than `most_bytes`.
+        SourceError: the bytes cannot be read.
+    """
+    stack = ExitStack()  # members add to it later, too
+    with ExitStack() as on_failure:
+        on_failure.callback(stack.close)
+        name, files = _files_of(what, stack)
+        metadata = _metadata_of(files, problem_log)
+        logs = {file.source.name: file.source for file in files if file.source.name.endswith(LOG_SUFFIXES)}
+        data = [file for file in files if file.base_name != METADATA_NAME and file.source.name not in logs]
+        if not data:
+            raise NotARecording(name, _why_nothing(metadata))
+        names = tuple(file.base_name for file in data)
+        context = OpenContext(problem_log, stack, most_bytes, _message_compression(metadata), logs)
+        members = tuple(_open_file(file, context) for file in data)
+        on_failure.pop_all()
+
+    def summarise_all() -> RecordingSummary:
+        summaries = [_summary_of(file, member) for file, member in zip(data, members, strict=True)]
+        return combine(summaries, names) if metadata is None else combine_folder(metadata, names, summaries)
+
+    return Opened(name, names, members, summarise_all, stack)
+
+
+def _summary_of(file: RecordingFile, member: Member) -> RecordingSummary:
+    """Return the summary of a file, and note if its index is wrong."""
+    summary = member.summary or _summarise(file)
+    if isinstance(member, ChunkedMember) and any(problem.code == "index-damaged" for problem in summary.problems):
+        member.doubt_index()
+    return summary
+
+
+def _summarise(file: RecordingFile) -> RecordingSummary:
+    """Summarise a file as `klein inspect` does, without fetching copies again.
+
+    Raises:
+        SourceError: the bytes cannot be read.
+    """
+    inner = file.unpacked
+    if inner is not None:
+        return scan(SourceReader(inner.source, path=inner.path))
+    if file.database is not None:
+        with FileSource(file.database) as source:
+            source.name = file.base_name
+            return summarise(source, most_bytes=None)
+    if file.path is not None:
+        with FileSource(file.path) as source:
+            return summarise(source, most_bytes=MAX_SCANNED_FOR_PROBLEMS)
+    return summarise(file.source, most_bytes=MAX_SCANNED_FOR_PROBLEMS)
+
+
+def _open_file(file: RecordingFile, context: OpenContext) -> Member:
+    file_format = format_of(file.source)
+    if file_format is UNKNOWN and any(f"{file.source.name}{suffix}" in context.logs for suffix in LOG_SUFFIXES):
+        file_format = ROSBAG2_DB3  # all of its tables may be in the log
+    if file_format.open is None:
+        raise NotARecording(file.source.name, file_format.refusal)
+    return file_format.open(file, context)
+
+
+def _message_compression(metadata: Rosbag2Metadata | None) -> str:
+    return metadata.compression if metadata is not None and metadata.compression_mode == "message" else ""
+
+
+def _files_of(what: Openable, stack: ExitStack) -> tuple[str, list[RecordingFile]]:
+    if isinstance(what, str | os.PathLike):
+        path = Path(what)
+        return str(path), [RecordingFile(stack.enter_context(FileSource(member)), member) for member in _paths_of(path)]
+    if isinstance(what, HasSources):
+        stack.callback(what.close)
+        sources = [*what.sources()]
+    elif isinstance(what, Sequence):
+        sources = [*what]
+    else:
+        sources = [what]
+    return sources[0].name if sources else "nothing", [RecordingFile(source) for source in sources]
+
+
+def _paths_of(path: Path) -> list[Path]:
+    if path.is_file() and path.name == METADATA_NAME:
+        own = recording_of_metadata(path)
+        if own is None:
+            return [path]
+        return _paths_in(path.parent, own[1])
+    if not path.is_dir():
+        if not path.exists():
+            raise FileNotFoundError(f"{path}: there is no such file or folder")
+        return [path]
+    groups = read_folder(path).groups
+    if not groups:
+        raise NotARecording(str(path), _why_nothing(None))
+    if len(groups) > 1:
+        raise SeveralRecordings(str(path), [str(path / group.name) for group in groups])
+    return _paths_in(path, groups[0])
+
+
+def _paths_in(folder: Path, group: RecordingGroup) -> list[Path]:
+    metadata = [group.metadata_path] if group.metadata_path else []
+    return [folder / name for name in [*metadata, *group.members]]
+
+
+def _why_nothing(metadata: Rosbag2Metadata | None) -> str:
+    if metadata is None or not metadata.files:
+        return "there is no recording in it"
+    return combine_folder(metadata, (), ()).reason or ""
+
+
+def _metadata_of(files: Iterable[RecordingFile], problem_log: ProblemLog) -> Rosbag2Metadata | None:
+    """Read the metadata.yaml among the files, and compare its file names."""
+    names = {file.base_name for file in files}
+    for file in files:
+        if file.base_name != METADATA_NAME:
+            continue
+        source = file.source
+        text = source.read(0, min(source.size_bytes, MAX_TEXT)).decode("utf-8", "replace")
+        metadata = parse_rosbag2_metadata(text) if source.size_bytes <= MAX_TEXT else None
+        if metadata is not None and metadata.is_other:
+            return None
+        if metadata is None:
+            problem_log.add("metadata-damaged", source.name, "it is not the metadata of a rosbag2 recording")
+            return None
+        for problem in compare_names(metadata, names - {METADATA_NAME}):
+            problem_log.add(problem.code, problem.where, problem.message)
+        return metadata
+    return None

@@ -1,1 +1,0 @@
-"""Files beside recordings: trajectories, tables, documents, flight logs. Recognised, and asked for what is cheap."""

@@ -1,0 +1,325 @@
+"""`Recording`: the messages of one recording, by log time, wherever its files are.
+
+Memory stays below about 200 MB whatever the size of the files. A recording may be read as often as one likes; each
+iteration is by itself. Not to be shared between threads.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Sequence
+from fnmatch import fnmatchcase
+from html import escape
+from os import PathLike
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from kleinkram.recordings.chunk_reader import MAX_MESSAGE
+from kleinkram.recordings.compression import unpack_message
+from kleinkram.recordings.damage_report import ProblemLog
+from kleinkram.recordings.decoded_messages import DecodeProblemLogger, decode_blocks, decoder_of, list_topics, timed
+from kleinkram.recordings.decoding import Decoder, Undecodable, arrow_batches, to_arrow, to_pandas
+from kleinkram.recordings.errors import Malformed, NoSuchTopic, NotARecording, SeveralRecordings, SourceError, TooCostly
+from kleinkram.recordings.formats.base import Member
+from kleinkram.recordings.merge import TooDisordered, merge
+from kleinkram.recordings.messages import (
+    END_OF_TIME_NS,
+    Block,
+    Channel,
+    Message,
+    RawMessage,
+    Schema,
+    Selection,
+    Time,
+    Topic,
+    to_ns,
+)
+from kleinkram.recordings.model import Problem
+from kleinkram.recordings.opener import Openable, Opened, open_members
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow as pa
+
+__all__ = [
+    "Channel",
+    "Message",
+    "NoSuchTopic",
+    "NotARecording",
+    "RawMessage",
+    "Recording",
+    "Schema",
+    "SeveralRecordings",
+    "TooCostly",
+    "TooDisordered",
+    "Topic",
+]
+
+Topics = str | Sequence[str]
+"""Names of topics, or globs of them (`*`, `?`)."""
+
+
+class Recording:
+    """The files of one recording, opened for reading. Close it, or use it in a `with`.
+
+    Attributes:
+        name: of the file or folder.
+        files: names of the data files, in the order of recording.
+        topics: by name.
+        message_count: None where only reading all of them would tell.
+    """
+
+    def __init__(self, opened: Opened, problem_log: ProblemLog) -> None:
+        self.name, self.files = opened.name, opened.files
+        self._members = opened.members
+        self._stack = opened.stack
+        self._summarise = opened.summarise
+        self._of_summary: tuple[Problem, ...] | None = None
+        self._is_closed = False
+        self._opened_from: tuple[Openable, int | None] | None = None
+        self._problem_log = problem_log
+        contents = [member.contents for member in opened.members]
+        counts = [content.message_count for content in contents]
+        self.topics: tuple[Topic, ...] = list_topics(contents)
+        self.message_count = None if None in counts else sum(count for count in counts if count is not None)
+
+    @classmethod
+    def open(cls, what: Openable, *, most_bytes: int | None = None) -> Recording:
+        """Open a file, a rosbag2 folder or its metadata.yaml, one or several sources, or an object with `sources()`.
+
+        Reads the index only. A file without index, or with one that cannot be believed, is read once from end to end;
+        what is broken in it is left out and named in `problems`. A db3, and a file that is compressed as a whole, is
+        copied to this machine if it is not a plain local file.
+
+        Args:
+            what: the recording.
+            most_bytes: a file with more bytes than this is not read whole; None: a local file is, whatever its size,
+                and any other up to `MAX_UNASKED_BYTES` (1 GiB).
+
+        Raises:
+            TooCostly: a file would have to be read whole, and has more bytes than are allowed.
+            FileNotFoundError: there is no such file or folder.
+            NotARecording: it holds no messages that we read.
+            SeveralRecordings: the folder holds several.
+            SourceError: the bytes cannot be read.
+        """
+        problem_log = ProblemLog()
+        opened = open_members(what, problem_log, most_bytes=most_bytes)
+        recording = cls(opened, problem_log)
+        recording._opened_from = (Path(what).absolute() if isinstance(what, str | PathLike) else what, most_bytes)
+        return recording
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle the path or sources; unpickling opens them again.
+
+        Raises:
+            TypeError: it was not made by `open`.
+        """
+        if self._opened_from is None:
+            raise TypeError("a recording that was not made by Recording.open cannot be pickled")
+        return _open_again, self._opened_from
+
+    def _repr_html_(self) -> str:
+        """Return its topics as a table, for notebooks."""
+        cells = [(topic.name, topic.message_type, "" if topic.count is None else topic.count) for topic in self.topics]
+        rows = "".join(f"<tr>{''.join(f'<td>{escape(str(cell))}</td>' for cell in row)}</tr>" for row in cells)
+        heading = "<tr><th>topic</th><th>type</th><th>messages</th></tr>"
+        return f"<table><caption>{escape(self.name)}</caption>{heading}{rows}</table>"
+
+    @property
+    def start_ns(self) -> int | None:
+        """Earliest log time by the index, inclusive; None without messages."""
+        starts = (member.contents.start_ns for member in self._members)
+        return min((start_ns for start_ns in starts if start_ns is not None), default=None)
+
+    @property
+    def end_ns(self) -> int | None:
+        """Latest log time by the index, inclusive; None without messages."""
+        ends = (member.contents.end_ns for member in self._members)
+        return max((end_ns for end_ns in ends if end_ns is not None), default=None)
+
+    @property
+    def problems(self) -> tuple[Problem, ...]:
+        """All problems that `klein inspect` reports, and those met while messages were read.
+
+        The first time, this reads what a summary reads and reading messages does not: message indexes of an MCAP,
+        index data of a bag, all rows of a database. Once closed, a recording that was not opened by path names only
+        what is known by then.
+
+        Raises:
+            SourceError: the bytes cannot be read.
+        """
+        if self._of_summary is None:
+            try:
+                self._of_summary = self._summarise().problems
+            except SourceError:
+                if not self._is_closed:
+                    raise
+        return self._problem_log.all(self._of_summary or ())
+
+    def raw_messages(
+        self, topics: Topics | None = None, *, start: Time | None = None, end: Time | None = None
+    ) -> Iterator[RawMessage]:
+        """Yield messages as bytes, in the order of log time; of equal times, in the order of the files.
+
+        Args:
+            topics: names or globs; None: all.
+            start: earliest log time, inclusive: nanoseconds, an aware datetime, or ISO text such as 2026-05-01T10:00Z.
+            end: latest log time, exclusive.
+
+        Raises:
+            NoSuchTopic: a name that is no glob is not among the topics.
+            TooDisordered: too many parts overlap in time to be put in order in bounded memory.
+            SourceError: the bytes cannot be read. The content of a file never raises.
+        """
+        blocks = self._blocks(self._select(topics, start, end))
+        return (message for block in blocks for message in block)
+
+    def messages(
+        self, topics: Topics | None = None, *, start: Time | None = None, end: Time | None = None
+    ) -> Iterator[Message]:
+        """Yield decoded messages; arguments, order and errors are those of `raw_messages`.
+
+        A message whose schema cannot be decoded has its bytes as value (the topic's `undecodable` says why); so has
+        one that does not fit its schema, which is then named in `problems`.
+        """
+        return decode_blocks(self._blocks(self._select(topics, start, end)), self._problem_log)
+
+    def to_arrow(
+        self,
+        topic: str,
+        fields: Sequence[str] | None = None,
+        *,
+        start: Time | None = None,
+        end: Time | None = None,
+    ) -> pa.Table:
+        """Return the messages of one topic as an Arrow table, one row each, in the order of log time.
+
+        Args:
+            topic: its name.
+            fields: dotted names, each with all that lies below it, such as "linear_acceleration.x"; None: all.
+            start: earliest log time, inclusive.
+            end: latest log time, exclusive.
+
+        Returns:
+            `log_time_ns` and `publish_time_ns` (int64, nanoseconds of the log clock), then a column a field, in the
+            units of the message type. Without a schema that can be decoded: one column `data`.
+
+        Raises:
+            NoSuchTopic: there is none of that name.
+            NoSuchField: a name that fits no column.
+            ReadingExtraMissing: the extra `reading` is not installed.
+            SourceError: the bytes cannot be read.
+        """
+        decoder, messages = self._of_topic(topic, start, end)
+        return to_arrow(decoder, messages, fields=fields, notice=DecodeProblemLogger(topic, self._problem_log))
+
+    def to_pandas(
+        self,
+        topic: str,
+        fields: Sequence[str] | None = None,
+        *,
+        start: Time | None = None,
+        end: Time | None = None,
+    ) -> pd.DataFrame:
+        """Return what `to_arrow` returns, as a pandas frame with the log times (UTC, to the ns) as its index."""
+        decoder, messages = self._of_topic(topic, start, end)
+        frame = to_pandas(decoder, messages, fields=fields, notice=DecodeProblemLogger(topic, self._problem_log))
+        import pandas  # is there: `to_pandas` has just used it
+
+        frame.index = pandas.DatetimeIndex(
+            pandas.to_datetime(frame["log_time_ns"], unit="ns", utc=True), name="log_time"
+        )
+        return frame
+
+    def batches(
+        self,
+        topic: str,
+        fields: Sequence[str] | None = None,
+        *,
+        start: Time | None = None,
+        end: Time | None = None,
+    ) -> Iterator[pa.RecordBatch]:
+        """Yield the rows of `to_arrow` in batches, for topics that are larger than the memory."""
+        decoder, messages = self._of_topic(topic, start, end)
+        return arrow_batches(decoder, messages, fields=fields, notice=DecodeProblemLogger(topic, self._problem_log))
+
+    def topic(self, name: str) -> Topic:
+        """Return the topic of this name.
+
+        Raises:
+            NoSuchTopic: there is none.
+        """
+        for topic in self.topics:
+            if topic.name == name:
+                return topic
+        raise NoSuchTopic(name, [topic.name for topic in self.topics])
+
+    def close(self) -> None:
+        """Close the files that were opened by path; a second call does nothing."""
+        self._is_closed = True
+        self._stack.close()
+
+    def __enter__(self) -> Recording:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _of_topic(
+        self, name: str, start: Time | None, end: Time | None
+    ) -> tuple[Decoder | Undecodable, Iterator[tuple[int, int, bytes]]]:
+        topic = self.topic(name)
+        schema = topic.schema
+        selection = Selection(frozenset((name,)), *_span(start, end))
+        decoder = decoder_of(topic.message_encoding, schema)
+        return decoder, timed(self._blocks(selection), schema, topic.message_encoding, self._problem_log)
+
+    def _select(self, topics: Topics | None, start: Time | None, end: Time | None) -> Selection:
+        if topics is None:
+            return Selection(None, *_span(start, end))
+        names = [topic.name for topic in self.topics]
+        selected: set[str] = set()
+        for pattern in [topics] if isinstance(topics, str) else topics:
+            is_glob = pattern not in names and any(sign in pattern for sign in "*?[")
+            hits = [name for name in names if (fnmatchcase(name, pattern) if is_glob else name == pattern)]
+            if not hits and not is_glob:
+                raise NoSuchTopic(pattern, names)
+            selected.update(hits)
+        return Selection(frozenset(selected), *_span(start, end))
+
+    def _blocks(self, selection: Selection) -> Iterator[Block]:
+        """Yield the messages as lists that follow each other in time."""
+        pieces = [member.pieces(selection, (number,)) for number, member in enumerate(self._members)]
+        blocks = merge(heapq.merge(*pieces, key=lambda piece: piece.first_ns), self._problem_log.note_late)
+        if any(channel.message_compression for member in self._members for channel in _channels(member)):
+            return (self._uncompressed(block) for block in blocks)
+        return blocks
+
+    def _uncompressed(self, block: Block) -> Block:
+        """Decompress single messages; a damaged one is left out and reported."""
+        return [unpacked for message in block if (unpacked := self._unpack(message)) is not None]
+
+    def _unpack(self, message: RawMessage) -> RawMessage | None:
+        if not message.channel.message_compression:
+            return message
+        try:
+            return message._replace(data=unpack_message(message.data, MAX_MESSAGE))
+        except Malformed as error:
+            self._problem_log.add("damaged-message", message.topic, f"left out: {error.message}")
+            return None
+
+
+def _open_again(what: Openable, most_bytes: int | None) -> Recording:
+    return Recording.open(what, most_bytes=most_bytes)
+
+
+def _span(start: Time | None, end: Time | None) -> tuple[int, int]:
+    return (0 if start is None else to_ns(start)), (END_OF_TIME_NS if end is None else to_ns(end))
+
+
+def _channels(member: Member) -> list[Channel]:
+    return list(member.contents.channels.values())

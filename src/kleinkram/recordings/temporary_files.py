@@ -1,0 +1,142 @@
+"""Temporary copies of remote or decompressed files: bounded in size, and always removed.
+
+SQLite reads any page at any time, so a database that comes over a network or out of a decompressor is written to a
+temporary file first. The file is locked while it is used; whatever a killed reader left behind is removed by the next.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from kleinkram.recordings.errors import RecordingError, SourceError
+from kleinkram.recordings.limits import WINDOW
+from kleinkram.recordings.sources import SequentialReader
+
+MAX_SPOOL_BYTES = 64 * 2**30
+"""Bytes of one database that are written to a temporary file."""
+
+MIN_FREE_DISK_BYTES = 2**30
+"""Bytes of the disk that a temporary file leaves to others."""
+
+_PREFIX = "kleinkram-spool-"
+_NEW_S = 60
+
+
+class TooLarge(RecordingError):
+    """A copy does not fit into the temporary folder. Internal to `recordings`."""
+
+
+@contextmanager
+def database_file(reader: SequentialReader, *, most_bytes: int = MAX_SPOOL_BYTES) -> Iterator[Path]:
+    """Yield the path of a database: its own if it is local, else that of a temporary copy.
+
+    Raises:
+        TooLarge: it has more than `most_bytes`, or the disk has too little space for it.
+        SourceError: it cannot be read, or the copy cannot be written.
+    """
+    if reader.path is not None:
+        yield reader.path
+        return
+    if reader.size_bytes > most_bytes:
+        raise _too_large(most_bytes, most_bytes)
+    with temporary_copy(reader.read, most_bytes=most_bytes) as path:
+        yield path
+
+
+@contextmanager
+def temporary_database(
+    read: Callable[[int], bytes], logs: Mapping[str, Callable[[int], bytes]], *, most_bytes: int = MAX_SPOOL_BYTES
+) -> Iterator[Path]:
+    """Write a database and, by their suffixes, its log and journal to temporary files; yield the database's path.
+
+    Raises:
+        TooLarge: one has more than `most_bytes`, or the disk has too little space for it.
+        SourceError: one cannot be read, or the copy cannot be written.
+    """
+    with ExitStack() as stack:
+        path = stack.enter_context(temporary_copy(read, most_bytes=most_bytes))
+        for suffix, read_log in logs.items():
+            stack.enter_context(temporary_copy(read_log, most_bytes=most_bytes, beside=(path, suffix)))
+        yield path
+
+
+@contextmanager
+def temporary_copy(
+    read: Callable[[int], bytes], *, most_bytes: int = MAX_SPOOL_BYTES, beside: tuple[Path, str] | None = None
+) -> Iterator[Path]:
+    """Write what `read` returns to a temporary file, which is removed afterwards.
+
+    `beside`: the path of another one, and what is appended to it.
+
+    Raises:
+        TooLarge: it has more than `most_bytes`, or the disk has too little space for it.
+        SourceError: it cannot be read, or the copy cannot be written.
+    """
+    folder = Path(tempfile.gettempdir())
+    _sweep(folder)
+    if beside is None:
+        descriptor, name = tempfile.mkstemp(prefix=_PREFIX, dir=folder)
+    else:
+        name = f"{beside[0]}{beside[1]}"
+        descriptor = os.open(name, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+    path = Path(name)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        # SQLite writes what is in a log into the database as well.
+        _fill(descriptor, read, folder, most_bytes, copies=1 if beside is None else 2)
+        yield path
+    finally:
+        path.unlink(missing_ok=True)
+        os.close(descriptor)
+
+
+def _fill(descriptor: int, read: Callable[[int], bytes], folder: Path, most_bytes: int, *, copies: int) -> None:
+    free = (shutil.disk_usage(folder).free - MIN_FREE_DISK_BYTES) // copies
+    left = min(most_bytes, free)
+    while data := read(WINDOW):
+        left -= len(data)
+        if left < 0:
+            raise _too_large(most_bytes, free)
+        try:
+            with memoryview(data) as rest:
+                written = 0
+                while written < len(rest):
+                    written += os.write(descriptor, rest[written:])
+        except OSError as error:
+            raise SourceError(f"{folder}: a temporary copy cannot be written: {error.strerror}") from error
+
+
+def _too_large(most_bytes: int, free: int) -> TooLarge:
+    if free < most_bytes:
+        return TooLarge(
+            f"it must be copied to {tempfile.gettempdir()} to be read, where {max(0, free)} bytes may be used; "
+            "free some space, or set TMPDIR to a larger disk"
+        )
+    return TooLarge(f"a copy of it would have more than {most_bytes} bytes; fetch the file and inspect it locally")
+
+
+def _sweep(folder: Path) -> None:
+    """Remove copies of dead readers: those without a lock.
+
+    One that was made just now may not be locked yet.
+    """
+    for path in folder.glob(f"{_PREFIX}*"):
+        try:
+            descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
+        except OSError:
+            continue  # gone by now, or somebody else's
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.fstat(descriptor).st_mtime < time.time() - _NEW_S:
+                path.unlink(missing_ok=True)
+        except OSError:
+            continue  # in use
+        finally:
+            os.close(descriptor)

@@ -1,0 +1,331 @@
+"""One run from its assignment to its end, in a thread of its own.
+
+Each step is recorded before it is done, and may be repeated: after a kill the next runner continues where this one was.
+"""
+
+import contextlib
+import logging
+import math
+import threading
+from collections.abc import Callable
+
+from kleinkram.contract.errors import KleinkramError, RunGone
+from kleinkram.contract.runners import Heartbeat, HeartbeatReply, LeaseStatus, RunAssignment, RunFinish
+from kleinkram.contract.runs import EndReason, RunState, UsageSample
+from kleinkram.runner.artifact_upload import ResultUpload
+from kleinkram.runner.cancellation import Lease, StopRequest, StopRequested, StopSignal
+from kleinkram.runner.context import RunnerContext, job_of
+from kleinkram.runner.executors.base import CannotStart, Ending, Job, wait_for_end
+from kleinkram.runner.executors.limits import CANCELLED, boot_time_s
+from kleinkram.runner.files import DISK_FULL_ERRORS, remove_tree
+from kleinkram.runner.inputs import Preparation
+from kleinkram.runner.logs import LogUpload, Redactor
+from kleinkram.runner.results import ProgressReader
+from kleinkram.runner.state_directory import Attempt, RecordedEnding, Stage
+
+_log = logging.getLogger("kleinkram.runner")
+_CHECK_EVERY_S = 0.5
+_SAMPLE_EVERY_S = 5.0
+_MAX_SAMPLES = 100
+# A run that crashes its machine each time is not started for ever.
+_MAX_STARTS = 3
+_CANCEL_EVERY_S = 1.0
+_STATES = {
+    Stage.preparing: RunState.preparing,
+    Stage.running: RunState.running,
+    Stage.collecting: RunState.collecting,
+}
+
+
+class ActiveRun:
+    """A run that this runner has. Thread-safe, except for `start`.
+
+    `is_new`: this process received the assignment; otherwise the run is an earlier runner's, and nothing of it is
+    started before the server has confirmed its lease.
+    """
+
+    def __init__(
+        self,
+        context: RunnerContext,
+        attempt: Attempt,
+        lease: Lease,
+        *,
+        is_new: bool,
+        on_end: Callable[["ActiveRun"], None],
+    ) -> None:
+        self.stop = StopSignal()
+        self.lease = lease
+        self._context = context
+        self._executor = context.executor
+        self._attempt = attempt
+        self._on_end = on_end
+        self._state = _STATES[attempt.state.stage]
+        self._is_confirmed = threading.Event()
+        if is_new:
+            self._is_confirmed.set()
+        self._is_submitted = attempt.state.stage is Stage.running
+        self._samples: list[UsageSample] = []
+        self._usage = attempt.state.usage
+        self._progress = ProgressReader(attempt.directory / "out")
+        assignment = attempt.state.assignment
+        self._redactor = Redactor([token for token in (context.token, assignment.token) if token])
+        self._log = LogUpload(
+            context.executor, context.runners, context.store, assignment, attempt.directory, self._redactor
+        )
+        self._cancelled_at_s = -math.inf
+        self._is_cancel_failing = False
+        self._upload: ResultUpload | None = None
+        self._thread = threading.Thread(target=self._run, name=f"run {attempt.key[:8]}", daemon=True)
+
+    @property
+    def assignment(self) -> RunAssignment:
+        """What the server assigned."""
+        return self._attempt.state.assignment
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def join(self, timeout_s: float) -> None:
+        """Wait for the end of the thread."""
+        self._thread.join(timeout_s)
+
+    def heartbeat(self) -> Heartbeat:
+        """Return the next heartbeat."""
+        return Heartbeat(
+            run_id=self.assignment.run_id,
+            attempt=self.assignment.attempt,
+            state=self._state,
+            progress=self._upload.progress if self._upload else self._progress.progress,
+            image_digest=self._attempt.state.image_digest,
+            usage=self._usage,
+            samples=self._samples[:_MAX_SAMPLES],
+        )
+
+    def on_reply(self, heartbeat: Heartbeat, reply: HeartbeatReply, *, requested_s: float, lease_s: float) -> None:
+        """Process the reply to a heartbeat that was sent at `requested_s`."""
+        if reply.status is LeaseStatus.lost:
+            self.stop.send(StopRequest.abandon)
+            return
+        self.lease.renew(requested_s, lease_s)
+        # A job that has not been submitted, or has ended, has none; should the disk be broken, the job ends early.
+        with contextlib.suppress(OSError):
+            self._executor.set_lease(self._job(), self.lease.until_s)
+        del self._samples[: len(heartbeat.samples)]
+        self._is_confirmed.set()
+        if reply.status is LeaseStatus.cancel:
+            self.stop.send(StopRequest.cancel)
+
+    def enforce(self) -> None:
+        """Enforce the lease and pending stop requests; called regularly."""
+        if self._state is not RunState.collecting and self.lease.is_over():
+            if self.stop.request is not StopRequest.abandon:
+                _log.warning("the run %s is stopped: its lease could not be renewed", self.assignment.run_id)
+            self.stop.send(StopRequest.abandon)
+        if not self.stop.is_pending():
+            return
+        if self._upload is not None:
+            self._upload.interrupt()
+            return
+        is_due = boot_time_s() - self._cancelled_at_s > _CANCEL_EVERY_S
+        if self.stop.request is not StopRequest.detach and self._is_submitted and is_due:
+            self._cancelled_at_s = boot_time_s()
+            self._cancel()
+
+    def _cancel(self) -> None:
+        try:
+            self._executor.cancel(self._job())
+            self._is_cancel_failing = False
+        except OSError as error:
+            if not self._is_cancel_failing:
+                _log.warning("the run %s cannot be stopped yet; trying again: %s", self.assignment.run_id, error)
+            self._is_cancel_failing = True
+
+    def kill(self) -> None:
+        """Kill the job, once the thread has ended; the next runner starts the run again."""
+        self._executor.remove(self._job())
+
+    def _job(self) -> Job:
+        return job_of(self._context, self._attempt)
+
+    def _run(self) -> None:
+        is_detached = False
+        try:
+            self._run_unless_disk_full()
+        except StopRequested as stopped:
+            is_detached = stopped.request is StopRequest.detach
+            if not is_detached:
+                _log.info("the run %s is not this runner's any more", self.assignment.run_id)
+        except RunGone:
+            _log.info("the run %s is not this runner's any more", self.assignment.run_id)
+        except (KleinkramError, OSError):
+            # Its lease ends, and the server decides what happens.
+            _log.exception("the run %s is given up", self.assignment.run_id)
+        finally:
+            if not is_detached:
+                self._clean_up()
+
+    def _run_unless_disk_full(self) -> None:
+        try:
+            if self._attempt.state.stage is not Stage.collecting:
+                ending = self._run_job()
+                recorded = RecordedEnding(reason=ending.reason, message=ending.message, exit_code=ending.exit_code)
+                self._attempt.change(stage=Stage.collecting, ending=recorded, usage=self._usage)
+            self._upload_results()
+        except OSError as error:
+            if error.errno not in DISK_FULL_ERRORS:
+                raise
+            _log.error("the run %s is ended, as the disk is full: %s", self.assignment.run_id, error)
+            self._report_disk_full()
+
+    def _run_job(self) -> Ending:
+        try:
+            ending = self._find_job()
+            if ending is not None:
+                return ending
+            if not self._is_submitted:
+                self._prepare_and_submit()
+            return self._watch()
+        except CannotStart as error:
+            # Whatever was starting may have been killed for a stop request.
+            self._check_stop()
+            return error.ending
+        except StopRequested as stopped:
+            if stopped.request is not StopRequest.cancel:
+                raise
+            self.stop.acknowledge()
+            return _cancelled()
+
+    def _find_job(self) -> Ending | None:
+        """Look for a job that an earlier runner submitted, or was about to; return its ending, if it has ended."""
+        if not self._is_submitted:
+            return None
+        ending = self._executor.poll(self._job())
+        if ending is not None and ending.reason is EndReason.lost and self._attempt.state.starts < _MAX_STARTS:
+            self._is_submitted = False
+            return None
+        return ending
+
+    def _prepare_and_submit(self) -> None:
+        while not self._is_confirmed.is_set():
+            self.stop.wait(0.05)
+        self._set_state(RunState.preparing)
+        self._attempt.change(stage=Stage.preparing)
+        self._executor.remove(self._job())
+        self._attempt.clear()
+        context = self._context
+        preparation = Preparation(
+            self._executor,
+            context.runners,
+            context.store,
+            context.service,
+            default_image=context.default_image,
+            assignment=self.assignment,
+            stop=self.stop,
+        )
+        prepared = preparation.prepare(self._attempt.directory / "in")
+        self._attempt.change(
+            stage=Stage.running,
+            starts=self._attempt.state.starts + 1,
+            started_s=boot_time_s(),
+            image=prepared.image.reference if prepared.image else None,
+            image_digest=prepared.image.digest if prepared.image else None,
+            store_url=prepared.store_url,
+        )
+        self.stop.check()
+        if self.lease.is_over():
+            raise StopRequested(StopRequest.abandon)
+        job = self._job()
+        self._executor.set_lease(job, self.lease.until_s, create=True)
+        self._executor.submit(job)
+        self._is_submitted = True
+        self._attempt.change(started_s=boot_time_s())
+
+    def _watch(self) -> Ending:
+        self._set_state(RunState.running)
+        job = self._job()
+        self._log.start(job)
+        sampled_s = -math.inf
+        while (ending := wait_for_end(self._executor, job, _CHECK_EVERY_S)) is None:
+            self._check_stop()
+            self._progress.read()
+            if boot_time_s() - sampled_s >= _SAMPLE_EVERY_S:
+                sampled_s = boot_time_s()
+                self._add_sample()
+        self._check_stop()
+        self._add_sample()
+        self._progress.read()
+        if self.stop.request is StopRequest.cancel:
+            self.stop.acknowledge()
+            return _cancelled(ending.exit_code)
+        return ending
+
+    def _check_stop(self) -> None:
+        """Raise on a stop request; a cancelled job ends by itself."""
+        if self.stop.request is not StopRequest.cancel:
+            self.stop.check()
+
+    def _add_sample(self) -> None:
+        usage = self._executor.usage(self._job())
+        if usage is not None:
+            self._usage = usage
+            if len(self._samples) < _MAX_SAMPLES:
+                at_s = max(0.0, boot_time_s() - self._attempt.state.started_s)
+                self._samples.append(UsageSample(at_s=round(at_s, 3), usage=usage))
+
+    def _upload_results(self) -> None:
+        self._set_state(RunState.collecting)
+        self._log.finish()
+        recorded = self._attempt.state.ending
+        ending = recorded.ending() if recorded else Ending(EndReason.lost, "How it ended was not recorded.")
+        self._upload = upload = self._result_upload()
+        try:
+            self._report(upload, upload.upload(ending))
+        except StopRequested as stopped:
+            if stopped.request is not StopRequest.cancel:
+                raise
+            self.stop.acknowledge()
+            self._report(upload, upload.without_results(_cancelled(ending.exit_code)))
+
+    def _result_upload(self) -> ResultUpload:
+        return ResultUpload(
+            self._context,
+            self._job(),
+            self.assignment,
+            stop=self.stop,
+            redactor=self._redactor,
+            progress=self._progress.progress,
+        )
+
+    def _report_disk_full(self) -> None:
+        """Report the end: given up, the run would be started again, and meet the same."""
+        if self.stop.request is StopRequest.cancel:
+            self.stop.acknowledge()
+        self.stop.check()
+        self._executor.remove(self._job())
+        self._set_state(RunState.collecting)
+        self._upload = upload = self._result_upload()
+        self._report(upload, upload.without_disk_space())
+
+    def _report(self, upload: ResultUpload, finish: RunFinish) -> None:
+        # It includes what further heartbeats would have.
+        upload.report(finish.model_copy(update={"usage": self._usage, "samples": self._samples[:_MAX_SAMPLES]}))
+
+    def _set_state(self, state: RunState) -> None:
+        self._state = state
+        self._context.on_change()
+
+    def _clean_up(self) -> None:
+        self._log.close()
+        try:
+            self._executor.remove(self._job())
+            remove_tree(self._attempt.directory)
+        except OSError as error:
+            _log.warning("the folder of the run %s was not removed: %s", self.assignment.run_id, error)
+        finally:
+            self._on_end(self)
+
+
+def _cancelled(exit_code: int | None = None) -> Ending:
+    reason, message = CANCELLED
+    return Ending(EndReason(reason), message, exit_code)

@@ -1,0 +1,170 @@
+"""The interface between the runner and whatever runs its jobs: an engine of containers, processes, or a cluster.
+
+An executor decides where a job runs. It owns capacity, images, the placement of inputs, limits and isolation. A job
+outlives the process that submitted it: an executor of a later runner process finds it by its key.
+"""
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from kleinkram.contract.actions import Network, Resources
+from kleinkram.contract.runners import Capacity, ExecutorAbilities
+from kleinkram.contract.runs import EndReason, Usage
+from kleinkram.runner.input_cache import InputCache, InputFile
+
+_POLL_EVERY_S = 0.25
+
+
+@dataclass(frozen=True)
+class PortForward:
+    """What a job with the network `api` reaches as `host` and `port`; the target is resolved by the runner."""
+
+    host: str
+    port: int
+    target_host: str
+    target_port: int
+
+
+@dataclass(frozen=True)
+class PinnedImage:
+    """An available image. `reference` is for `Job.image` of this executor; `digest` (`sha256:…`) holds everywhere."""
+
+    reference: str
+    digest: str
+
+
+@dataclass(frozen=True)
+class Job:
+    """One attempt at a run. `key` is unique among all attempts and consists of letters, digits and `-`.
+
+    `directory` belongs to the job and has the inputs in `in/`. `command` empty: the command of the image.
+    """
+
+    key: str
+    directory: Path
+    command: Sequence[str]
+    image: str | None
+    resources: Resources
+    network: Network
+    environment: Mapping[str, str] = field(default_factory=dict)
+    port_forwards: tuple[PortForward, ...] = ()
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a job ended: the reason, a sentence for people, and the exit code where the command returned one."""
+
+    reason: EndReason
+    message: str
+    exit_code: int | None = None
+
+
+class CannotStart(Exception):
+    """A job cannot be started, for a reason that would apply to another attempt here, too."""
+
+    def __init__(self, ending: Ending) -> None:
+        super().__init__(ending.message)
+        self.ending = ending
+
+
+class InputSource(Protocol):
+    """Downloads input files."""
+
+    def fetch_into(self, cache: InputCache, missing: Sequence[InputFile]) -> None:
+        """Add files to a cache; raises where one is not available, or the job is to stop."""
+
+
+class Executor(ABC):
+    """Runs jobs. All methods may be called from any thread."""
+
+    @property
+    @abstractmethod
+    def abilities(self) -> ExecutorAbilities:
+        """What jobs may ask for."""
+
+    @property
+    @abstractmethod
+    def capacity(self) -> Capacity:
+        """The resources of all jobs that may run at the same time."""
+
+    @abstractmethod
+    def prepare_image(self, image: str) -> PinnedImage:
+        """Make an image available, which may take minutes.
+
+        Raises:
+            CannotStart: it is not available.
+        """
+
+    @abstractmethod
+    def place_inputs(self, directory: Path, files: Mapping[str, InputFile], source: InputSource) -> None:
+        """Provide files, by their relative paths, as the read-only inputs of a job whose `in/` is `directory`.
+
+        Raises:
+            NoSpace: the disk has no space for them.
+            OSError: they cannot be placed.
+        """
+
+    @abstractmethod
+    def submit(self, job: Job) -> None:
+        """Start a job and return.
+
+        Raises:
+            CannotStart: it cannot be started.
+        """
+
+    @abstractmethod
+    def poll(self, job: Job) -> Ending | None:
+        """Return how a job ended, or None while it runs; enforce its limits. To be called at least every second."""
+
+    @abstractmethod
+    def set_lease(self, job: Job, until_s: float, *, create: bool = False) -> None:
+        """Have a job ended at `until_s` (of `boot_time_s`) unless that is extended. `create`: it has no lease yet.
+
+        Raises:
+            OSError: it has no lease, or that cannot be written.
+        """
+
+    @abstractmethod
+    def read_log(self, job: Job, offset: int, size_bytes: int) -> bytes:
+        """Return bytes of the output of a job, which are final once they are there; empty where there are none yet."""
+
+    @abstractmethod
+    def cancel(self, job: Job) -> None:
+        """Ask a job to end, and kill it `GRACE_S` later; return at once. No effect on one that has ended.
+
+        Raises:
+            OSError: this is not possible at the moment.
+        """
+
+    @abstractmethod
+    def usage(self, job: Job) -> Usage | None:
+        """Return the last known usage of a job."""
+
+    @abstractmethod
+    def collect(self, job: Job) -> Path:
+        """Return the directory on this machine with the files that an ended job left in `/out`."""
+
+    @abstractmethod
+    def remove(self, job: Job) -> None:
+        """Kill a job if it runs, and forget it; its directory stays."""
+
+    @abstractmethod
+    def remove_others(self, known_keys: Collection[str]) -> None:
+        """Remove the jobs of this runner whose keys are not known."""
+
+
+def wait_for_end(executor: Executor, job: Job, timeout_s: float) -> Ending | None:
+    """Poll a job until it has ended, and return how; None after the timeout."""
+    deadline = time.monotonic() + timeout_s
+    pause_s = 0.02
+    while (ending := executor.poll(job)) is None:
+        remaining_s = deadline - time.monotonic()
+        if remaining_s <= 0:
+            return None
+        time.sleep(min(pause_s, remaining_s))
+        pause_s = min(2 * pause_s, _POLL_EVERY_S)
+    return ending

@@ -1,0 +1,130 @@
+"""Limits of jobs, as the runner and the supervisors of processes enforce them, and the sentences for endings.
+
+Imports only the standard library: supervisors start faster.
+"""
+
+import contextlib
+import signal
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+from kleinkram.runner.files import disk_usage_bytes
+
+GRACE_S = 3.0
+LOG, ENDING, USAGE = "log", "ending.json", "usage.json"
+LEASE = "lease"
+LOG_IS_FULL = b"\n[kleinkram] the log is full: the output from here on is not stored\n"
+_DISK_EVERY_S = 1.0
+# Of the kernel's flags of a process: PF_EXITING.
+_IS_EXITING = 4
+
+CANCELLED = ("cancelled", "It was cancelled.")
+DISK_FULL = ("disk", "The disk of its runner is full. Run it again once there is space.")
+LEASE_EXPIRED = ("lost", "Its runner lost the connection to the server for too long; another runner may run it again.")
+
+
+class JobLimits(NamedTuple):
+    """Limits of one job."""
+
+    memory_bytes: int
+    disk_bytes: int
+    time_s: int
+    log_bytes: int
+
+
+class LimitMonitor:
+    """Decides when a job must end. The first reason counts."""
+
+    def __init__(self, directory: Path, limits: JobLimits) -> None:
+        self._directory = directory
+        self._limits = limits
+        self.reason: tuple[str, str] | None = None
+        self._kill_at_s = 0.0
+        self._is_term_sent = False
+        self._disk_at_s = 0.0
+
+    def stop(self, reason: tuple[str, str], *, grace_s: float = GRACE_S) -> None:
+        """Have the job ended: by SIGTERM, then by SIGKILL `grace_s` later."""
+        if self.reason is None:
+            self._kill_at_s = time.monotonic() + grace_s
+            self.reason = reason
+
+    def next_signal(self) -> signal.Signals | None:
+        """Return the signal that is due now, if any."""
+        if self.reason is None:
+            return None
+        if time.monotonic() >= self._kill_at_s:
+            return signal.SIGKILL
+        if self._is_term_sent:
+            return None
+        self._is_term_sent = True
+        return signal.SIGTERM
+
+    def check(self, elapsed_s: float) -> None:
+        """Check time, lease and disk."""
+        if elapsed_s > self._limits.time_s:
+            self.stop(("time", f"It ran longer than its limit of {self._limits.time_s} s."))
+        if _is_lease_expired(self._directory):
+            self.stop(LEASE_EXPIRED, grace_s=0)
+        started_s = time.monotonic()
+        if started_s >= self._disk_at_s:
+            self.check_disk()
+            # Measuring very many files takes long: spend at most a tenth of the time on it.
+            self._disk_at_s = time.monotonic() + max(_DISK_EVERY_S, 10 * (time.monotonic() - started_s))
+
+    def check_disk(self) -> None:
+        """Check what the job has written to `/out` and `/tmp`."""
+        if sum(disk_usage_bytes(self._directory / name) for name in ("out", "tmp")) > self._limits.disk_bytes:
+            self.stop(("disk", f"It wrote more than its limit of {_mb(self._limits.disk_bytes)} to disk."), grace_s=0)
+
+    def check_memory(self, memory_bytes: int) -> None:
+        """Check the memory of all processes together."""
+        if memory_bytes > self._limits.memory_bytes:
+            self.stop(out_of_memory(self._limits.memory_bytes), grace_s=0)
+
+
+def _is_lease_expired(directory: Path) -> bool:
+    try:
+        return boot_time_s() >= float((directory / LEASE).read_text())
+    except (FileNotFoundError, ValueError):
+        return False
+
+
+def boot_time_s() -> float:
+    """Return the time since this machine was started, sleep included: the clock of leases, which nobody sets."""
+    clock = getattr(time, "CLOCK_BOOTTIME", None)
+    return time.monotonic() if clock is None else time.clock_gettime(clock)
+
+
+def reason_of_exit_code(code: int) -> tuple[str, str]:
+    """Return the reason and sentence for an exit code, which is 128 + n after the signal n."""
+    if code == 0:
+        return "done", ""
+    if code > 128 and code - 128 in {*signal.Signals}:
+        return "signal", f"It was ended by the signal {signal.Signals(code - 128).name}."
+    return "exit_code", f"It ended with the exit code {code}."
+
+
+def out_of_memory(memory_bytes: int) -> tuple[str, str]:
+    """Return the reason and sentence for a job that exceeded its memory."""
+    return "memory", f"It used more memory than its limit of {_mb(memory_bytes)}."
+
+
+def command_not_found(detail: str) -> tuple[str, str]:
+    """Return the reason and sentence for a command that cannot be executed."""
+    return "command_not_found", f"The command could not be started: {detail}."
+
+
+def _mb(size_bytes: int) -> str:
+    return f"{size_bytes / 1e6:,.0f} MB"
+
+
+def start_ticks(pid: int) -> int | None:
+    """Return when a process started, in clock ticks since boot; None where it is exiting, or has exited."""
+    with contextlib.suppress(OSError):
+        # The name, which stands in parentheses, may contain anything.
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        # An exiting process loses its memory, namespaces and control groups before it becomes a zombie.
+        return None if fields[0] == "Z" or int(fields[6]) & _IS_EXITING else int(fields[19])
+    return None

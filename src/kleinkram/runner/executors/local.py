@@ -1,0 +1,157 @@
+"""What the executors of one machine share: its capacity, the cache of inputs, and the directories of jobs.
+
+The directory of a job outlives the process of the runner:
+
+    in/ out/ tmp/   what the job sees as `/in` (read-only), `/out` and `/tmp`
+    log             its output, up to `LOG_BYTES`
+    lease           until when it may run
+    ...             and what its executor needs
+"""
+
+import contextlib
+import os
+import shutil
+import zlib
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from kleinkram.contract.runners import Capacity, Isolation
+from kleinkram.contract.runs import LOG_BYTES, EndReason
+from kleinkram.runner.executors.base import CannotStart, Ending, Executor, InputSource, Job
+from kleinkram.runner.executors.limits import LEASE, LOG, JobLimits
+from kleinkram.runner.executors.port_forward import loopback_addresses
+from kleinkram.runner.files import write_in_place
+from kleinkram.runner.input_cache import InputCache, InputFile
+
+_MEMORY_SHARE = 0.8
+# Shares of the free disk; the rest is for others.
+_DISK_SHARE = 0.5
+_CACHE_SHARE = 0.3
+_CGROUP_MEMORY = Path("/sys/fs/cgroup/memory.max")
+# Where the runner is root, each job has its own uid, from a range that no system assigns.
+_FIRST_UID = 1_000_000_000
+_UIDS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class MachineShare:
+    """What runs may use of a machine; None: the default share of what it has."""
+
+    cores: float | None = None
+    memory_bytes: int | None = None
+    disk_bytes: int | None = None
+    gpus: int = 0
+    cache_bytes: int | None = None
+
+
+class Machine:
+    """This machine: its capacity for runs, and the cache of inputs in `directory`, which the runner already uses."""
+
+    def __init__(self, directory: Path, share: MachineShare) -> None:
+        space = shutil.disk_usage(directory).free + _used_bytes(directory)
+        self.capacity = Capacity(
+            cores=share.cores or len(os.sched_getaffinity(0)),
+            memory_bytes=share.memory_bytes or int(memory_bytes() * _MEMORY_SHARE),
+            disk_bytes=share.disk_bytes or int(space * _DISK_SHARE),
+            gpus=share.gpus,
+        )
+        self.cache = InputCache(directory / "cache", share.cache_bytes or int(space * _CACHE_SHARE))
+
+
+def _used_bytes(directory: Path) -> int:
+    total = 0
+    for parent, _, names in os.walk(directory):
+        for name in names:
+            with contextlib.suppress(OSError):
+                status = (Path(parent) / name).lstat()
+                total += status.st_blocks * 512 // status.st_nlink
+    return total
+
+
+def memory_bytes() -> int:
+    """Return the memory of this machine, or of the container that this process is in."""
+    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    with contextlib.suppress(OSError, ValueError):
+        return min(total, int(_CGROUP_MEMORY.read_text()))
+    return total
+
+
+class LocalExecutor(Executor):
+    """Runs jobs on this machine. `machine` is only needed for capacity and inputs."""
+
+    def __init__(self, machine: Machine | None = None) -> None:
+        self._machine = machine
+
+    @property
+    def capacity(self) -> Capacity:
+        """The resources of this machine for runs."""
+        return self._required_machine().capacity
+
+    def place_inputs(self, directory: Path, files: Mapping[str, InputFile], source: InputSource) -> None:
+        """Link inputs from the cache, or copy them where the job could change them."""
+        cache = self._required_machine().cache
+        with cache.pinned(files.values()):
+            if missing := cache.missing(files.values()):
+                cache.make_space(missing)
+                source.fetch_into(cache, missing)
+            place = cache.copy if self.abilities.isolation is Isolation.none else cache.link
+            for path, file in files.items():
+                target = directory / path
+                target.parent.mkdir(parents=True, exist_ok=True)
+                place(file, target)
+
+    def set_lease(self, job: Job, until_s: float, *, create: bool = False) -> None:
+        """Write the lease beside the job. A directory that is being removed does not get it back."""
+        write_in_place(job.directory / LEASE, str(until_s), create=create)
+
+    def read_log(self, job: Job, offset: int, size_bytes: int) -> bytes:
+        """Read the log file of the job."""
+        try:
+            with (job.directory / LOG).open("rb") as stream:
+                stream.seek(offset)
+                return stream.read(size_bytes)
+        except FileNotFoundError:
+            return b""
+
+    def collect(self, job: Job) -> Path:
+        """Return the directory that the job saw as `/out`."""
+        return job.directory / "out"
+
+    @abstractmethod
+    def _network_refusal(self, network: str) -> str:
+        """Return why jobs cannot have a network."""
+
+    def _check_network(self, job: Job) -> None:
+        if job.network not in self.abilities.networks:
+            raise cannot_start(self._network_refusal(job.network.value))
+        try:
+            loopback_addresses([forward.host for forward in job.port_forwards])
+        except ValueError as error:
+            raise cannot_start(f"Its network is not possible here: {error}.") from error
+
+    def _required_machine(self) -> Machine:
+        if self._machine is None:
+            raise RuntimeError("this executor was created without a machine")
+        return self._machine
+
+
+def cannot_start(message: str, reason: EndReason = EndReason.not_possible) -> CannotStart:
+    """Return the error of a job that cannot be started."""
+    return CannotStart(Ending(reason, message))
+
+
+def limits_of(job: Job) -> JobLimits:
+    """Return the limits of a job."""
+    return JobLimits(job.resources.memory_bytes, job.resources.disk_bytes, job.resources.time_s, LOG_BYTES)
+
+
+def make_directories(job: Job, *, own_uid: bool) -> int | None:
+    """Create the directories of a job and return its uid; None where it runs as the user of the runner."""
+    uid = _FIRST_UID + zlib.crc32(job.key.encode()) % _UIDS if own_uid else None
+    for name in ("in", "out", "tmp"):
+        (job.directory / name).mkdir(exist_ok=True)
+        if uid is not None and name != "in":
+            os.chown(job.directory / name, uid, uid)
+    return uid

@@ -1,0 +1,185 @@
+"""Runs jobs as processes of this machine, in sandboxes where the kernel allows that.
+
+A supervisor process per job starts it, enforces its limits and writes its log and ending. It outlives the runner. The
+runner and the supervisor share a lock, so that a later runner knows whether the supervisor is alive.
+"""
+
+import contextlib
+import fcntl
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Collection
+
+from kleinkram.action.places import IN_VARIABLE, OUT_VARIABLE
+from kleinkram.contract.actions import Network
+from kleinkram.contract.runners import ExecutorAbilities, Isolation
+from kleinkram.contract.runs import EndReason, Usage
+from kleinkram.runner.executors import process_sandbox, process_supervisor
+from kleinkram.runner.executors.base import Ending, Job, PinnedImage
+from kleinkram.runner.executors.limits import ENDING, USAGE
+from kleinkram.runner.executors.local import LocalExecutor, Machine, cannot_start, limits_of, make_directories
+from kleinkram.runner.files import reserve, write_atomically
+
+_LOCK_RETRIES = 50
+_POLL_EVERY_S = 0.02
+_NO_IMAGES = "Without an engine of containers, no image can be run."
+_LOST = Ending(EndReason.lost, "Its processes were killed together with their supervisor.")
+
+
+class ProcessExecutor(LocalExecutor):
+    """Runs jobs as processes."""
+
+    def __init__(self, machine: Machine | None = None) -> None:
+        super().__init__(machine)
+        self._is_isolated = process_sandbox.is_available()
+        self._children: dict[str, subprocess.Popen[bytes]] = {}
+
+    @property
+    def abilities(self) -> ExecutorAbilities:
+        """What jobs may ask for. Without a sandbox, a job reads and reaches whatever the runner does."""
+        return ExecutorAbilities(
+            executor="process",
+            isolation=Isolation.namespaces if self._is_isolated else Isolation.none,
+            images=False,
+            networks=frozenset(Network) if self._is_isolated else frozenset({Network.open}),
+            gpus=False,
+            bounds_memory=True,
+            bounds_disk=True,
+        )
+
+    def prepare_image(self, image: str) -> PinnedImage:
+        """Refuse all images."""
+        raise cannot_start(_NO_IMAGES)
+
+    def submit(self, job: Job) -> None:
+        """Start the supervisor of a job."""
+        if job.image is not None:
+            raise cannot_start(_NO_IMAGES)
+        self._check_network(job)
+        uid = make_directories(job, own_uid=os.getuid() == 0 and self._is_isolated)
+        task = {
+            "command": list(job.command),
+            "environment": self._environment(job),
+            "is_isolated": self._is_isolated,
+            "has_network": job.network is Network.open,
+            "uid": uid,
+            "limits": limits_of(job),
+            "port_forwards": [[*vars(forward).values()] for forward in job.port_forwards],
+        }
+        write_atomically(job.directory / process_supervisor.JOB, json.dumps(task))
+        # The ending can be written however full the disk is by then.
+        reserve(job.directory / ENDING)
+        self._start_supervisor(job)
+
+    def poll(self, job: Job) -> Ending | None:
+        """Return the ending that the supervisor wrote, once the supervisor is gone."""
+        if self._supervisor_pid(job) is not None:
+            return None
+        if job.key in self._children:
+            self._children[job.key].poll()
+        try:
+            ending = json.loads((job.directory / ENDING).read_text())
+        except FileNotFoundError:
+            return _LOST
+        return Ending(EndReason(ending["reason"]), ending["message"], ending["exit_code"])
+
+    def cancel(self, job: Job) -> None:
+        """Send SIGTERM to the supervisor."""
+        self._signal(job, signal.SIGTERM)
+
+    def usage(self, job: Job) -> Usage | None:
+        """Return the usage that the supervisor wrote last."""
+        try:
+            return Usage(**json.loads((job.directory / USAGE).read_text()))
+        except FileNotFoundError:
+            return None
+
+    def remove(self, job: Job) -> None:
+        """Kill the supervisor, which kills the job."""
+        # A supervisor that has just been started does nothing without it.
+        (job.directory / process_supervisor.JOB).unlink(missing_ok=True)
+        while self._supervisor_pid(job) is not None:
+            self._signal(job, signal.SIGKILL)
+            time.sleep(_POLL_EVERY_S)
+        if (child := self._children.pop(job.key, None)) is not None:
+            child.wait()
+
+    def remove_others(self, known_keys: Collection[str]) -> None:
+        """Do nothing: supervisors end jobs whose lease is not extended."""
+
+    def _start_supervisor(self, job: Job) -> None:
+        lock = os.open(job.directory / process_supervisor.LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            _acquire(lock)
+            os.ftruncate(lock, 0)
+            # Blocked until the supervisor has a handler: it may be cancelled from now on.
+            previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+            try:
+                with (job.directory / "supervisor.log").open("ab") as errors:
+                    child = subprocess.Popen(
+                        [sys.executable, "-I", "-m", process_supervisor.__name__, str(job.directory), str(lock)],
+                        stdin=subprocess.DEVNULL,
+                        stdout=errors,
+                        stderr=errors,
+                        env={"PATH": os.defpath},
+                        pass_fds=[lock],
+                        start_new_session=True,
+                    )
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, previous)
+            self._children[job.key] = child
+            process_supervisor.write_pid(lock, child.pid)
+        finally:
+            # The supervisor has the lock until it ends.
+            os.close(lock)
+
+    def _supervisor_pid(self, job: Job) -> int | None:
+        """Return the pid of the supervisor, 0 where it is about to start; None where there is none."""
+        try:
+            lock = os.open(job.directory / process_supervisor.LOCK, os.O_RDWR | os.O_CLOEXEC)
+        except FileNotFoundError:
+            return None
+        try:
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return int(os.pread(lock, 32, 0) or b"0")
+        else:
+            return None
+        finally:
+            os.close(lock)
+
+    def _signal(self, job: Job, number: signal.Signals) -> None:
+        if pid := self._supervisor_pid(job):
+            try:
+                os.kill(pid, number)
+            except ProcessLookupError:
+                return
+
+    def _environment(self, job: Job) -> dict[str, str]:
+        environment = {"PATH": os.environ.get("PATH", os.defpath), "LANG": "C.UTF-8", "PYTHONUNBUFFERED": "1"}
+        if self._is_isolated:
+            return {**environment, "HOME": "/tmp", "TMPDIR": "/tmp", **job.environment}  # noqa: S108  the job's own
+        directories = {name: str(job.directory / name) for name in ("in", "out", "tmp")}
+        environment |= {IN_VARIABLE: directories["in"], OUT_VARIABLE: directories["out"]}
+        environment |= {"TMPDIR": directories["tmp"], "HOME": directories["tmp"]}
+        return environment | {
+            name: f"{job.directory}{value}" if value.startswith("/in/") else value
+            for name, value in job.environment.items()
+        }
+
+    def _network_refusal(self, network: str) -> str:
+        return f"Without an engine of containers, no run here has the network {network!r}."
+
+
+def _acquire(lock: int) -> None:
+    for _ in range(_LOCK_RETRIES):
+        with contextlib.suppress(BlockingIOError):
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        # Another thread may be looking whether a supervisor is alive.
+        time.sleep(_POLL_EVERY_S)
+    raise cannot_start("An earlier start of this job still runs.")

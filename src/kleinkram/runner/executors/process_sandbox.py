@@ -1,0 +1,221 @@
+"""The sandbox of a job: namespaces with a root that has only the system's programs, Python, and the job's directories.
+
+As root, the job gets its own uid; as another user, it is in a user namespace. Either way it sees no home directory, no
+data of Kleinkram, no other process, and no network unless it has one. Imports only the standard library, since every
+job waits for it.
+"""
+
+import os
+import resource
+import signal
+import socket
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from kleinkram.runner.executors import kernel, port_forward
+
+_INSIDE_UID = 1000
+_SYSTEM = ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/etc", "/opt")
+_DEVICES = ("null", "zero", "full", "random", "urandom")
+SHARED_MEMORY = Path("dev/shm")
+SHARED_MEMORY_BYTES = 64 * 2**20
+_PROCESSES = 1024
+# A single file may exceed the disk limit by this much, so that the reason is recognised.
+_FILE_MARGIN_BYTES = 64 * 2**20
+
+
+@dataclass(frozen=True)
+class Sandbox:
+    """Where and as whom a command runs. `uid` is None where this process cannot change its uid.
+
+    The listening sockets of its port forwards are sent to `listeners`.
+    """
+
+    directory: Path
+    has_network: bool
+    disk_bytes: int
+    uid: int | None
+    forwards: Sequence[port_forward.Forward]
+    listeners: socket.socket
+
+
+def is_available() -> bool:
+    """Whether the kernel allows this process to create a sandbox, which is tried."""
+    pid = os.fork()
+    if pid == 0:
+        try:
+            _leave_namespaces(has_network=False)
+            # Only the first process of a new process namespace can mount its file systems.
+            inner = os.fork()
+            if inner == 0:
+                kernel.mount("none", Path("/"), None, kernel.MS_REC | kernel.MS_PRIVATE)
+                kernel.mount("tmpfs", Path("/tmp"), "tmpfs", 0)  # noqa: S108  in a namespace that ends with this line
+                kernel.make_read_only(Path("/tmp"))  # noqa: S108
+                kernel.give_up_privileges()
+                kernel.deny_uncounted_memory()
+                os._exit(0)
+            os._exit(os.waitstatus_to_exitcode(os.waitpid(inner, 0)[1]) & 0xFF)
+        except BaseException:
+            os._exit(1)
+    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+
+
+def run_in_sandbox(sandbox: Sandbox, command: Sequence[str], environment: Mapping[str, str], errors: int) -> int:
+    """Run a command in a new sandbox and return its exit code, 128 + n if a signal ended it. For a process of its own.
+
+    Why it cannot start is written to the descriptor `errors`, which the command does not inherit.
+    """
+    kernel.die_with_parent(signal.SIGKILL)
+    _leave_namespaces(has_network=sandbox.has_network)
+    first = os.fork()
+    if first == 0:
+        try:
+            _be_first(sandbox, command, environment, errors)
+        except BaseException as error:
+            os.write(errors, f"{type(error).__name__}: {error}".encode())
+            os._exit(126)
+    os.close(errors)
+    return _code_of(first)
+
+
+def _leave_namespaces(*, has_network: bool) -> None:
+    flags = kernel.CLONE_NEWNS | kernel.CLONE_NEWPID | kernel.CLONE_NEWIPC | kernel.CLONE_NEWUTS
+    if not has_network:
+        flags |= kernel.CLONE_NEWNET
+    uid, gid = os.getuid(), os.getgid()
+    if uid != 0:
+        kernel.unshare(flags | kernel.CLONE_NEWUSER)
+        kernel.map_identity(uid, gid, inside=_INSIDE_UID)
+    else:
+        kernel.unshare(flags)
+
+
+def _be_first(sandbox: Sandbox, command: Sequence[str], environment: Mapping[str, str], errors: int) -> None:
+    """As the first process of the namespace: mount the root, start the command, and wait for its end."""
+    kernel.die_with_parent(signal.SIGKILL)
+    _mount_root(sandbox)
+    if not sandbox.has_network:
+        kernel.raise_loopback()
+        _open_port_forwards(sandbox)
+    if sandbox.uid is not None:
+        os.setgroups([])
+        os.setresgid(sandbox.uid, sandbox.uid, sandbox.uid)
+        os.setresuid(sandbox.uid, sandbox.uid, sandbox.uid)
+        kernel.die_with_parent(signal.SIGKILL)
+    apply_limits(sandbox)
+    os.chdir("/tmp")  # noqa: S108  the job's own
+    pid = os.fork()
+    if pid == 0:
+        os.setsid()
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGPIPE, signal.SIGHUP):
+            signal.signal(number, signal.SIG_DFL)
+        try:
+            os.execvpe(command[0], list(command), dict(environment))  # noqa: S606  what jobs are for
+        except OSError as error:
+            os.write(errors, f"not found: {command[0]}: {error.strerror}".encode())
+            os._exit(127)
+    os.close(errors)
+    # The kernel shields the first process from signals without a handler; it passes this one on.
+    signal.signal(signal.SIGTERM, lambda *_: _terminate_all())
+    os._exit(_code_of(pid))
+
+
+def _open_port_forwards(sandbox: Sandbox) -> None:
+    sockets = port_forward.listen(sandbox.forwards)
+    socket.send_fds(sandbox.listeners, [b"listeners"], [listener.fileno() for listener in sockets])
+    for end in (*sockets, sandbox.listeners):
+        end.close()
+
+
+def _terminate_all() -> None:
+    try:
+        os.kill(-1, signal.SIGTERM)
+    except ProcessLookupError:
+        return
+
+
+def _code_of(pid: int) -> int:
+    """Wait for a child, and reap orphans meanwhile."""
+    while True:
+        ended, status = os.wait()
+        if ended == pid:
+            code = os.waitstatus_to_exitcode(status)
+            return code if code >= 0 else 128 - code
+
+
+def apply_limits(sandbox: Sandbox) -> None:
+    """Apply the limits of the kernel to this process and its children."""
+    kernel.give_up_privileges()
+    kernel.deny_uncounted_memory()
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    largest = sandbox.disk_bytes + _FILE_MARGIN_BYTES
+    resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
+    resource.setrlimit(resource.RLIMIT_NPROC, (_PROCESSES, _PROCESSES))
+
+
+def _mount_root(sandbox: Sandbox) -> None:
+    kernel.mount("none", Path("/"), None, kernel.MS_REC | kernel.MS_PRIVATE)
+    root = sandbox.directory / "root"
+    root.mkdir(exist_ok=True)
+    kernel.mount("tmpfs", root, "tmpfs", kernel.MS_NOSUID | kernel.MS_NODEV, "size=1m,mode=755")
+    for name in ("out", "tmp"):
+        _bind(sandbox.directory / name, root / name)
+    # After those: Python itself may stand below /tmp.
+    for place in _system_paths():
+        _bind_read_only(place, root / str(place)[1:])
+    _bind_read_only(sandbox.directory / "in", root / "in")
+    _write_hosts(sandbox, root)
+    _make_devices(root)
+    (root / "proc").mkdir()
+    kernel.mount("proc", root / "proc", "proc", kernel.MS_NOSUID | kernel.MS_NODEV)
+    kernel.change_root(root)
+    kernel.make_read_only(Path("/"), with_all_below=False)
+
+
+def _write_hosts(sandbox: Sandbox, root: Path) -> None:
+    names = port_forward.host_entries([forward.host for forward in sandbox.forwards])
+    if names:
+        hosts = sandbox.directory / "hosts"
+        hosts.write_text("127.0.0.1 localhost\n" + "".join(f"{address} {name}\n" for name, address in names.items()))
+        hosts.chmod(0o644)
+        target = root / "etc" / "hosts"
+        kernel.mount(str(hosts), target, None, kernel.MS_BIND)
+        kernel.make_read_only(target)
+
+
+def _system_paths() -> list[Path]:
+    """Return what a script needs of this machine: the system's programs, this Python, and its imports."""
+    here = Path(__file__).resolve().parents[4]
+    candidates = [Path(path) for path in (*_SYSTEM, sys.prefix, sys.base_prefix, here)]
+    existing = [path for path in dict.fromkeys(candidates) if path.exists()]
+    # One inside of another is included already.
+    return [path for path in existing if not any(other in path.parents for other in existing)]
+
+
+def _bind_read_only(source: Path, target: Path) -> None:
+    """Bind-mount a file or directory of this machine; a symlink stays one."""
+    if source.is_symlink():
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.symlink_to(source.readlink())
+        return
+    _bind(source, target)
+    kernel.make_read_only(target)
+
+
+def _bind(source: Path, target: Path) -> None:
+    target.mkdir(parents=True, exist_ok=True)
+    kernel.mount(str(source), target, None, kernel.MS_BIND | kernel.MS_REC)
+
+
+def _make_devices(root: Path) -> None:
+    devices = root / "dev"
+    (devices / "shm").mkdir(parents=True)
+    for name in _DEVICES:
+        (devices / name).touch()
+        kernel.mount(f"/dev/{name}", devices / name, None, kernel.MS_BIND)
+    for name, number in (("fd", ""), ("stdin", "/0"), ("stdout", "/1"), ("stderr", "/2")):
+        (devices / name).symlink_to(f"/proc/self/fd{number}")
+    flags = kernel.MS_NOSUID | kernel.MS_NODEV
+    kernel.mount("tmpfs", devices / "shm", "tmpfs", flags, f"size={SHARED_MEMORY_BYTES},mode=1777")

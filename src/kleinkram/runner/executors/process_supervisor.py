@@ -1,0 +1,302 @@
+"""The supervisor of one job of processes: starts it in its sandbox, enforces its limits and writes how it ended.
+
+`python -m kleinkram.runner.executors.process_supervisor DIRECTORY LOCK`: `DIRECTORY/job.json` describes the job; the
+descriptor LOCK is locked until this process ends. SIGTERM cancels the job. If this process is killed, so is the job.
+Imports only the standard library, since jobs wait for it.
+"""
+
+import contextlib
+import json
+import os
+import select
+import signal
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from kleinkram.runner.executors import kernel, port_forward
+from kleinkram.runner.executors.limits import (
+    CANCELLED,
+    DISK_FULL,
+    ENDING,
+    LOG,
+    LOG_IS_FULL,
+    USAGE,
+    JobLimits,
+    LimitMonitor,
+    command_not_found,
+    reason_of_exit_code,
+)
+from kleinkram.runner.executors.process_sandbox import (
+    SHARED_MEMORY,
+    SHARED_MEMORY_BYTES,
+    Sandbox,
+    apply_limits,
+    run_in_sandbox,
+)
+from kleinkram.runner.files import write_all, write_atomically
+
+JOB, LOCK = "job.json", "supervisor"
+_CHECK_EVERY_S = 0.1
+_WRITE_USAGE_EVERY_S = 1.0
+_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+_NOT_FOUND = "not found: "
+
+
+def write_pid(lock: int, pid: int) -> None:
+    """Write the pid of a supervisor to its lock file."""
+    os.pwrite(lock, str(pid).ljust(16).encode(), 0)
+
+
+@dataclass(frozen=True)
+class _ProcessUsage:
+    cpu_s: float = 0.0
+    memory_bytes: int = 0
+    shared_bytes: int = 0
+    peak_memory_bytes: int = 0
+    read_bytes: int = 0
+    written_bytes: int = 0
+
+
+class Supervisor:
+    """Runs one job to its end."""
+
+    def __init__(self, directory: Path, lock: int, job: dict[str, Any]) -> None:
+        self._directory = directory
+        self._lock = lock
+        self._job = job
+        self._limits_of_job = JobLimits(*job["limits"])
+        self._limits = LimitMonitor(directory, self._limits_of_job)
+        self._forwards = [port_forward.Forward(*values) for values in job["port_forwards"]]
+        self._started_s = time.monotonic()
+        self._usage = _ProcessUsage()
+        self._usage_written_s = 0.0
+        self._start_error = b""
+        self._log_remaining_bytes = self._limits_of_job.log_bytes
+
+    def run(self) -> None:
+        """Run the job, and write its ending."""
+        kernel.adopt_orphans()
+        signal.signal(signal.SIGTERM, lambda *_: self._limits.stop(CANCELLED))
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
+        listeners, listeners_inside = socket.socketpair()
+        output, output_inside = os.pipe()
+        error, error_inside = os.pipe()
+        pid = os.fork()
+        if pid == 0:
+            os.close(self._lock)
+            os._exit(self._start(output_inside, error_inside, listeners_inside))
+        os.close(output_inside)
+        os.close(error_inside)
+        listeners_inside.close()
+        threading.Thread(target=self._serve_port_forwards, args=(listeners,), daemon=True).start()
+        self._write_ending(self._watch(pid, output, error))
+
+    def _start(self, output: int, error: int, listeners: socket.socket) -> int:
+        """In the child: become the command, and return its exit code."""
+        try:
+            os.setsid()
+            os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+            os.dup2(output, 1)
+            os.dup2(output, 2)
+            Path("/proc/self/oom_score_adj").write_text("1000")
+            job = self._job
+            disk_bytes = self._limits_of_job.disk_bytes
+            sandbox = Sandbox(self._directory, job["has_network"], disk_bytes, job["uid"], self._forwards, listeners)
+            if job["is_isolated"]:
+                return run_in_sandbox(sandbox, job["command"], job["environment"], error)
+            kernel.die_with_parent(signal.SIGKILL)
+            apply_limits(sandbox)
+            os.chdir(self._directory / "tmp")
+            os.execvpe(job["command"][0], job["command"], job["environment"])  # noqa: S606
+        except OSError as failure:
+            kind = _NOT_FOUND if isinstance(failure, FileNotFoundError) else ""
+            os.write(error, f"{kind}{failure}".encode())
+        return 127
+
+    def _serve_port_forwards(self, listeners: socket.socket) -> None:
+        with listeners:
+            _, descriptors, _, _ = socket.recv_fds(listeners, 16, len(self._forwards))
+        if descriptors:
+            port_forward.serve([socket.socket(fileno=descriptor) for descriptor in descriptors], self._forwards)
+
+    def _watch(self, pid: int, output: int, error: int) -> int:
+        log = os.open(self._directory / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+        readers: dict[int, Callable[[bytes], None]] = {
+            output: lambda data: self._append_to_log(data, log),
+            error: self._note_start_error,
+        }
+        code: int | None = None
+        while code is None:
+            for descriptor in select.select([*readers], [], [], _CHECK_EVERY_S)[0]:
+                _read_available(descriptor, readers)
+            if not readers:
+                time.sleep(_CHECK_EVERY_S)
+            self._check_limits()
+            ended, status = os.waitpid(pid, os.WNOHANG)
+            code = os.waitstatus_to_exitcode(status) if ended else None
+        _kill_descendants()
+        # What was written before the end.
+        while ready := select.select([*readers], [], [], 0)[0]:
+            for descriptor in ready:
+                _read_available(descriptor, readers)
+        os.close(log)
+        return code if code >= 0 else 128 - code
+
+    def _note_start_error(self, data: bytes) -> None:
+        self._start_error += data
+
+    def _append_to_log(self, data: bytes, log: int) -> None:
+        if self._log_remaining_bytes > 0:
+            try:
+                write_all(log, data[: self._log_remaining_bytes])
+                self._log_remaining_bytes -= len(data)
+                if self._log_remaining_bytes <= 0:
+                    write_all(log, LOG_IS_FULL)
+            except OSError:
+                self._log_remaining_bytes = 0
+                self._limits.stop(DISK_FULL, grace_s=0)
+
+    def _check_limits(self) -> None:
+        self._measure()
+        self._limits.check_memory(self._usage.memory_bytes)
+        self._limits.check(time.monotonic() - self._started_s)
+        if (due := self._limits.next_signal()) is not None:
+            for pid in _descendants(os.getpid()):
+                _kill(pid, due)
+
+    def _measure(self) -> None:
+        running = _descendants(os.getpid())
+        used = _sum([_usage_of(pid) for pid in running])
+        # Files in shared memory count whether mapped or not; mapped ones count once.
+        used = replace(used, memory_bytes=used.memory_bytes + max(used.shared_bytes, self._shared_memory(running)))
+        # The usage of a process becomes its parent's a moment after its end: totals never decrease.
+        self._usage = replace(
+            used,
+            peak_memory_bytes=max(self._usage.peak_memory_bytes, used.memory_bytes),
+            cpu_s=max(used.cpu_s, self._usage.cpu_s),
+            read_bytes=max(used.read_bytes, self._usage.read_bytes),
+            written_bytes=max(used.written_bytes, self._usage.written_bytes),
+        )
+        if time.monotonic() >= self._usage_written_s + _WRITE_USAGE_EVERY_S:
+            self._usage_written_s = time.monotonic()
+            self._write_usage()
+
+    def _write_usage(self) -> None:
+        values = {name: value for name, value in vars(self._usage).items() if name != "shared_bytes"}
+        # Nothing depends on it, should the disk be full.
+        with contextlib.suppress(OSError):
+            write_atomically(self._directory / USAGE, json.dumps(values))
+
+    def _shared_memory(self, running: list[int]) -> int:
+        """Return the bytes in the job's own /dev/shm; 0 where it has none, or no process to look through."""
+        if not self._job["is_isolated"]:
+            return 0
+        for pid in running:
+            with contextlib.suppress(OSError):
+                status = os.statvfs(Path(f"/proc/{pid}/root") / SHARED_MEMORY)
+                if status.f_blocks * status.f_frsize == SHARED_MEMORY_BYTES:
+                    return (status.f_blocks - status.f_bfree) * status.f_frsize
+        return 0
+
+    def _write_ending(self, code: int) -> None:
+        error = self._start_error.decode(errors="replace")
+        self._limits.check_disk()
+        times = os.times()
+        self._usage = replace(self._usage, cpu_s=max(self._usage.cpu_s, times.children_user + times.children_system))
+        self._write_usage()
+        reason, message = self._limits.reason or _reason_of(error, code)
+        exit_code = None if error or self._limits.reason else code
+        ending = {"reason": reason, "message": message, "exit_code": exit_code}
+        write_atomically(self._directory / ENDING, json.dumps(ending))
+
+
+def _read_available(descriptor: int, readers: dict[int, Callable[[bytes], None]]) -> None:
+    data = os.read(descriptor, 65536)
+    readers[descriptor](data)
+    if not data:
+        os.close(descriptor)
+        del readers[descriptor]
+
+
+def _reason_of(start_error: str, code: int) -> tuple[str, str]:
+    if start_error.startswith(_NOT_FOUND):
+        return command_not_found(start_error.removeprefix(_NOT_FOUND))
+    if start_error:
+        return "not_possible", f"It could not be started here: {start_error}."
+    return reason_of_exit_code(code)
+
+
+def _kill(pid: int, number: signal.Signals) -> None:
+    try:
+        os.kill(pid, number)
+    except ProcessLookupError:
+        return
+
+
+def _kill_descendants() -> None:
+    while remaining := _descendants(os.getpid()):
+        for pid in remaining:
+            _kill(pid, signal.SIGKILL)
+        with contextlib.suppress(ChildProcessError):
+            os.waitpid(-1, 0)
+
+
+def _descendants(pid: int) -> list[int]:
+    descendants: list[int] = []
+    pending = [pid]
+    while pending:
+        parent = pending.pop()
+        try:
+            tasks = list(Path(f"/proc/{parent}/task").iterdir())
+            children = [int(child) for task in tasks for child in (task / "children").read_text().split()]
+        except OSError:
+            continue
+        descendants += children
+        pending += children
+    return descendants
+
+
+def _usage_of(pid: int) -> _ProcessUsage:
+    """Return the usage of a process and its ended children; nothing where it has ended itself."""
+    try:
+        # The name, which stands in parentheses, may contain anything.
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        status = Path(f"/proc/{pid}/status").read_text()
+        traffic = Path(f"/proc/{pid}/io").read_text()
+    except OSError:
+        return _ProcessUsage()
+    values = dict(line.split(":", 1) for line in (status + traffic).splitlines() if ":" in line)
+    own, shared = (int(values.get(name, "0 kB").split()[0]) * 1024 for name in ("RssAnon", "RssShmem"))
+    ticks = sum(map(int, fields[11:15]))
+    read, written = int(values["read_bytes"]), int(values["write_bytes"])
+    return _ProcessUsage(ticks / _TICKS_PER_S, own, shared, 0, read, written)
+
+
+def _sum(usages: list[_ProcessUsage]) -> _ProcessUsage:
+    return _ProcessUsage(
+        sum(usage.cpu_s for usage in usages),
+        sum(usage.memory_bytes for usage in usages),
+        sum(usage.shared_bytes for usage in usages),
+        0,
+        sum(usage.read_bytes for usage in usages),
+        sum(usage.written_bytes for usage in usages),
+    )
+
+
+def main() -> None:
+    """Run the job; do nothing where a runner has removed it meanwhile."""
+    directory, lock = Path(sys.argv[1]), int(sys.argv[2])
+    os.set_inheritable(lock, False)
+    write_pid(lock, os.getpid())
+    with contextlib.suppress(FileNotFoundError):
+        Supervisor(directory, lock, json.loads((directory / JOB).read_text())).run()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,177 @@
+"""Runs an action on this machine, for its author: with the same `/in` and `/out` as on a runner of a server."""
+
+import shutil
+import tempfile
+import threading
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from kleinkram.client import Client
+from kleinkram.client.errors import InvalidInput, NothingToDo
+from kleinkram.client.transfer import Watcher, download, plan_download
+from kleinkram.contract.actions import ActionDefinition, ParameterValues
+from kleinkram.contract.files import FileFilter, FileRead
+from kleinkram.contract.missions import MissionRead
+from kleinkram.contract.runs import ActionRef, Cause, EndReason, RunContext
+from kleinkram.runner.executors.base import CannotStart, Ending, Executor, Job, wait_for_end
+from kleinkram.runner.inputs import check_input_path, script_command, write_context
+from kleinkram.runner.results import Results, collect_results
+
+_CHECK_EVERY_S = 0.05
+_READ_BYTES = 65536
+
+
+@dataclass(frozen=True)
+class LocalRun:
+    """How a local run ended, and its results in `out`."""
+
+    ending: Ending
+    results: Results
+    out: Path
+
+
+def run_locally(
+    client: Client,
+    action: ActionDefinition,
+    mission: MissionRead,
+    parameter_values: ParameterValues,
+    *,
+    executor: Executor,
+    out: Path,
+    show: Callable[[bytes], None],
+    watcher: Watcher,
+) -> LocalRun:
+    """Run an action on a mission: download its inputs, show its output, and copy its results to `out`, which is empty.
+
+    Raises:
+        InvalidInput: a parameter is invalid, or `out` is not empty.
+        NothingToDo: no file of the mission is an input.
+        FileUnavailable, TransferFailed, …: as `download`.
+    """
+    try:
+        parameters = action.fill_in(parameter_values)
+    except ValueError as error:
+        raise InvalidInput(what="The parameters", reason=str(error)) from error
+    if out.exists() and any(out.iterdir()):
+        raise InvalidInput(what=f"The folder {str(out)!r}", reason="is not empty")
+    with _job_directory() as directory:
+        files = matching_files(client, action, mission)
+        if not files:
+            raise NothingToDo(reason=f"No file of the mission {mission.name} is an input of {action.name}")
+        for file in files:
+            _check_path(file)
+        _download(client, files, directory / "in", watcher)
+        context = make_context(client, action, mission, files, parameters)
+        write_context(directory / "in", context, action.script)
+        job = make_job(action, directory)
+        ending = _run(executor, job, show)
+        results = collect_results(executor.collect(job))
+        for artifact in results.artifacts:
+            target = out / artifact.path
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(executor.collect(job) / artifact.path, target, follow_symlinks=False)
+    if results.report_error is not None and ending.reason is EndReason.done:
+        ending = Ending(EndReason.broken_report, results.report_error, ending.exit_code)
+    return LocalRun(ending, results, out)
+
+
+def matching_files(client: Client, action: ActionDefinition, mission: MissionRead) -> list[FileRead]:
+    """Return the files of a mission that are inputs of an action, by path."""
+    inputs = action.inputs
+    criteria = FileFilter(
+        mission_id=mission.id, path=inputs.paths, topic=inputs.topics, message_type=inputs.message_types
+    )
+    return list(client.files.list(criteria))
+
+
+def make_context(
+    client: Client,
+    action: ActionDefinition,
+    mission: MissionRead,
+    files: list[FileRead],
+    parameters: ParameterValues,
+) -> RunContext:
+    """Return the content of `/in/mission.json` for a local run."""
+    return RunContext(
+        run_id=None,
+        action=ActionRef(name=action.name, version=None),
+        parameters=parameters,
+        cause=Cause(person=client.me.get().person),
+        mission=mission,
+        files=files,
+        topics=[topic for file in files for topic in client.files.topics(file.id)],
+        recordings=list(client.recordings.list(mission.id)),
+    )
+
+
+def make_job(action: ActionDefinition, directory: Path) -> Job:
+    """Return the job of an action."""
+    command = list(action.command)
+    if action.script is not None:
+        command = script_command(action.dependencies, in_image=action.image is not None)
+    key = f"local-{uuid.uuid4().hex[:12]}"
+    return Job(key, directory, command, action.image, action.resources, action.network)
+
+
+def _check_path(file: FileRead) -> None:
+    try:
+        check_input_path(file.path)
+    except ValueError as error:
+        raise InvalidInput(what=f"The file {file.path}", reason=str(error)) from None
+
+
+def _download(client: Client, files: list[FileRead], directory: Path, watcher: Watcher) -> None:
+    plan = plan_download(files, directory)
+    report = download(client, plan, watcher=watcher)
+    for failure in [*report.failures, *report.left_out]:
+        raise failure
+    for path in directory.rglob("*"):
+        path.chmod(0o755 if path.is_dir() else 0o444)
+
+
+def _run(executor: Executor, job: Job, show: Callable[[bytes], None]) -> Ending:
+    try:
+        executor.submit(job)
+    except CannotStart as error:
+        return error.ending
+    has_ended = threading.Event()
+    log = threading.Thread(target=_show_log, args=(executor, job, has_ended, show))
+    log.start()
+    try:
+        while True:
+            ending = wait_for_end(executor, job, timeout_s=1.0)
+            if ending is not None:
+                return ending
+    except KeyboardInterrupt:
+        executor.cancel(job)
+        return wait_for_end(executor, job, timeout_s=60) or Ending(EndReason.lost, "It could not be stopped.")
+    finally:
+        has_ended.set()
+        log.join()
+        executor.remove(job)
+
+
+def _show_log(executor: Executor, job: Job, has_ended: threading.Event, show: Callable[[bytes], None]) -> None:
+    offset = 0
+    while True:
+        is_complete = has_ended.is_set()
+        while data := executor.read_log(job, offset, _READ_BYTES):
+            offset += len(data)
+            show(data)
+        if is_complete:
+            return
+        has_ended.wait(_CHECK_EVERY_S)
+
+
+@contextmanager
+def _job_directory() -> Iterator[Path]:
+    """Yield a temporary directory for a job."""
+    with tempfile.TemporaryDirectory(prefix="klein-run-") as name:
+        directory = Path(name)
+        # Some executors run the job as another user.
+        directory.chmod(0o711)
+        (directory / "in").mkdir()
+        yield directory

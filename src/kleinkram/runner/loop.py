@@ -1,0 +1,334 @@
+"""The runner loop: claims runs while capacity is free, runs them, and sends heartbeats.
+
+Threads: one claims runs, one sends heartbeats for all of them, one enforces leases, and each run has its own. Jobs do
+not depend on any of them: they go on without this process, and the next one continues.
+"""
+
+import contextlib
+import logging
+import math
+import threading
+import time
+import uuid
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import kleinkram
+from kleinkram.client._http import Api
+from kleinkram.client._retry import Backoff
+from kleinkram.client.config import Endpoint, EndpointSource
+from kleinkram.client.runners import Runners
+from kleinkram.client.server import Service
+from kleinkram.client.transfer.store import StoreClient
+from kleinkram.contract.actions import Resources
+from kleinkram.contract.errors import Forbidden, KleinkramError, NotAuthenticated, NotFound, ScopeMissing
+from kleinkram.contract.runners import (
+    HEARTBEAT_S,
+    LEASE_S,
+    MAX_WAIT_S,
+    Capacity,
+    ClaimRequest,
+    Heartbeats,
+    RunAssignment,
+    RunnerRegistration,
+)
+from kleinkram.runner.active_run import ActiveRun
+from kleinkram.runner.cancellation import LEASE_MARGIN_S, Lease, StopRequest
+from kleinkram.runner.context import RunnerContext
+from kleinkram.runner.executors.base import CannotStart, Executor
+from kleinkram.runner.executors.limits import boot_time_s
+from kleinkram.runner.files import remove_tree
+from kleinkram.runner.state_directory import Attempt, StateDirectory, create_attempt, find_attempts
+
+_log = logging.getLogger("kleinkram.runner")
+_HEARTBEAT_TIMEOUT_S = 10.0
+_HEARTBEAT_PAUSE_S = 0.1
+_ENFORCE_EVERY_S = 0.2
+_RETRY_S = 3.0
+_REFUSED_RETRY_S = 15.0
+# How long the runs of an earlier process go on before the server has confirmed their leases.
+_CONFIRMATION_S = 5.0
+_DETACH_S = 3.0
+_MIN_CORES = 0.01
+_MIN_BYTES = 2**20
+_STORE_CONNECTIONS = 8
+_DEFAULT_IMAGE_RETRY_S = 300.0
+_REFUSALS = (NotAuthenticated, Forbidden, ScopeMissing)
+
+
+@dataclass(frozen=True)
+class RunnerOptions:
+    """The identity of a runner. Jobs reach the server by the same `url`."""
+
+    url: str
+    token: str
+    name: str
+    labels: tuple[str, ...] = ()
+    default_image: str | None = None
+
+
+class Runner:
+    """A runner. `run` returns after `stop`, or, with `once`, after one run."""
+
+    def __init__(self, options: RunnerOptions, state: StateDirectory, executor: Executor) -> None:
+        endpoint = Endpoint("runner", options.url, options.token, EndpointSource.argument)
+        self._options = options
+        self._state = state
+        self._executor = executor
+        self._api = Api(endpoint)
+        self._runners = Runners(self._api)
+        # A request that hangs must not cost the leases.
+        self._heartbeat_api = Api(endpoint, read_timeout_s=_HEARTBEAT_TIMEOUT_S)
+        self._store = StoreClient(_STORE_CONNECTIONS)
+        self._is_stopping = threading.Event()
+        self._is_closed = threading.Event()
+        self._is_unreachable = False
+        self._is_heartbeat_recorded = True
+        self._has_changes = threading.Event()
+        self._has_capacity = threading.Event()
+        self._active: dict[uuid.UUID, ActiveRun] = {}
+        self._lock = threading.Lock()
+        self._threads = [
+            threading.Thread(target=work, daemon=True) for work in (self._send_heartbeats, self._enforce_leases)
+        ]
+        self._default_image = _DefaultImageLookup(executor, options.default_image, on_found=self._register)
+        self._context = RunnerContext(
+            executor=executor,
+            runners=self._runners,
+            store=self._store,
+            url=options.url,
+            token=options.token,
+            service=Service(self._api),
+            default_image=options.default_image,
+            on_change=self._has_changes.set,
+        )
+
+    def run(self, *, once: bool = False) -> None:
+        """Continue the runs of an earlier process, then claim runs until stopped.
+
+        Raises:
+            NotAuthenticated, Forbidden: the server does not accept the token as a runner's.
+        """
+        self._continue_runs()
+        for thread in self._threads:
+            thread.start()
+        self._register_until_accepted()
+        self._default_image.start()
+        _log.info("ready: %s", _summary(self._executor))
+        while not self._is_stopping.is_set():
+            run = self._claim()
+            if run is not None and once:
+                while self._active:
+                    run.join(_ENFORCE_EVERY_S)
+                return
+
+    def stop(self) -> None:
+        """Have `run` return soon. From any thread, and from a signal handler."""
+        self._is_stopping.set()
+        self._has_capacity.set()
+
+    def close(self, *, kill: bool) -> None:
+        """End all threads, and with `kill` the jobs; the next runner continues the runs."""
+        active = self._active_runs()
+        for run in active:
+            run.stop.send(StopRequest.detach)
+        deadline = time.monotonic() + _DETACH_S
+        for run in active:
+            run.join(max(0.0, deadline - time.monotonic()))
+        if kill:
+            for run in active:
+                run.kill()
+        self._is_closed.set()
+        self._has_changes.set()
+        for thread in self._threads:
+            if thread.ident is not None:
+                thread.join(_ENFORCE_EVERY_S)
+        for connections in (self._api, self._heartbeat_api, self._store):
+            connections.close()
+
+    def _continue_runs(self) -> None:
+        entries = find_attempts(self._state.runs)
+        attempts = [entry for entry in entries if isinstance(entry, Attempt)]
+        self._executor.remove_others([attempt.key for attempt in attempts])
+        for entry in entries:
+            if isinstance(entry, Path):
+                with contextlib.suppress(OSError):
+                    remove_tree(entry)
+        until_s = max(boot_time_s() + _CONFIRMATION_S, self._state.last_heartbeat_s() + LEASE_S - LEASE_MARGIN_S)
+        for attempt in attempts:
+            _log.info("continuing the run %s", attempt.state.assignment.run_id)
+            self._add(attempt, Lease(until_s), is_new=False)
+
+    def _register_until_accepted(self) -> None:
+        while not self._is_stopping.is_set():
+            try:
+                self._register()
+                return
+            except _REFUSALS:
+                if not self._active:
+                    raise
+            except KleinkramError as error:
+                self._log_unreachable(error)
+            self._is_stopping.wait(_RETRY_S)
+
+    def _register(self) -> None:
+        self._runners.register(
+            RunnerRegistration(
+                id=self._state.runner_id,
+                name=self._options.name,
+                labels=[*self._options.labels],
+                capacity=self._executor.capacity,
+                abilities=self._executor.abilities,
+                default_image=self._default_image.digest,
+                version=kleinkram.__version__,
+            )
+        )
+
+    def _claim(self) -> ActiveRun | None:
+        """Wait for a run and start it; None where there is none."""
+        self._has_capacity.clear()
+        active = self._active_runs()
+        free = remaining_capacity(self._executor.capacity, [run.assignment.resources for run in active])
+        if free.cores < _MIN_CORES or min(free.memory_bytes, free.disk_bytes) < _MIN_BYTES:
+            self._has_capacity.wait(HEARTBEAT_S)
+            return None
+        # With active runs, capacity may be freed soon, and a new request tells so.
+        request = ClaimRequest(
+            free=free,
+            wait_s=HEARTBEAT_S if active else MAX_WAIT_S,
+            active_run_ids=[run.assignment.run_id for run in active],
+        )
+        requested_s = boot_time_s()
+        try:
+            assignment = self._runners.claim(self._state.runner_id, request)
+            self._is_unreachable = False
+            return self._accept(assignment, requested_s) if assignment else None
+        except NotFound:
+            self._register_until_accepted()
+        except (KleinkramError, OSError) as error:
+            self._log_unreachable(error)
+            self._is_stopping.wait(_REFUSED_RETRY_S if isinstance(error, _REFUSALS) else _RETRY_S)
+        return None
+
+    def _log_unreachable(self, error: Exception) -> None:
+        """Log an error once, however long it lasts."""
+        if not self._is_unreachable:
+            _log.warning("no run can be claimed: %s", error)
+        self._is_unreachable = True
+
+    def _accept(self, assignment: RunAssignment, requested_s: float) -> ActiveRun:
+        _log.info("got the run %s of %s", assignment.run_id, assignment.action.name)
+        attempt = create_attempt(self._state.runs, assignment)
+        # Counted from the request, the lease ends here before it does on the server.
+        return self._add(attempt, Lease(requested_s + assignment.lease_s - LEASE_MARGIN_S), is_new=True)
+
+    def _add(self, attempt: Attempt, lease: Lease, *, is_new: bool) -> ActiveRun:
+        run = ActiveRun(self._context, attempt, lease, is_new=is_new, on_end=self._remove)
+        with self._lock:
+            self._active[run.assignment.run_id] = run
+        run.start()
+        self._has_changes.set()
+        return run
+
+    def _remove(self, run: ActiveRun) -> None:
+        with self._lock:
+            if self._active.get(run.assignment.run_id) is run:
+                del self._active[run.assignment.run_id]
+        self._has_capacity.set()
+
+    def _active_runs(self) -> list[ActiveRun]:
+        with self._lock:
+            return [*self._active.values()]
+
+    def _send_heartbeats(self) -> None:
+        runners = Runners(self._heartbeat_api)
+        backoff = None
+        while not self._is_closed.is_set():
+            self._has_changes.wait(HEARTBEAT_S)
+            self._has_changes.clear()
+            try:
+                self._send_heartbeat(runners)
+                backoff = None
+            except (KleinkramError, OSError) as error:
+                if backoff is None:
+                    _log.warning("the server gets no heartbeats of %d runs: %s", len(self._active), error)
+                backoff = backoff or Backoff(math.inf, self._is_closed.wait)
+                backoff.pause()
+            self._is_closed.wait(_HEARTBEAT_PAUSE_S)
+
+    def _send_heartbeat(self, runners: Runners) -> None:
+        active = {run.assignment.run_id: run for run in self._active_runs()}
+        if not active:
+            return
+        heartbeats = {run_id: run.heartbeat() for run_id, run in active.items()}
+        requested_s = boot_time_s()
+        replies = runners.send_heartbeats(self._state.runner_id, Heartbeats(runs=[*heartbeats.values()]))
+        self._record_heartbeat(requested_s)
+        for reply in replies.runs:
+            run = active.get(reply.run_id)
+            if run is not None and run.assignment.attempt == reply.attempt:
+                run.on_reply(heartbeats[reply.run_id], reply, requested_s=requested_s, lease_s=replies.lease_s)
+
+    def _record_heartbeat(self, requested_s: float) -> None:
+        """Record it for the next runner, where the disk allows that."""
+        try:
+            self._state.record_heartbeat(requested_s)
+            self._is_heartbeat_recorded = True
+        except OSError as error:
+            if self._is_heartbeat_recorded:
+                _log.warning("the last heartbeat cannot be recorded in %s: %s", self._state.path, error)
+            self._is_heartbeat_recorded = False
+
+    def _enforce_leases(self) -> None:
+        while not self._is_closed.wait(_ENFORCE_EVERY_S):
+            for run in self._active_runs():
+                run.enforce()
+
+
+class _DefaultImageLookup:
+    """Looks for the image that scripts run on, until it is available, in a thread."""
+
+    def __init__(self, executor: Executor, name: str | None, on_found: Callable[[], None]) -> None:
+        self._executor = executor
+        self._name = name if executor.abilities.images else None
+        self._on_found = on_found
+        self.digest: str | None = None
+
+    def start(self) -> None:
+        """Start looking; no effect where scripts run without an image."""
+        if self._name is not None:
+            threading.Thread(target=self._look_up, args=(self._name,), name="default image", daemon=True).start()
+
+    def _look_up(self, name: str) -> None:
+        is_logged = False
+        while True:
+            try:
+                self.digest = self._executor.prepare_image(name).digest
+                self._on_found()
+                return
+            except CannotStart as error:
+                if not is_logged:
+                    _log.warning("no script can be run yet: %s", error)
+                is_logged = True
+            except KleinkramError as error:
+                _log.warning("the server does not know of the default image yet: %s", error)
+            time.sleep(_DEFAULT_IMAGE_RETRY_S)
+
+
+def remaining_capacity(capacity: Capacity, used: Sequence[Resources]) -> Capacity:
+    """Return the part of a capacity that runs have not reserved."""
+    return Capacity(
+        cores=max(0.0, round(capacity.cores - sum(resources.cores for resources in used), 6)),
+        memory_bytes=max(0, capacity.memory_bytes - sum(resources.memory_bytes for resources in used)),
+        disk_bytes=max(0, capacity.disk_bytes - sum(resources.disk_bytes for resources in used)),
+        gpus=max(0, capacity.gpus - sum(resources.gpus for resources in used)),
+    )
+
+
+def _summary(executor: Executor) -> str:
+    capacity = executor.capacity
+    return (
+        f"{capacity.cores:g} cores, {capacity.memory_bytes / 1e9:.1f} GB memory, {capacity.disk_bytes / 1e9:.0f} GB "
+        f"disk, {capacity.gpus} GPUs, runs as {executor.abilities.executor}"
+    )

@@ -1,0 +1,315 @@
+"""A scrub: compares the store's listing with the database, and finds objects that vanished or changed their size.
+
+Reads no object and deletes nothing. Holds one page of the listing and at most some thousand suspects, however many
+objects there are. Never runs inside a transaction.
+"""
+
+import asyncio
+import datetime
+import logging
+import uuid
+from collections.abc import AsyncIterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import NamedTuple
+
+from sqlalchemy import delete, func, insert, select, update
+
+from kleinkram.contract.files import BlobState
+from kleinkram.server.blobs import queries, service
+from kleinkram.server.blobs.queries import ExpectedBlob
+from kleinkram.server.context import AppContext
+from kleinkram.server.db import Connection
+from kleinkram.server.jobs.queue import Job, Urgency, enqueue, has_job
+from kleinkram.server.settings import Settings
+from kleinkram.server.tables import scrub
+
+_log = logging.getLogger("kleinkram.blobs")
+_BATCH = 1000
+_CONCURRENT_REQUESTS = 16
+# If more objects than these are missing, or all: then the bucket is rather the wrong one.
+_MAX_MISSING, _MAX_MISSING_SHARE = 10, 0.05
+_MAX_SUSPECTS = 10_000
+_PROBE_PREFIX = "probe/"
+_DAMAGED = {BlobState.lost.value, BlobState.corrupt.value}
+_HISTORY = 100  # three months of daily scrubs
+_ADVISORY_LOCK = 0x7363727562
+
+
+class ScrubStopped(Exception):
+    """A scrub stopped and marked nothing: its text says why."""
+
+
+@dataclass
+class ScrubCounts:
+    """Blobs compared and their bytes; lost, corrupt and found again; objects that no row knows."""
+
+    compared: int = 0
+    compared_bytes: int = 0
+    lost: int = 0
+    corrupt: int = 0
+    found: int = 0
+    unknown: int = 0
+
+
+class ScrubRow(NamedTuple):
+    """A scrub as the database has it. `now` is the database's time."""
+
+    id: uuid.UUID
+    store_id: str
+    created_at: datetime.datetime
+    started_at: datetime.datetime | None
+    ended_at: datetime.datetime | None
+    seen_at: datetime.datetime | None
+    believes: bool
+    asked_by_id: uuid.UUID | None
+    stopped: str | None
+    compared: int
+    compared_bytes: int
+    lost: int
+    corrupt: int
+    found: int
+    unknown: int
+    now: datetime.datetime
+
+
+class StateCount(NamedTuple):
+    """How many blobs are in a state, and their bytes."""
+
+    state: str
+    number: int
+    size_bytes: int
+
+
+# -- which scrubs there are -------------------------------------------------------------------------------------------
+
+
+async def request_scrub(db: Connection, store_id: str, *, by_id: uuid.UUID, believes: bool) -> ScrubRow:
+    """Return the scrub that is running or queued, or a new one; one that `believes` replaces one that does not."""
+    await _lock(db)
+    last = await last_scrub(db, store_id)
+    if last is None or last.ended_at is not None or (believes and not last.believes):
+        await _queue(db, store_id, by_id=by_id, believes=believes, urgency=Urgency.soon)
+        last = await last_scrub(db, store_id)
+    if last is None:
+        raise AssertionError("a scrub was inserted and is missing")
+    return last
+
+
+async def begin_due_scrub(db: Connection, settings: Settings) -> None:
+    """Queue a scrub if the last one began long enough ago; queue one again whose job gave up."""
+    await _lock(db)
+    last = await last_scrub(db, settings.store_id)
+    if last is not None and last.ended_at is None:
+        forgotten = select(scrub.c.id).where(scrub.c.id == last.id, ~has_job(Job.scrub, scrub.c.id))
+        if (await db.execute(forgotten)).first() is not None:
+            await enqueue(db, Job.scrub, ids=[str(last.id)], urgency=Urgency.whenever)
+        return
+    interval = datetime.timedelta(hours=settings.scrub_hours)
+    if interval and (last is None or last.now - last.created_at >= interval):
+        await _queue(db, settings.store_id, by_id=None, believes=False, urgency=Urgency.whenever)
+        await _delete_old(db, settings.store_id)
+
+
+async def last_scrub(db: Connection, store_id: str) -> ScrubRow | None:
+    """Return the scrub of a store that began last."""
+    columns = (*(scrub.c[name] for name in ScrubRow._fields[:-1]), func.now().label("now"))
+    newest = select(*columns).where(scrub.c.store_id == store_id).order_by(scrub.c.created_at.desc(), scrub.c.id)
+    row = (await db.execute(newest.limit(1))).one_or_none()
+    return None if row is None else ScrubRow._make(row)
+
+
+async def blobs_by_state(db: Connection) -> Sequence[StateCount]:
+    """Return number and bytes of blobs by state; of damaged blobs, only those that something still refers to."""
+    rows = await db.execute(queries.counts_by_state())
+    return [StateCount(row.state, row.number, int(row.size_bytes)) for row in rows]
+
+
+async def oldest_verification(db: Connection) -> datetime.datetime | None:
+    """Return the oldest `verified_at` of all blobs."""
+    oldest: datetime.datetime | None = (await db.execute(queries.oldest_verification())).scalar_one()
+    return oldest
+
+
+async def start(db: Connection, scrub_id: uuid.UUID) -> datetime.datetime | None:
+    """Start a scrub from the beginning and return when; None if it has ended, or another one has replaced it."""
+    mine = update(scrub).where(scrub.c.id == scrub_id, scrub.c.ended_at.is_(None))
+    values = {"started_at": func.now(), "seen_at": func.now(), **asdict(ScrubCounts())}
+    row = (await db.execute(mine.values(**values).returning(scrub.c.store_id, scrub.c.started_at))).first()
+    if row is None:
+        return None
+    last = await last_scrub(db, row.store_id)
+    if last is not None and last.id != scrub_id:
+        await end(db, scrub_id, ScrubCounts(), stopped="Another scrub was requested meanwhile, and replaced it.")
+        return None
+    started_at: datetime.datetime = row.started_at
+    return started_at
+
+
+async def record_progress(db: Connection, scrub_id: uuid.UUID, counts: ScrubCounts) -> None:
+    """Record how far a scrub is."""
+    await db.execute(update(scrub).where(scrub.c.id == scrub_id).values(seen_at=func.now(), **asdict(counts)))
+
+
+async def end(db: Connection, scrub_id: uuid.UUID, counts: ScrubCounts, *, stopped: str | None = None) -> None:
+    """Record that a scrub has ended; `stopped` says why it did so early."""
+    values = {"seen_at": func.now(), "ended_at": func.now(), "stopped": stopped, **asdict(counts)}
+    await db.execute(update(scrub).where(scrub.c.id == scrub_id).values(**values))
+
+
+async def _lock(db: Connection) -> None:
+    # Of two requests at the same time, the second finds what the first inserted.
+    await db.execute(select(func.pg_advisory_xact_lock(_ADVISORY_LOCK)))
+
+
+async def _queue(db: Connection, store_id: str, *, by_id: uuid.UUID | None, believes: bool, urgency: Urgency) -> None:
+    # The clock and not the transaction's start, which may be before that of the previous scrub.
+    values = {"created_at": func.clock_timestamp(), "asked_by_id": by_id, "believes": believes}
+    scrub_id = uuid.uuid4()
+    await db.execute(insert(scrub).values(id=scrub_id, store_id=store_id, **values))
+    await enqueue(db, Job.scrub, ids=[str(scrub_id)], urgency=urgency)
+
+
+async def _delete_old(db: Connection, store_id: str) -> None:
+    newest = select(scrub.c.id).where(scrub.c.store_id == store_id).order_by(scrub.c.created_at.desc())
+    recent = newest.limit(_HISTORY).scalar_subquery()
+    await db.execute(delete(scrub).where(scrub.c.store_id == store_id, scrub.c.id.not_in(recent)))
+
+
+# -- doing one --------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class _Comparison:
+    """The state of one scrub. Suspects are blobs that the listing does not show as it should."""
+
+    context: AppContext
+    started_at: datetime.datetime
+    believes: bool
+    counts: ScrubCounts = field(default_factory=ScrubCounts)
+    missing: int = 0
+    suspects: list[ExpectedBlob] = field(default_factory=list)
+
+
+async def scrub_store(context: AppContext, scrub_id: uuid.UUID) -> None:
+    """Do a scrub from beginning to end and record the result. One that has ended is left as it is.
+
+    Raises:
+        StoreUnavailable: the store did not answer, or not to the end; what was not compared yet was not judged.
+    """
+    async with context.database.begin() as db:
+        last = await last_scrub(db, context.settings.store_id)
+        started_at = await start(db, scrub_id)
+    if started_at is None or last is None or last.id != scrub_id:
+        return
+    comparison = _Comparison(context, started_at, last.believes)
+    stopped = None
+    try:
+        async for _ in _compare(comparison):
+            if comparison.believes:
+                await _judge_suspects(comparison)
+            else:
+                _check_plausible(comparison)
+            async with context.database.begin() as db:
+                await record_progress(db, scrub_id, comparison.counts)
+        if not comparison.believes:
+            _check_plausible(comparison, at_end=True)
+        await _judge_suspects(comparison)
+    except ScrubStopped as reason:
+        stopped = str(reason)
+        _log.error("scrub stopped", extra={"fields": {"scrub_id": str(scrub_id), "reason": stopped}})
+    async with context.database.begin() as db:
+        await end(db, scrub_id, comparison.counts, stopped=stopped)
+    _log.info("store scrubbed", extra={"fields": {"scrub_id": str(scrub_id), **vars(comparison.counts)}})
+
+
+async def _compare(comparison: _Comparison) -> AsyncIterator[None]:
+    """Walk the listing and the blobs that it must show; yield after each batch of comparisons."""
+    after = ""
+    async for listed in comparison.context.storage.size_pages():
+        if not listed:
+            continue
+        if min(listed) <= after:
+            raise ScrubStopped("The store does not list its objects by their keys, so they cannot be compared.")
+        until = max(listed)
+        async for _ in _compare_page(comparison, listed, after, until):
+            yield
+        after = until
+    async for _ in _compare_page(comparison, {}, after, None):
+        yield
+
+
+async def _compare_page(
+    comparison: _Comparison, listed: Mapping[str, int], after: str, until: str | None
+) -> AsyncIterator[None]:
+    store_id, known_keys = comparison.context.settings.store_id, set[str]()
+    while True:
+        statement = queries.expected_between(store_id, after, until, since_before=comparison.started_at, limit=_BATCH)
+        async with comparison.context.database.begin() as db:
+            expected = [ExpectedBlob._make(row) for row in await db.execute(statement)]
+        for row in expected:
+            _compare_blob(comparison, row, listed.get(row.key))
+        known_keys |= {row.key for row in expected if row.key in listed}
+        yield
+        if len(expected) < _BATCH:
+            break
+        after = expected[-1].key
+    unexpected = [key for key in listed if key not in known_keys and not key.startswith(_PROBE_PREFIX)]
+    if unexpected:
+        async with comparison.context.database.begin() as db:
+            unknown = (await db.execute(queries.unknown_among(store_id, unexpected))).scalar_one()
+        comparison.counts.unknown += unknown
+
+
+def _compare_blob(comparison: _Comparison, row: ExpectedBlob, listed_bytes: int | None) -> None:
+    if listed_bytes is None and row.state == BlobState.lost.value:
+        return  # known already
+    comparison.counts.compared += 1
+    comparison.counts.compared_bytes += row.size_bytes
+    if listed_bytes is None:
+        comparison.missing += 1
+        comparison.suspects.append(row)
+    elif row.state in _DAMAGED or listed_bytes != row.size_bytes:
+        comparison.suspects.append(row)
+
+
+def _check_plausible(comparison: _Comparison, *, at_end: bool = False) -> None:
+    """Check that missing objects are the exception.
+
+    Raises:
+        ScrubStopped: they are not.
+    """
+    compared, missing = comparison.counts.compared, comparison.missing
+    too_many = missing > max(_MAX_MISSING, _MAX_MISSING_SHARE * compared) or 0 < missing == compared
+    if len(comparison.suspects) > _MAX_SUSPECTS or (at_end and too_many):
+        settings = comparison.context.settings
+        raise ScrubStopped(
+            f"Of {compared} objects compared, {missing} are not in the list of bucket {settings.s3_bucket!r}. "
+            "It looks like another store, or like one that lists only a part, so nothing was marked. See that "
+            "KLEINKRAM_S3_BUCKET and KLEINKRAM_S3_INTERNAL_URL name the right one. If they do, and the objects are "
+            "gone, `klein admin scrub --believe` marks them as lost."
+        )
+
+
+async def _judge_suspects(comparison: _Comparison) -> None:
+    """Ask the store for each suspect on its own, and record the answer."""
+    suspects, comparison.suspects = comparison.suspects, []
+    for start_ in range(0, len(suspects), _CONCURRENT_REQUESTS):
+        batch = suspects[start_ : start_ + _CONCURRENT_REQUESTS]
+        objects = await asyncio.gather(*(comparison.context.storage.find(row.key) for row in batch))
+        for row, stored in zip(batch, objects, strict=True):
+            await _record(comparison, row, None if stored is None else stored.size_bytes)
+
+
+async def _record(comparison: _Comparison, row: ExpectedBlob, stored_bytes: int | None) -> None:
+    counts = comparison.counts
+    async with comparison.context.database.begin() as db:
+        if stored_bytes is None:
+            reason = "the store no longer has the object"
+            counts.lost += await service.record_damage(db, row.id, state=BlobState.lost, reason=reason)
+        elif stored_bytes != row.size_bytes:
+            reason = f"it has {stored_bytes} bytes, and came with {row.size_bytes}"
+            counts.corrupt += await service.record_damage(db, row.id, state=BlobState.corrupt, reason=reason)
+        elif row.state in _DAMAGED:
+            # Its size is right. Whether its bytes are is for the verification to find out.
+            await service.verify_again(db, row.id)
+            counts.found += row.state == BlobState.lost.value

@@ -1,0 +1,247 @@
+"""The port that Prometheus scrapes: a process's own metrics from every process, gauges of the whole site from one.
+
+It is a port of its own, since a proxy before the API's port would publish whatever that serves. An advisory lock in the
+database decides which process reports the site's gauges: the first process that is scraped takes it, and another one
+once that process ends or is no longer scraped. So sums over all processes are correct.
+"""
+
+import asyncio
+import logging
+from collections import Counter
+from collections.abc import AsyncIterator, Mapping, Sequence
+from contextlib import asynccontextmanager
+from typing import Any
+
+import psycopg
+from aiohttp import web
+from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Metric, generate_latest
+from prometheus_client.core import GaugeMetricFamily
+from prometheus_client.registry import Collector
+from psycopg.conninfo import make_conninfo
+from sqlalchemy import Row, func, select, text
+from sqlalchemy.exc import SQLAlchemyError
+
+from kleinkram.contract.errors import DatabaseUnavailable
+from kleinkram.contract.files import BlobState
+from kleinkram.server.db import Database
+from kleinkram.server.health.recent import Recent
+from kleinkram.server.health.worker_heartbeat import Workers, find_workers
+from kleinkram.server.metrics import REGISTRY
+from kleinkram.server.settings import Settings, plain_dsn
+from kleinkram.server.tables import blob, scrub, upload
+
+_log = logging.getLogger("kleinkram.metrics")
+# Of one database, whose processes settle by it who reports.
+_LOCK = 0x6B6C6D65
+_HOLDS_S = 1.0
+# Longer than any usual scrape interval.
+_UNSCRAPED_S = 180.0
+_CONNECTION: dict[str, str | int] = {
+    "application_name": "kleinkram metrics",
+    "connect_timeout": 5,
+    "keepalives_idle": 15,
+    "keepalives_interval": 5,
+    "keepalives_count": 3,
+}
+_BLOBS = select(
+    blob.c.state, blob.c.content, func.count().label("number"), func.sum(blob.c.size_bytes).label("size_bytes")
+).group_by(blob.c.state, blob.c.content)
+_UPLOADS = select(upload.c.state, func.count().label("number")).group_by(upload.c.state)
+_JOBS_SQL = text("SELECT task_name, status::text, count(*) FROM procrastinate_jobs GROUP BY 1, 2")
+# Jobs that wait for another attempt count from when they were first deferred; those put off on purpose do not.
+_QUEUE_AGE_SQL = text(
+    "SELECT coalesce(extract(epoch FROM now() - min(e.at)), 0) FROM procrastinate_jobs j"
+    " JOIN procrastinate_events e ON e.job_id = j.id AND e.type = 'deferred' WHERE j.status = 'todo'"
+    " AND (j.attempts > 0 OR j.scheduled_at IS NULL OR j.scheduled_at <= now())"
+)
+_RETRYING_SQL = text(
+    "SELECT task_name, count(*) FROM procrastinate_jobs WHERE status = 'todo' AND attempts > 0 GROUP BY 1"
+)
+_OLDEST_VERIFICATION = select(func.coalesce(func.extract("epoch", func.now() - func.min(blob.c.verified_at)), 0)).where(
+    blob.c.state == BlobState.verified.value, blob.c.doomed_at.is_(None)
+)
+_SCRUB = select(scrub).where(scrub.c.ended_at.is_not(None)).order_by(scrub.c.ended_at.desc()).limit(1)
+_FINDINGS = ("lost", "corrupt", "found", "unknown")
+
+
+class MetricsPortUnusable(Exception):
+    """The port for metrics cannot be listened on. The text says which, and what to do."""
+
+
+class _SiteGauges:
+    """Gauges of the whole site, as long as this process is the one that reports them."""
+
+    def __init__(self, settings: Settings, database: Database) -> None:
+        self._dsn = make_conninfo(plain_dsn(settings.database_url), **_CONNECTION)
+        self._recent = Recent(lambda: _site_metrics(database), holds_s=_HOLDS_S)
+        self._turn = asyncio.Lock()
+        self._connection: psycopg.AsyncConnection[tuple[object, ...]] | None = None
+        self._release: asyncio.TimerHandle | None = None
+        self._releasing: asyncio.Task[None] | None = None
+
+    async def look(self) -> list[Metric]:
+        """Return the gauges; none where another process reports them, or the database does not give them."""
+        async with self._turn:
+            try:
+                if not await self._is_reporter():
+                    return []
+                return await self._recent.get()
+            except (psycopg.Error, DatabaseUnavailable, SQLAlchemyError) as error:  # away, or its schema is another
+                _log.warning("no metrics of the site", extra={"fields": {"reason": type(error).__name__}})
+                await self.close()
+                return []
+
+    async def close(self) -> None:
+        """Leave it to another process."""
+        if self._release is not None:
+            self._release.cancel()
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            await connection.close()
+
+    async def _is_reporter(self) -> bool:
+        if self._connection is None:
+            connection = await psycopg.AsyncConnection.connect(self._dsn, autocommit=True)
+            taken = await (await connection.execute("SELECT pg_try_advisory_lock(%s)", [_LOCK])).fetchone()
+            if taken is None or not taken[0]:
+                await connection.close()
+                return False
+            self._connection = connection
+        else:
+            await self._connection.execute("SELECT 1")  # the lock goes with the connection
+        if self._release is not None:
+            self._release.cancel()
+        self._release = asyncio.get_running_loop().call_later(_UNSCRAPED_S, self._close_unscraped)
+        return True
+
+    def _close_unscraped(self) -> None:
+        self._releasing = asyncio.create_task(self.close())
+
+
+@asynccontextmanager
+async def serve_metrics(settings: Settings, database: Database) -> AsyncIterator[int | None]:
+    """Serve `/metrics` on a port of its own, where one is set; yields the port.
+
+    Raises:
+        MetricsPortUnusable: it is taken, or the address is none of this machine's.
+    """
+    if settings.metrics_port is None:
+        yield None
+        return
+    gauges = _SiteGauges(settings, database)
+
+    async def respond(_request: web.Request) -> web.Response:
+        body = exposition(await gauges.look())
+        return web.Response(body=body, headers={"Content-Type": CONTENT_TYPE_LATEST})
+
+    app = web.Application()
+    app.router.add_get("/metrics", respond)
+    runner = web.AppRunner(app, access_log=None, shutdown_timeout=1)
+    await runner.setup()
+    try:
+        try:
+            await web.TCPSite(runner, settings.metrics_address, settings.metrics_port).start()
+        except OSError as error:
+            place = f"{settings.metrics_address}:{settings.metrics_port}"
+            raise MetricsPortUnusable(
+                f"Metrics cannot be served on {place} ({error.strerror or error}): give each process a free port by "
+                "--metrics-port or KLEINKRAM_METRICS_PORT, and an address of this machine by KLEINKRAM_METRICS_ADDRESS."
+            ) from None
+        port: int = runner.addresses[0][1]
+        _log.info("metrics", extra={"fields": {"address": settings.metrics_address, "port": port}})
+        yield port
+    finally:
+        await runner.cleanup()
+        await gauges.close()
+
+
+async def _site_metrics(database: Database) -> list[Metric]:
+    """Return the gauges as the database has them, by some queries in one transaction."""
+    async with database.begin() as db:
+        blobs = (await db.execute(_BLOBS)).all()
+        uploads = (await db.execute(_UPLOADS)).all()
+        jobs = (await db.execute(_JOBS_SQL)).all()
+        retrying = {row[0]: row[1] for row in await db.execute(_RETRYING_SQL)}
+        workers = await find_workers(db)
+        age_s = float((await db.execute(_QUEUE_AGE_SQL)).scalar_one())
+        verification_age_s = float((await db.execute(_OLDEST_VERIFICATION)).scalar_one())
+        last = (await db.execute(_SCRUB)).one_or_none()
+    states, sizes, contents = Counter[str](), Counter[str](), Counter[str]()
+    for row in blobs:
+        states[row.state] += row.number
+        sizes[row.state] += int(row.size_bytes)
+        contents[row.content] += row.number
+    return [
+        _gauge("kleinkram_blobs", "Blobs by state.", "state", states),
+        _gauge("kleinkram_stored_bytes", "Bytes by state of their blob.", "state", sizes),
+        _gauge("kleinkram_blob_content", "Blobs by what is known of their content.", "content", contents),
+        _gauge("kleinkram_uploads", "Uploads by state.", "state", {row.state: row.number for row in uploads}),
+        _jobs(jobs),
+        _gauge("kleinkram_jobs_retrying", "Jobs that failed and wait for another attempt.", "task", retrying),
+        GaugeMetricFamily(
+            "kleinkram_queue_oldest_seconds", "Age of the oldest job that waits, or waits for a retry.", value=age_s
+        ),
+        *_workers(workers),
+        GaugeMetricFamily(
+            "kleinkram_oldest_verification_seconds",
+            "Seconds since the oldest verification.",
+            value=verification_age_s,
+        ),
+        *_scrub(last),
+    ]
+
+
+def exposition(gauges: Sequence[Metric]) -> bytes:
+    """Return this process's counters and the given gauges in the Prometheus text format."""
+    site_registry = CollectorRegistry()
+    site_registry.register(_GaugeCollector(gauges))
+    return generate_latest(REGISTRY) + generate_latest(site_registry)
+
+
+class _GaugeCollector(Collector):
+    """Collector of given gauges."""
+
+    def __init__(self, gauges: Sequence[Metric]) -> None:
+        self._gauges = gauges
+
+    def collect(self) -> Sequence[Metric]:
+        return self._gauges
+
+
+def _workers(workers: Workers) -> list[Metric]:
+    """Return how many worker processes are alive, and when one was last heard of (0: never)."""
+    last_at = workers.last_seen_at.timestamp() if workers.last_seen_at else 0
+    return [
+        GaugeMetricFamily("kleinkram_workers", "Worker processes that are alive.", value=len(workers.seen_at)),
+        GaugeMetricFamily(
+            "kleinkram_worker_last_heartbeat_timestamp_seconds", "When a worker was last heard of.", value=last_at
+        ),
+    ]
+
+
+def _gauge(name: str, text: str, label: str, values: Mapping[str, int]) -> GaugeMetricFamily:
+    family = GaugeMetricFamily(name, text, labels=[label])
+    for of, value in values.items():
+        family.add_metric([of], value)
+    return family
+
+
+def _scrub(last: Row[Any] | None) -> list[Metric]:
+    """Return what the last comparison of the store with the database found; nothing where there was none."""
+    if last is None:
+        return []
+    at, found = last.ended_at.timestamp(), {name: getattr(last, name) for name in _FINDINGS}
+    stopped = int(last.stopped is not None)
+    return [
+        GaugeMetricFamily("kleinkram_scrub_ended_timestamp_seconds", "When the last scrub ended.", value=at),
+        GaugeMetricFamily("kleinkram_scrub_stopped", "Whether it stopped and marked nothing.", value=stopped),
+        GaugeMetricFamily("kleinkram_scrub_compared", "Blobs that it compared.", value=last.compared),
+        _gauge("kleinkram_scrub_findings", "What it found.", "finding", found),
+    ]
+
+
+def _jobs(rows: Sequence[Row[Any]]) -> GaugeMetricFamily:
+    family = GaugeMetricFamily("kleinkram_jobs", "Jobs by task and status.", labels=["task", "status"])
+    for task, status, count in rows:
+        family.add_metric([task, status], count)
+    return family

@@ -1,0 +1,1 @@
+"""HTTP: the web server, middleware, error responses, and what routes share."""

@@ -1,0 +1,131 @@
+"""What is served of the built app: its one page under every address of a view, and the files that the page asks for.
+
+Reads files that were made with the wheel or by `make setup`, and nothing else. A name never leads out of its folder.
+"""
+
+import re
+from html import escape
+from pathlib import Path
+from typing import Final
+
+from fastapi import Request
+from fastapi.responses import FileResponse, HTMLResponse, Response
+
+from kleinkram.contract.errors import NotFound
+from kleinkram.server.http.headers import PAGE_POLICY
+from kleinkram.server.settings import Settings
+
+BUILT: Final = Path(__file__).parent.parent / "web" / "built"
+STATIC: Final = Path(__file__).parent.parent / "web" / "static"
+# What is built is named after its content, so it never changes under its name.
+FOREVER: Final = "public, max-age=31536000, immutable"
+DAY: Final = "public, max-age=86400"
+HOUR: Final = "public, max-age=3600"
+# What the pages that the server makes itself have in common with the app: colours, letters, light or dark, a name.
+PAGE_HEAD: Final = (
+    '<meta name="color-scheme" content="light dark"><link rel="icon" href="/static/icon.svg" type="image/svg+xml">'
+    '<link rel="stylesheet" href="/static/fonts.css"><link rel="stylesheet" href="/static/tokens.css">'
+    '<script src="/static/theme.js"></script>'
+)
+_TYPES: Final = {
+    ".css": "text/css",
+    ".js": "text/javascript",
+    ".md": "text/plain",
+    ".png": "image/png",
+    ".svg": "image/svg+xml",
+    ".txt": "text/plain",
+    ".wasm": "application/wasm",
+    ".woff2": "font/woff2",
+}
+_SMALLER: Final = (("br", ".br"), ("gzip", ".gz"))  # the smallest first
+# Under these everything is the API's: what is not there is told as a problem, to programs.
+_OF_PROGRAMS: Final = ("/api/", "/assets/", "/fonts/", "/health/", "/static/", "/s/static/", "/sign-in/static/")
+# Paths of the original's API that are no views of the app, and those under the names of views.
+_ORIGINALS_PATH = re.compile(
+    r"/(auth|users?|templates|triggers|metadata-types|action|hooks|tag|queue|topic|worker|access|category|user)(/.*)?"
+    r"|/(projects?|missions?|files?|actions)/(many|filtered|one|byName|ofMission|running|script|temporaryAccess|download"
+    r"|exists|upload|uploads|recent|getDefaultRights|mergeMetadata|migrate|verify)(/.*)?"
+)
+_NOT_BUILT: Final = (
+    '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Kleinkram</title></head><body><main>'
+    "<h1>The web interface is not built</h1><p>This server runs from a checkout: <code>make setup</code> builds it. "
+    'The API and the program <code>klein</code> work without; so does <a href="/sign-in">signing in</a>.</p>'
+    "</main></body></html>"
+)
+
+
+def app_policy(settings: Settings) -> str:
+    """Return what the app may do: run what is ours, and talk to this server and to the store, by its public address."""
+    return (
+        "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; font-src 'self'; "
+        f"img-src 'self' blob: data:; connect-src 'self' {settings.store_origin}; worker-src 'self'; "
+        "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+    )
+
+
+def app_page(settings: Settings, *, status: int = 200) -> Response:
+    """Return the page that is the app; which view it shows is the address's affair, and the browser's."""
+    page = BUILT / "index.html"
+    if not page.is_file():
+        return HTMLResponse(_NOT_BUILT, status_code=503, headers={"Content-Security-Policy": PAGE_POLICY})
+    headers = {"Content-Security-Policy": app_policy(settings), "Cache-Control": "no-cache"}
+    return HTMLResponse(page.read_bytes(), status_code=status, headers=headers)
+
+
+def brand(settings: Settings) -> str:
+    """Return the line above such a page: whose server it is, and the way to the app."""
+    icon = '<img src="/static/icon.svg" alt="" width="28" height="28">'
+    return f'<header><a class="brand" href="/">{icon}{escape(settings.lab_name)}</a></header>'
+
+
+def wants_page(request: Request) -> bool:
+    """Say whether a person's browser asks for a page, and not a program for an answer."""
+    is_looking = request.method == "GET" and "text/html" in request.headers.get("accept", "")
+    return is_looking and not request.url.path.startswith(_OF_PROGRAMS)
+
+
+def asks_for_json(request: Request) -> bool:
+    """Say whether a program asks, which takes JSON and no page."""
+    accepted = request.headers.get("accept", "")
+    return "json" in accepted and "text/html" not in accepted
+
+
+def is_original_api_path(path: str) -> bool:
+    """Say whether the original's API has this path, and neither ours nor the app."""
+    return _ORIGINALS_PATH.fullmatch(path) is not None
+
+
+def built_file(request: Request, settings: Settings, name: str, *, caching: str) -> Response:
+    """Return a file of the app, in the smallest form that the browser takes.
+
+    A script carries the app's policy too: where it runs as a worker, it is held to its own and not to the page's.
+
+    Raises:
+        NotFound: there is none of that name.
+    """
+    headers = {"Content-Security-Policy": app_policy(settings), "Cache-Control": caching}
+    path = _within(BUILT, name)
+    taken = {each.split(";")[0].strip() for each in request.headers.get("accept-encoding", "").split(",")}
+    for coding, ending in _SMALLER:
+        smaller = path.with_name(path.name + ending)
+        if coding in taken and smaller.is_file():
+            more = {"Content-Encoding": coding, "Vary": "Accept-Encoding"}
+            return FileResponse(smaller, media_type=_TYPES[path.suffix], headers=headers | more)
+    return FileResponse(path, media_type=_TYPES[path.suffix], headers=headers | {"Vary": "Accept-Encoding"})
+
+
+def static_file(name: str) -> Response:
+    """Return a file that the server's own pages share with the app.
+
+    Raises:
+        NotFound: there is none of that name.
+    """
+    path = _within(STATIC, name)
+    return FileResponse(path, media_type=_TYPES[path.suffix], headers={"Cache-Control": HOUR})
+
+
+def _within(folder: Path, name: str) -> Path:
+    path = folder / name
+    if path.suffix not in _TYPES or ".." in path.parts or not path.is_file():
+        raise NotFound(noun="page", ref=name)
+    return path

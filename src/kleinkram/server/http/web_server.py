@@ -1,0 +1,306 @@
+"""The web server: uvicorn with limits on what a connection may cost.
+
+Limits the size and duration of request heads, the pace of bodies, chunk extensions and trailers, and the number of
+connections per address and in total. `middleware` limits the size of bodies. On shutdown, streams end first.
+"""
+
+import asyncio
+import ipaddress
+import logging
+import resource
+import socket
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Iterable
+
+import uvicorn
+from fastapi import FastAPI
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
+
+from kleinkram.server.http.headers import parse_address
+from kleinkram.server.settings import Network, Settings
+
+_log = logging.getLogger("kleinkram.web_server")
+_MAX_HEAD_BYTES = 64 * 1024
+_HEAD_TIMEOUT_S = 30.0
+# The timeout of a body grows with the bytes received, like Apache's RequestReadTimeout.
+_BODY_TIMEOUT_S = 30.0
+_BODY_BYTES_PER_S = 4096
+# Allowed framing of a chunked body: a chunk of one byte takes five more bytes, and extensions may be short.
+_FRAMING_BYTES = 64 * 1024
+_FRAMING_PER_BODY_BYTE = 16
+# A client that got a response before it sent the whole request has this time to read it.
+_LINGER_S = 10.0
+_MAX_CONNECTIONS = 16_384
+# Files that this process opens for the database, the store and logs.
+_OTHER_FILES = 256
+_IPV6_PREFIX = 64
+_TOO_MANY_CONNECTIONS = 503
+_CLOSE = b"content-length: 0\r\nconnection: close\r\n\r\n"
+_REFUSED_RESPONSES = {
+    408: b"HTTP/1.1 408 Request Timeout\r\n" + _CLOSE,
+    413: b"HTTP/1.1 413 Content Too Large\r\n" + _CLOSE,
+    431: b"HTTP/1.1 431 Request Header Fields Too Large\r\n" + _CLOSE,
+    _TOO_MANY_CONNECTIONS: b"HTTP/1.1 503 Service Unavailable\r\nretry-after: 5\r\n" + _CLOSE,
+}
+_STARTUP_FAILED = "lifespan.startup.failed"
+
+
+class _ShortStartupErrors:
+    """ASGI wrapper that reports one of our own errors at startup as a sentence instead of a traceback."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one request or the lifespan."""
+
+        async def send_short(message: Message) -> None:
+            if message["type"] == _STARTUP_FAILED:
+                message["message"] = _sentence(message["message"])
+            await send(message)
+
+        await self._app(scope, receive, send_short if scope["type"] == "lifespan" else send)
+
+
+def _sentence(traceback: str) -> str:
+    """Return the message at the end of a traceback if the exception is ours, else the whole traceback."""
+    kind, _, sentence = traceback.strip().splitlines()[-1].partition(": ")
+    return f"not started: {sentence}" if kind.startswith("kleinkram.") else traceback
+
+
+class ApiServer(uvicorn.Server):
+    """uvicorn with these limits, for one app."""
+
+    def __init__(self, config: uvicorn.Config, app: FastAPI) -> None:
+        settings: Settings = app.state.settings
+        connections = OpenConnections(
+            per_address=settings.connections_per_address,
+            total=min(_MAX_CONNECTIONS, max(1, raise_open_files_limit() - _OTHER_FILES)),
+            unlimited=settings.trusted_proxies,
+        )
+        config.http = type("LimitedHttp", (LimitedHttp,), {"open_connections": connections})
+        config.app = _ShortStartupErrors(app)
+        super().__init__(config)
+        self._app = app
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """End event streams, wait for other requests, then stop."""
+        hub = getattr(self._app.state, "hub", None)
+        if hub is not None:
+            hub.close()
+        await super().shutdown(sockets)
+
+
+def raise_open_files_limit() -> int:
+    """Raise this process's soft limit of open files to the hard limit; return the new limit."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if resource.RLIM_INFINITY in (soft, hard):
+        return sys.maxsize
+    if soft == hard:
+        return soft
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+    except (ValueError, OSError) as error:
+        _log.warning("open files limit not raised", extra={"fields": {"limit": soft, "reason": str(error)}})
+        return soft
+    return hard
+
+
+class OpenConnections:
+    """The connections of a process by peer address; an IPv6 peer counts as its /64 network.
+
+    At the limit, a new connection replaces the oldest one that waits for a request: a client that opens idle
+    connections locks nobody out, not even others behind its own address.
+    """
+
+    def __init__(self, *, per_address: int, total: int, unlimited: Iterable[Network] = ()) -> None:
+        self._per_address = per_address
+        self._total = total
+        self._unlimited = tuple(unlimited)
+        self._by_address: dict[str, dict[LimitedHttp, None]] = defaultdict(dict)
+        self._all: dict[LimitedHttp, None] = {}
+
+    def add(self, connection: "LimitedHttp", peer: str) -> bool:
+        """Register a connection; False if the limit is reached and no connection is idle."""
+        address = self._limited_address(peer)
+        siblings = self._by_address[address] if address is not None else {}
+        if address is not None and len(siblings) >= self._per_address and not _close_idle(siblings):
+            return False
+        if len(self._all) >= self._total and not _close_idle(self._all):
+            return False
+        self._all[connection] = None
+        if address is not None:
+            self._by_address[address][connection] = None
+        return True
+
+    def remove(self, connection: "LimitedHttp", peer: str) -> None:
+        """Unregister a connection."""
+        self._all.pop(connection, None)
+        address = self._limited_address(peer)
+        if address is not None and (siblings := self._by_address.get(address)) is not None:
+            siblings.pop(connection, None)
+            if not siblings:
+                del self._by_address[address]
+
+    def _limited_address(self, peer: str) -> str | None:
+        """Return the address under which a peer is counted; None if the peer is unlimited."""
+        address = parse_address(peer)
+        if address is None:
+            return peer
+        if any(address in network for network in self._unlimited):
+            return None
+        if isinstance(address, ipaddress.IPv6Address):
+            return str(ipaddress.ip_network((address, _IPV6_PREFIX), strict=False))
+        return str(address)
+
+
+def _close_idle(connections: "dict[LimitedHttp, None]") -> bool:
+    """Close the oldest connection whose request has not arrived yet; False if there is none."""
+    oldest = next((connection for connection in connections if connection.is_receiving), None)
+    if oldest is None:
+        return False
+    del connections[oldest]
+    oldest.refuse(408)
+    return True
+
+
+class LimitedHttp(HttpToolsProtocol):
+    """HTTP/1.1 that closes connections which exceed a limit."""
+
+    open_connections: OpenConnections
+    cycle: RequestResponseCycle | None  # type: ignore[assignment]  # None at first, which uvicorn does not declare
+    _timer: asyncio.TimerHandle | None = None
+    _is_in_head = False
+    _is_in_body = False
+    _head_bytes = 0
+    _body_bytes = 0
+    # Of the current message: all bytes after its head, and those since the parser last delivered part of the body.
+    _message_bytes = 0
+    _unparsed_bytes = 0
+    _body_started_at = 0.0
+
+    @property
+    def is_receiving(self) -> bool:
+        """Whether the connection waits for the rest of a request and sends no response."""
+        if self.pipeline:
+            return False
+        return self._is_in_body or self.cycle is None or bool(self.cycle.response_complete)
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # uvicorn's signature
+        """Register the connection and start the timeout of the first request."""
+        super().connection_made(transport)
+        if not self.open_connections.add(self, self._peer):
+            self.refuse(_TOO_MANY_CONNECTIONS)
+            return
+        self._start_head_timeout()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Unregister the connection."""
+        self._cancel_timeout()
+        self.open_connections.remove(self, self._peer)
+        super().connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        """Parse data unless the head or the framing of the body is too large."""
+        if self.transport.is_closing():
+            return
+        self._message_bytes += len(data)
+        self._unparsed_bytes += len(data)
+        super().data_received(data)
+        if self.transport.is_closing():
+            return
+        if self._is_in_head:
+            self._head_bytes += len(data)
+            if self._head_bytes > _MAX_HEAD_BYTES:
+                self.refuse(431)
+        elif self._is_in_body:
+            framing = self._message_bytes - self._body_bytes
+            if self._unparsed_bytes > _FRAMING_BYTES or framing > (
+                _FRAMING_BYTES + _FRAMING_PER_BODY_BYTE * self._body_bytes
+            ):
+                self.refuse(413)
+        elif self._timer is None and self.is_receiving:
+            self._start_head_timeout()  # empty lines before a request end uvicorn's keep-alive timeout
+
+    def on_message_begin(self) -> None:
+        """Start the head of a message."""
+        super().on_message_begin()
+        self._is_in_head, self._head_bytes = True, 0
+        self._start_head_timeout()
+
+    def on_header(self, name: bytes, value: bytes) -> None:
+        """Pass headers on and drop trailers, which arrive after the request was dispatched."""
+        if self._is_in_head:
+            super().on_header(name, value)
+
+    def on_headers_complete(self) -> None:
+        """End the head and start the body."""
+        self._is_in_head, self._is_in_body = False, True
+        self._message_bytes = self._body_bytes = self._unparsed_bytes = 0
+        self._body_started_at = time.monotonic()
+        self._start_body_timeout()
+        super().on_headers_complete()
+
+    def on_body(self, body: bytes) -> None:
+        """Count the bytes of the body."""
+        self._body_bytes += len(body)
+        self._unparsed_bytes = 0
+        super().on_body(body)
+
+    def on_chunk_header(self) -> None:
+        """Count framing from the end of a chunk's header."""
+        self._unparsed_bytes = 0
+
+    def on_message_complete(self) -> None:
+        """End the message."""
+        self._is_in_body = False
+        self._cancel_timeout()
+        super().on_message_complete()
+
+    def on_response_complete(self) -> None:
+        """If the request has not arrived entirely, close the connection soon."""
+        super().on_response_complete()
+        if self._is_in_body and not self.transport.is_closing():
+            self._cancel_timeout()
+            self._timer = self.loop.call_later(_LINGER_S, self.transport.close)
+
+    def refuse(self, status: int) -> None:
+        """Close the connection, with an error response if a request has begun and its response has not."""
+        self._cancel_timeout()
+        if self.transport.is_closing():
+            return
+        is_answering = self.cycle is not None and self.cycle.response_started and not self.cycle.response_complete
+        if (self._is_in_head or self._is_in_body or status == _TOO_MANY_CONNECTIONS) and not is_answering:
+            self.transport.write(_REFUSED_RESPONSES[status])
+        self.transport.close()
+
+    @property
+    def _peer(self) -> str:
+        return self.client[0] if self.client else ""
+
+    def _start_head_timeout(self) -> None:
+        self._cancel_timeout()
+        self._timer = self.loop.call_later(_HEAD_TIMEOUT_S, self.transport.close)
+
+    def _start_body_timeout(self) -> None:
+        self._cancel_timeout()
+        self._timer = self.loop.call_later(_BODY_TIMEOUT_S, self._check_body)
+
+    def _check_body(self) -> None:
+        """Close the connection if its body arrives too slowly; paused reading does not count."""
+        if self.flow.read_paused:
+            self._body_started_at = time.monotonic()
+        due_at = self._body_started_at + _BODY_TIMEOUT_S + self._body_bytes / _BODY_BYTES_PER_S
+        remaining_s = due_at - time.monotonic()
+        if remaining_s <= 0:
+            self.refuse(408)
+            return
+        self._timer = self.loop.call_later(remaining_s, self._check_body)
+
+    def _cancel_timeout(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None

@@ -1,0 +1,270 @@
+"""The parts of an upload: URLs to send them to, what the store has of them, and joining them.
+
+A URL is signed for one checksum: what arrives there is what was announced, or nothing.
+"""
+
+import asyncio
+import datetime
+import uuid
+from collections import defaultdict
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+from sqlalchemy import ColumnElement, Update, func, update
+
+from kleinkram.contract.errors import (
+    ChecksumMismatch,
+    FieldProblem,
+    InvalidRequest,
+    KleinkramError,
+    UploadGone,
+    UploadIncomplete,
+)
+from kleinkram.contract.events import ChangeKind
+from kleinkram.contract.uploads import (
+    CHECKSUM_HEX_DIGITS,
+    ChecksumKind,
+    PartToSign,
+    SignedPart,
+    StoredPart,
+    UploadFile,
+    UploadState,
+    part_size_bytes,
+)
+from kleinkram.server.access.actor import Actor
+from kleinkram.server.change_events import ChangeEvent, publish
+from kleinkram.server.context import AppContext
+from kleinkram.server.db import unnest_rows
+from kleinkram.server.s3.storage import PartTarget, Storage, StoreMissing, StoreRefused
+from kleinkram.server.settings import Settings
+from kleinkram.server.tables import upload
+from kleinkram.server.uploads import queries
+from kleinkram.server.uploads.queries import UploadRow
+
+_CONCURRENT_REQUESTS = 16
+# From so many objects with one prefix, one listing is cheaper than asking for each.
+_MIN_FOR_LISTING = 4
+_PROGRESS_EVERY_S = 2
+
+Failures = dict[uuid.UUID, KleinkramError]
+"""Uploads that could not be finished, by id. After `UploadIncomplete` an upload may go on; any other error ends it."""
+
+
+def lease_columns(settings: Settings, now: datetime.datetime | ColumnElement[Any]) -> dict[str, Any]:
+    """Return the columns that reserve a name and keep an upload from now on, for an insert or update."""
+    return {
+        "lease_ends_at": now + datetime.timedelta(seconds=settings.upload_lease_s),
+        "expires_at": now + datetime.timedelta(seconds=settings.upload_expires_s),
+    }
+
+
+# -- signing ----------------------------------------------------------------------------------------------------------
+
+
+async def sign_parts(context: AppContext, actor: Actor, *, parts: Sequence[PartToSign]) -> list[SignedPart]:
+    """Return where to send parts, in the order asked, and renew the leases of their uploads.
+
+    Raises:
+        UploadGone: an upload has ended, or its only part was signed with another checksum before.
+        InvalidRequest: the file has no such part, or the checksum is of another kind.
+    """
+    async with context.database.begin() as db:
+        uploads = await queries.lock_own_uploads(db, actor, {part.upload_id for part in parts})
+        for part in parts:
+            _check_signable(uploads.get(part.upload_id), part)
+        checksums = {part.upload_id: None if uploads[part.upload_id].is_multipart else part.checksum for part in parts}
+        await db.execute(_renew_leases(context.settings, checksums))
+        progress = [row for row in uploads.values() if _is_progress_due(row, context.settings)]
+        await publish(
+            db, [ChangeEvent("upload", ChangeKind.changed, row.id, mission_id=row.mission_id) for row in progress]
+        )
+    expires_at = _url_expiry(context.settings)
+    return [_sign(context, uploads[part.upload_id], part, expires_at) for part in parts]
+
+
+def _check_signable(row: UploadRow | None, part: PartToSign) -> None:
+    if row is None or row.state != UploadState.open.value or row.is_expired:
+        raise UploadGone(upload_id=str(part.upload_id))
+    if row.is_multipart and row.multipart_id is None:  # the server died before it recorded the store's answer
+        raise UploadGone(upload_id=str(part.upload_id))
+    digits = CHECKSUM_HEX_DIGITS[ChecksumKind(row.checksum)]
+    if len(part.checksum) != digits:
+        message = f"{row.path!r} is verified by {row.checksum}, which has {digits} hex digits, not {len(part.checksum)}"
+        raise InvalidRequest(problems=[FieldProblem(field="parts.checksum", message=message)])
+    if not row.is_multipart and row.signed_checksum not in {None, part.checksum}:
+        raise UploadGone(upload_id=str(part.upload_id))
+    if part.number > row.part_count:
+        message = f"{row.path!r} has {row.part_count} parts of {row.part_size_bytes} bytes, and no part {part.number}"
+        raise InvalidRequest(problems=[FieldProblem(field="parts.number", message=message)])
+
+
+def _renew_leases(settings: Settings, checksums: Mapping[uuid.UUID, str | None]) -> Update:
+    """Return the statement that renews leases and records the checksum that an only part was signed for."""
+    rows = [{"id": upload_id, "signed_checksum": checksum} for upload_id, checksum in checksums.items()]
+    values = unnest_rows([upload.c.id, upload.c.signed_checksum], rows)
+    signed_checksum = func.coalesce(upload.c.signed_checksum, values.c.signed_checksum)
+    renew = update(upload).where(upload.c.id == values.c.id)
+    return renew.values(**lease_columns(settings, func.now()), signed_checksum=signed_checksum)
+
+
+def _is_progress_due(row: UploadRow, settings: Settings) -> bool:
+    """Return whether subscribers should hear of progress: not for each request, and not for small files."""
+    since_renewal_s = (row.now - row.lease_ends_at).total_seconds() + settings.upload_lease_s
+    return row.is_multipart and since_renewal_s > _PROGRESS_EVERY_S
+
+
+def announced_checksum(storage: Storage, requested: UploadFile) -> str | None:
+    """Return what the only part of a file is signed for; None for several parts, or if no hash was announced."""
+    if requested.size_bytes > part_size_bytes(requested.size_bytes):
+        return None
+    announced = {ChecksumKind.crc64nvme: requested.crc64nvme, ChecksumKind.sha256: requested.sha256}
+    return announced.get(storage.checksum)
+
+
+def sign_only_part(context: AppContext, row: UploadRow, requested: UploadFile) -> SignedPart | None:
+    """Return where the only part of a file goes, if the row was signed for the checksum that is announced."""
+    checksum = announced_checksum(context.storage.with_checksum(ChecksumKind(row.checksum)), requested)
+    if checksum is None or row.signed_checksum != checksum:
+        return None
+    part = PartToSign(upload_id=row.id, number=1, checksum=checksum)
+    return _sign(context, row, part, _url_expiry(context.settings))
+
+
+def _url_expiry(settings: Settings) -> datetime.datetime:
+    return datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=settings.part_url_s)
+
+
+def _sign(context: AppContext, row: UploadRow, part: PartToSign, expires_at: datetime.datetime) -> SignedPart:
+    target = PartTarget(row.key, row.multipart_id, part.number, row.part_bytes(part.number), part.checksum)
+    storage = context.storage.with_checksum(ChecksumKind(row.checksum))
+    signed = storage.sign_part(target, expires_s=context.settings.part_url_s)
+    return SignedPart(
+        upload_id=row.id, number=part.number, url=signed.url, headers=signed.headers, expires_at=expires_at
+    )
+
+
+# -- what the store has -----------------------------------------------------------------------------------------------
+
+
+async def list_multiparts(
+    context: AppContext, uploads: Sequence[UploadRow], *, resumed: Collection[uuid.UUID] = ()
+) -> dict[uuid.UUID, list[StoredPart]]:
+    """Open the multipart uploads that the store does not have yet, and return the parts that it has of each.
+
+    A `resumed` upload may be open at the store although its id was never recorded: the process died between.
+    """
+    limit = asyncio.Semaphore(_CONCURRENT_REQUESTS)
+
+    async def open_one(row: UploadRow) -> tuple[UploadRow, str, list[StoredPart]]:
+        async with limit:
+            return row, *await _find_or_create(context.storage, row, is_resumed=row.id in resumed)
+
+    answers = await asyncio.gather(*(open_one(row) for row in uploads), return_exceptions=True)
+    opened = [answer for answer in answers if not isinstance(answer, BaseException)]
+    async with context.database.begin() as db:
+        for row, multipart_id, _ in opened:
+            if row.multipart_id != multipart_id:
+                await db.execute(update(upload).where(upload.c.id == row.id).values(multipart_id=multipart_id))
+    for answer in answers:
+        if isinstance(answer, BaseException):
+            raise answer
+    return {row.id: parts for row, _, parts in opened}
+
+
+async def _find_or_create(storage: Storage, row: UploadRow, *, is_resumed: bool) -> tuple[str, list[StoredPart]]:
+    if row.multipart_id is not None:
+        parts = await storage.list_parts(row.key, row.multipart_id)
+        if parts is not None:
+            return row.multipart_id, parts
+    elif is_resumed:
+        for multipart in await storage.list_multiparts(row.key):
+            return multipart.multipart_id, await storage.list_parts(row.key, multipart.multipart_id) or []
+    return await storage.create_multipart(row.key), []
+
+
+async def stored_small_files(storage: Storage, uploads: Sequence[UploadRow]) -> dict[uuid.UUID, list[StoredPart]]:
+    """Return the only part of each one-part upload whose file the store has, whole."""
+    signed = [row for row in uploads if not row.is_multipart and row.signed_checksum is not None]
+    objects: dict[str, StoredPart] = {}
+    for prefix, group in _by_prefix(signed).items():
+        for asked_prefix in [prefix] if len(group) >= _MIN_FOR_LISTING else [row.key for row in group]:
+            objects |= await storage.list_objects(asked_prefix)
+    return {row.id: [part] for row in signed if (part := objects.get(row.key)) and part.size_bytes == row.size_bytes}
+
+
+def _by_prefix(uploads: Sequence[UploadRow]) -> dict[str, list[UploadRow]]:
+    groups = defaultdict[str, list[UploadRow]](list)
+    for row in uploads:
+        groups[row.key.split("/")[0] + "/"].append(row)
+    return groups
+
+
+# -- joining ----------------------------------------------------------------------------------------------------------
+
+
+async def join_parts(storage: Storage, uploads: Sequence[UploadRow]) -> Failures:
+    """Have the store join the parts of each upload, check what it has, and return the uploads that failed."""
+    limit = asyncio.Semaphore(_CONCURRENT_REQUESTS)
+
+    async def join(row: UploadRow) -> tuple[uuid.UUID, KleinkramError | None]:
+        async with limit:
+            return row.id, await _join(storage.with_checksum(ChecksumKind(row.checksum)), row)
+
+    failures = await _check_small_files(storage, [row for row in uploads if not row.is_multipart])
+    for upload_id, error in await asyncio.gather(*(join(row) for row in uploads if row.is_multipart)):
+        if error is not None:
+            failures[upload_id] = error
+    return failures
+
+
+async def _check_small_files(storage: Storage, uploads: Sequence[UploadRow]) -> Failures:
+    """Check that one-part files arrived. Each URL was signed for one checksum, so only the size is compared."""
+    sizes: dict[str, int] = {}
+    for prefix, group in _by_prefix(uploads).items():
+        if len(group) >= _MIN_FOR_LISTING:
+            sizes |= await storage.sizes(prefix)
+        else:
+            for row in group:
+                stored = await storage.find(row.key)
+                sizes |= {row.key: stored.size_bytes} if stored else {}
+    return {
+        row.id: UploadIncomplete(path=row.path, reason="the file has not arrived")
+        for row in uploads
+        if sizes.get(row.key) != row.size_bytes
+    }
+
+
+async def _join(storage: Storage, row: UploadRow) -> KleinkramError | None:
+    error = await _request_join(storage, row)
+    stored = await storage.find(row.key)
+    if stored is None:
+        return error
+    # Several requests may join the same parts at once. The object counts, not the answer that one of them got.
+    if stored.size_bytes != row.size_bytes or stored.crc64nvme not in {None, row.crc64nvme}:
+        return ChecksumMismatch(path=row.path, reason="the store's own checksum of the whole differs")
+    return None
+
+
+async def _request_join(storage: Storage, row: UploadRow) -> KleinkramError:
+    """Ask the store to join the parts; return the error that holds if there is no object afterwards."""
+    gone = UploadGone(upload_id=str(row.id))
+    if row.multipart_id is None:
+        parts: list[StoredPart] | None = []
+    else:
+        parts = await storage.list_parts(row.key, row.multipart_id)
+    if parts is None:
+        return gone
+    complete = {part.number for part in parts if part.size_bytes == row.part_bytes(part.number)}
+    missing = sorted(set(range(1, row.part_count + 1)) - complete)
+    if missing or row.multipart_id is None:
+        reason = f"{len(missing)} of {row.part_count} parts, the first is {missing[0]}"
+        return UploadIncomplete(path=row.path, reason=reason)
+    try:
+        await storage.complete_multipart(row.key, row.multipart_id, count=row.part_count, crc64nvme=row.crc64nvme)
+    except StoreMissing:
+        return gone
+    except StoreRefused as error:
+        if error.is_wrong_checksum:
+            return ChecksumMismatch(path=row.path, reason=str(error))
+        return UploadIncomplete(path=row.path, reason=str(error))
+    return gone

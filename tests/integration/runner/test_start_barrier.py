@@ -1,0 +1,93 @@
+"""Commands of containers do not start before their port forwards are open."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from kleinkram.contract.actions import Network
+from kleinkram.contract.runs import EndReason
+from kleinkram.runner.executors import docker_container
+from kleinkram.runner.executors.base import Job, PortForward
+from kleinkram.runner.executors.docker_client import DockerClient
+from tests.integration.runner import engines
+from tests.integration.runner.conftest import Bench, lent, log_of
+from tests.integration.runner.test_executors import ending_of_start
+
+pytestmark = pytest.mark.slow
+PORT_FORWARDS = [PortForward("kleinkram.lab.example", 443, "127.0.0.1", 1)]
+
+
+@pytest.fixture(params=["docker", "podman"])
+def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
+    """Somewhere to run things, by each engine."""
+    yield from lent(request.param, request, tmp_path)
+
+
+@contextmanager
+def behind_barrier(bench: Bench, job: Job) -> Iterator[tuple[DockerClient, str]]:
+    """Start the container of a job without its executor, and yield its engine and its name."""
+    assert bench.engine is not None
+    assert job.image is not None
+    client, name = bench.engine.engine, docker_container.container_name(job)
+    image = client.find_image(job.image)
+    assert image is not None
+    for each in ("out", "tmp"):
+        (job.directory / each).mkdir()
+    described = docker_container.describe(job, user="1000:1000", volumes=[], labels={docker_container.JOB_LABEL: "x"})
+    client.create(name, docker_container.with_barrier(described, job, image))
+    try:
+        client.start(name)
+        yield client, name
+    finally:
+        client.remove(name)
+
+
+def log_after_end(client: DockerClient, name: str) -> bytes:
+    """Wait for the end of a container, and return what it wrote."""
+    until = time.monotonic() + 20
+    while (container := client.find_container(name)) is None or container.status != "exited":
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    return b"".join(client.log(name, follow=False))
+
+
+def test_the_command_starts_unchanged_once_the_barrier_is_open(bench: Bench) -> None:
+    job = bench.job("import sys; print(sys.argv, sys.stdin.read())", network=Network.api, port_forwards=PORT_FORWARDS)
+    with behind_barrier(bench, job) as (client, name):
+        time.sleep(1)
+        assert b"".join(client.log(name, follow=False)) == b""
+        descriptor = docker_container.open_barrier(job.directory)
+        assert log_after_end(client, name) == b"['-c'] \n"
+        assert descriptor is not None
+        os.close(descriptor)
+
+
+def test_a_command_at_the_barrier_can_be_ended(bench: Bench) -> None:
+    job = bench.job("print('begun')", network=Network.api, port_forwards=PORT_FORWARDS)
+    with behind_barrier(bench, job) as (client, name):
+        time.sleep(0.5)
+        client.kill(name, "SIGTERM")
+        assert log_after_end(client, name) == b""
+
+
+@pytest.mark.parametrize("command", ["/usr/bin/nonsense", "nonsense", "/etc/hosts"])
+def test_a_command_that_is_not_there(bench: Bench, command: str) -> None:
+    ending = ending_of_start(bench, bench.job([command], network=Network.api, port_forwards=PORT_FORWARDS))
+    assert (ending.reason, command in ending.message) == (EndReason.command_not_found, True)
+
+
+def test_without_a_shell_it_does_not_wait(bench: Bench) -> None:
+    assert bench.engine is not None
+    image = bench.engine.load("lab/bare:1", root=engines.python_root(with_shell=False))
+    job = bench.with_image(image).job(
+        ["python3", "-c", "print('begun')"], network=Network.api, port_forwards=PORT_FORWARDS
+    )
+    bench.executor.submit(job)
+    assert bench.end_of(job).reason is EndReason.done
+    assert log_of(job) == "begun\n"
