@@ -5,6 +5,7 @@ Where no settings of a server are in the environment, and no folder is named, th
 
 import json
 import os
+import re
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,15 +19,17 @@ from kleinkram.cli.units import parse_rate
 from kleinkram.cli.up import DataDirOption, resolve_data_dir
 from kleinkram.client.errors import InvalidInput
 
-app = Noun("Backups of a whole site: create, list, verify, forget.")
+app = Noun("Backups of a whole site: create, list, verify, prune.")
 
 _AT_ONCE = 8
+_REMOTE = re.compile(r"s3://|[\w.+@-]+:")  # of rclone's configuration; a folder is made absolute
 
 Place = Annotated[
     str,
     typer.Argument(
         metavar="PLACE",
-        help="A folder, or s3://bucket/folder (KLEINKRAM_BACKUP_S3_URL, _S3_ACCESS_KEY, _S3_SECRET_KEY).",
+        help="A folder, s3://bucket/folder (KLEINKRAM_BACKUP_S3_URL, _S3_ACCESS_KEY, _S3_SECRET_KEY), or REMOTE:PATH "
+        "of rclone.",
         show_default=False,
     ),
 ]
@@ -49,7 +52,7 @@ def create(
     place: Place,
     data_dir: DataDirOption = None,
     encrypt: Annotated[
-        bool, typer.Option("--encrypt", help="Seal what is written, by a passphrase. Decided at the first backup.")
+        bool, typer.Option("--encrypt", help="Encrypt with a passphrase. Decided at the first backup.")
     ] = False,
     passphrase_file: PassphraseFile = None,
     limit_rate: LimitRate = None,
@@ -88,14 +91,14 @@ def verify(
 
 
 @app.command()
-def forget(
+def prune(
     place: Place,
-    keep: Annotated[int, typer.Option("--keep", metavar="N", min=1, help="So many, the latest, stay.")],
+    keep: Annotated[int, typer.Option("--keep", metavar="N", min=1, help="How many backups, the latest, to keep.")],
     passphrase_file: PassphraseFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Drop all backups but the latest, and what only they held."""
-    _become_server(_order("forget", place, passphrase_file, as_json, keep=keep))
+    """Remove all backups but the latest, and the objects that only they name."""
+    _become_server(_order("prune", place, passphrase_file, as_json, keep=keep))
 
 
 def restore(
@@ -120,8 +123,8 @@ def _pace(limit_rate: str | None, connections: int) -> dict[str, object]:
 
 
 def _order(command: str, place: str, passphrase_file: Path | None, as_json: bool, **more: object) -> dict[str, object]:
-    # Who does it stands elsewhere.
-    where = place if place.startswith("s3://") else str(Path(place).expanduser().resolve())
+    # The process that does it has another working directory.
+    where = place if _REMOTE.match(place) else str(Path(place).expanduser().resolve())
     file = str(passphrase_file.expanduser().resolve()) if passphrase_file else None
     return {"command": command, "place": where, "passphrase_file": file, "as_json": as_json, **more}
 

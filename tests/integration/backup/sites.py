@@ -5,21 +5,30 @@ import hashlib
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import psycopg
 
-from kleinkram.server.backup.creating import Made, Making, create
-from kleinkram.server.backup.restoring import Restored, Wish, restore
-from kleinkram.server.backup.verifying import Looking, Verified, verify
+from kleinkram.server.backup.operations import (
+    BackupOptions,
+    CreatedBackup,
+    Pruned,
+    Restored,
+    Verification,
+    create,
+    prune,
+    restore,
+    verify,
+)
+from kleinkram.server.backup.rclone import Rclone
 from kleinkram.server.s3.storage import Storage, open_storage
 from kleinkram.server.settings import Settings, plain_dsn
 from tests.integration.api_server import Api
 from tests.services import RunningPostgres, RunningStore
 
-# What a restored site resets: nothing is verified at its store yet, and no upload or run is active there.
+# What a restored site says anew: nothing has been proven at its store, and nobody is sending or running anything there.
 ANEW = {
     "blob": ("state", "state_reason", "damaged_at"),
     "upload": ("state", "completing_since"),
@@ -29,24 +38,37 @@ LEFT = {"alembic_version", "store_probe"}
 _TABLES = "SELECT relname FROM pg_class WHERE relnamespace = 'public'::regnamespace AND relkind = 'r'"
 
 
-def back_up(settings: Settings, place: object, **more: Any) -> Made:
+def back_up(
+    settings: Settings,
+    place: object,
+    *,
+    encrypt: bool = False,
+    passphrase: str | None = None,
+    bytes_per_s: float | None = None,
+) -> CreatedBackup:
     """Make a backup."""
-    making = Making(str(place), sealed=False, passphrase=None, bytes_per_s=None, at_once=4, quiet=True)
-    return asyncio.run(create(settings, replace(making, **more)))
+    return create(settings, _options(place, passphrase, bytes_per_s), encrypt=encrypt)
 
 
-def look(place: object, **more: Any) -> Verified:
-    """Verify backups, by every byte unless told otherwise."""
-    looking = Looking(
-        str(place), passphrase=None, snapshot_id=None, read_all=True, bytes_per_s=None, at_once=4, quiet=True
-    )
-    return asyncio.run(verify(replace(looking, **more)))
+def look(place: object, *, passphrase: str | None = None, read_all: bool = True) -> Verification:
+    """Verify backups, by default every byte."""
+    return verify(_options(place, passphrase), None, read_all=read_all)
 
 
-def fill(settings: Settings, place: object, **more: Any) -> Restored:
+def fill(
+    settings: Settings, place: object, *, passphrase: str | None = None, snapshot_id: str | None = None
+) -> Restored:
     """Restore a backup."""
-    wish = Wish(str(place), snapshot_id=None, passphrase=None, bytes_per_s=None, at_once=4, quiet=True)
-    return asyncio.run(restore(settings, replace(wish, **more)))
+    return restore(settings, _options(place, passphrase), snapshot_id)
+
+
+def drop(place: object, *, keep: int, passphrase: str | None = None) -> Pruned:
+    """Prune backups."""
+    return prune(_options(place, passphrase), keep=keep)
+
+
+def _options(place: object, passphrase: str | None, bytes_per_s: float | None = None) -> BackupOptions:
+    return BackupOptions(str(place), passphrase, Rclone({}, 4, bytes_per_s), quiet=True)
 
 
 @dataclass(frozen=True)
@@ -141,5 +163,6 @@ def write_object(settings: Settings, key: str, body: bytes) -> None:
 
 
 def content_files(place: Path) -> list[Path]:
-    """The files of a repository that hold contents, the largest last."""
-    return sorted(place.glob("data/*/*"), key=lambda path: path.stat().st_size)
+    """The files of objects, the largest last."""
+    files = [path for path in (place / "objects").rglob("*") if path.is_file()]
+    return sorted(files, key=lambda path: path.stat().st_size)

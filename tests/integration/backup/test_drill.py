@@ -21,9 +21,8 @@ from typing import Any, cast
 import psycopg
 import pytest
 
-from kleinkram.server.backup import creating
-from kleinkram.server.backup.dumping import Facts, Reading
-from kleinkram.server.backup.dumping import facts as real_facts
+from kleinkram.server.backup import database as backup_database
+from kleinkram.server.backup.database import Connection, DatabaseFacts
 from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.settings import Settings, plain_dsn
 from tests.integration.api_server import Api
@@ -66,21 +65,23 @@ def test_back_up_under_load_and_restore(
     source = settings_of(api)
     seen: dict[str, list[str]] = {}
 
-    async def facts_and_rows(connection: Reading, store_id: str) -> Facts:
-        """Look at all rows by the backup's own moment, by another way than it copies them."""
-        found = await real_facts(connection, store_id)
-        for table in found.tables:
-            if table not in LEFT:
-                cursor = await connection.execute(f"SELECT to_jsonb(t) FROM {table} t".encode())
-                seen[table] = sorted(as_kept(table, cast("dict[str, Any]", row[0])) for row in await cursor.fetchall())
-        return found
+    database_facts = backup_database.database_facts
 
-    monkeypatch.setattr(creating, "facts", facts_and_rows)
+    def facts_and_rows(connection: Connection, store_id: str) -> DatabaseFacts:
+        """Read all rows of the backup's own moment, in another way than it copies them."""
+        facts = database_facts(connection, store_id)
+        for table in facts.tables:
+            if table not in LEFT:
+                rows_of_table = connection.execute(f"SELECT to_jsonb(t) FROM {table} t".encode()).fetchall()
+                seen[table] = sorted(as_kept(table, cast("dict[str, Any]", row[0])) for row in rows_of_table)
+        return facts
+
+    monkeypatch.setattr(backup_database, "database_facts", facts_and_rows)
     with at_work(api, mission, [each["id"] for each in small.values()]) as done:
         made = back_up(source, tmp_path, bytes_per_s=_RATE_BYTES_PER_S)
         during = dict(done)
     assert min(during.values()) > 2, f"people got nothing done meanwhile: {during}"
-    assert made.tally.problems.first == []
+    assert made.problems.first == []
     assert rows(source) != seen, "nothing changed meanwhile"
     stated = _stated(seen["blob"])
     name = plain_dsn(source.database_url).rpartition("/")[2]
@@ -88,7 +89,7 @@ def test_back_up_under_load_and_restore(
     postgres.drop_database(name)  # the site is gone
     assert look(tmp_path).damage.first == []
     with sites.empty() as target:
-        assert fill(target, tmp_path).missing == []
+        assert fill(target, tmp_path).unavailable == []
         assert rows(target) == seen
         found = contents(target)
         assert {key: found[key] for key in stated} == stated

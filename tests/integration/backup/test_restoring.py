@@ -1,19 +1,16 @@
 """What was backed up is restored: every row, every byte; and what would not be so is said."""
 
 import json
-from collections.abc import AsyncGenerator
-from contextlib import aclosing
+from collections.abc import Collection
 from hashlib import sha256
 from pathlib import Path
 
 import psycopg
 import pytest
 
-from kleinkram.contract.errors import StoreUnavailable
-from kleinkram.server.backup import loading
-from kleinkram.server.backup.bucket import BucketShelf
-from kleinkram.server.backup.failing import BackupError, InTheWay
-from kleinkram.server.s3.storage import Storage
+from kleinkram.server.backup import database as backup_database
+from kleinkram.server.backup.errors import BackupConflict, BackupError, BackupUnreachable
+from kleinkram.server.backup.rclone import Rclone
 from kleinkram.server.settings import plain_dsn
 from tests.integration.api_server import Api
 from tests.integration.backup.sites import (
@@ -36,16 +33,16 @@ from tests.integration.upload_client import upload
 def test_every_row_and_every_byte_come_back(lived_in: Api, sites: Sites, tmp_path: Path) -> None:
     source = settings_of(lived_in)
     made = back_up(source, tmp_path)
-    assert made.tally.problems.first == []
+    assert made.problems.first == []
     with sites.empty() as target:
         restored = fill(target, tmp_path)
-        assert restored.missing == []
+        assert restored.unavailable == []
         assert rows(target) == rows(source)
         assert contents(target) == contents(source)
         assert len(contents(target)) == 7  # of files 4, of a run's artifact and log, of one that is held a piece of log
         with psycopg.connect(plain_dsn(target.database_url)) as database:
             states = "SELECT DISTINCT state FROM blob WHERE doomed_at IS NULL"
-            assert database.execute(states).fetchall() == [("stored",)]  # to be verified at the new store
+            assert database.execute(states).fetchall() == [("stored",)]  # to be proven at the new store
             # Who was sending begins anew, and finds the name free.
             assert database.execute("SELECT DISTINCT state FROM upload WHERE path = 'half.bin'").fetchall() == [
                 ("expired",)
@@ -65,15 +62,15 @@ def test_every_row_and_every_byte_come_back(lived_in: Api, sites: Sites, tmp_pat
 
 def test_only_what_is_new_is_copied_and_what_was_cut_off_is_copied_again(lived_in: Api, tmp_path: Path) -> None:
     first = back_up(settings_of(lived_in), tmp_path)
-    assert first.tally.copied == 7  # the twin is the same content
+    assert first.copied == 7  # a duplicate is the same object
     *_, largest = content_files(tmp_path)
     second = back_up(settings_of(lived_in), tmp_path)
-    assert second.tally.copied == 0
-    assert second.tally.objects == first.tally.objects
+    assert second.copied == 0
+    assert second.snapshot.objects == first.snapshot.objects
     with largest.open("r+b") as file:
         file.truncate(1000)  # as a power cut may leave it
     third = back_up(settings_of(lived_in), tmp_path)
-    assert third.tally.copied == 1
+    assert third.copied == 1
     assert look(tmp_path).damage.first == []
 
 
@@ -90,11 +87,11 @@ def test_what_the_store_lost_or_spoiled_is_said_and_the_rest_is_kept(
     delete_object(source, by_path["lost"])
     write_object(source, by_path["spoiled"], b"other bytes")
     made = back_up(source, tmp_path)
-    assert sorted(made.tally.problems.first) == sorted([f"{by_path['lost']}: lost", f"{by_path['spoiled']}: corrupt"])
+    assert sorted(made.problems.first) == sorted([f"{by_path['lost']}: lost", f"{by_path['spoiled']}: corrupt"])
     assert look(tmp_path).damage.first == []
     with sites.empty() as target:
         restored = fill(target, tmp_path)
-        assert {each.key: each.state for each in restored.missing} == {
+        assert {each.key: each.state for each in restored.unavailable} == {
             by_path["lost"]: "lost",
             by_path["spoiled"]: "corrupt",
         }
@@ -104,23 +101,17 @@ def test_what_the_store_lost_or_spoiled_is_said_and_the_rest_is_kept(
             assert dict(database.execute(states).fetchall()) == {"lost": "lost", "spoiled": "corrupt", "fine": "stored"}
 
 
-def test_a_store_that_stops_once_in_the_middle_of_everything_costs_nothing(
+def test_a_store_that_is_away_fails_the_backup_and_costs_nothing(
     lived_in: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    read, begun = Storage.read, set[str]()
-
-    async def read_but_stop_at_first(self: Storage, key: str) -> AsyncGenerator[bytes, None]:
-        async with aclosing(read(self, key)) as pieces:
-            async for piece in pieces:
-                if key not in begun:
-                    begun.add(key)
-                    raise StoreUnavailable(reason="reading stopped")
-                yield piece
-
-    monkeypatch.setattr(Storage, "read", read_but_stop_at_first)
-    made = back_up(settings_of(lived_in), tmp_path)
-    assert made.tally.problems.first == []
-    assert made.tally.copied == len(begun) == 7
+    monkeypatch.setenv("RCLONE_RETRIES", "1")  # else it waits for the store
+    monkeypatch.setenv("RCLONE_LOW_LEVEL_RETRIES", "1")
+    source = settings_of(lived_in)
+    with pytest.raises(BackupUnreachable, match="does not answer"):
+        back_up(source.model_copy(update={"s3_internal_url": "http://127.0.0.1:9"}), tmp_path)
+    assert not any(tmp_path.glob("snapshots/*.json"))
+    made = back_up(source, tmp_path)
+    assert (made.problems.first, made.copied) == ([], 7)
     assert look(tmp_path).damage.first == []
 
 
@@ -128,12 +119,12 @@ def test_a_site_that_is_not_empty_is_left_alone(lived_in: Api, sites: Sites, tmp
     back_up(settings_of(lived_in), tmp_path)
     with sites.empty() as target:
         write_object(target, "somebody's", b"bytes")
-        with pytest.raises(InTheWay, match="is not empty"):
+        with pytest.raises(BackupConflict, match="is not empty"):
             fill(target, tmp_path)
     with sites.empty() as target:
         lived = settings_of(lived_in).model_copy(update={"s3_bucket": target.s3_bucket})
         lived = lived.model_copy(update={"migration_database_url": lived.database_url})
-        with pytest.raises(InTheWay, match="The database is not empty"):
+        with pytest.raises(BackupConflict, match="The database is not empty"):
             fill(lived, tmp_path)
 
 
@@ -144,35 +135,31 @@ def test_a_restore_that_ended_anywhere_goes_on(
     source = settings_of(lived_in)
     made = back_up(source, tmp_path)
     other = back_up(source, tmp_path)
-    wanted = {"snapshot_id": made.snapshot.id}
-    put, mend = BucketShelf.put, loading._mend
-    puts = 0
+    wanted = made.snapshot.id
+    copy, adjust_rows = Rclone.copy, backup_database._adjust_rows
 
-    async def put_two(self: BucketShelf, path: str, *more: object) -> None:
-        nonlocal puts
-        puts += 1
-        if puts > 2:
-            raise BackupError("ended")
-        await put(self, path, *more)  # type: ignore[arg-type]  # handed on as they are
+    def copy_two(self: Rclone, source: str, target: str, paths: Collection[str]) -> dict[str, str]:
+        copy(self, source, target, [*paths][:2])
+        raise BackupError("ended")
 
     def fail(*_: object) -> None:
         raise BackupError("ended")
 
     with sites.empty() as target:
-        monkeypatch.setattr(BucketShelf, "put", put_two)
+        monkeypatch.setattr(Rclone, "copy", copy_two)
         with pytest.raises(BackupError, match="ended"):
-            fill(target, tmp_path, **wanted)
-        monkeypatch.setattr(BucketShelf, "put", put)
-        with pytest.raises(InTheWay, match="was not finished"):
+            fill(target, tmp_path, snapshot_id=wanted)
+        monkeypatch.setattr(Rclone, "copy", copy)
+        with pytest.raises(BackupConflict, match="was not finished"):
             fill(target, tmp_path, snapshot_id=other.snapshot.id)
-        monkeypatch.setattr(loading, "_mend", fail)
+        monkeypatch.setattr(backup_database, "_adjust_rows", fail)
         with pytest.raises(BackupError, match="ended"):
-            fill(target, tmp_path, **wanted)
+            fill(target, tmp_path, snapshot_id=wanted)
         with psycopg.connect(plain_dsn(target.database_url)) as database:
             tables = database.execute("SELECT count(*) FROM pg_tables WHERE schemaname = 'public'").fetchall()
         assert tables == [(0,)]  # all or nothing
-        monkeypatch.setattr(loading, "_mend", mend)
-        assert fill(target, tmp_path, **wanted).sent == 0
+        monkeypatch.setattr(backup_database, "_adjust_rows", adjust_rows)
+        assert fill(target, tmp_path, snapshot_id=wanted).sent == 0
         assert rows(target) == rows(source)
         assert contents(target) == contents(source)
 
@@ -181,7 +168,7 @@ def test_a_backup_of_an_earlier_schema_is_upgraded(
     lived_in: Api, sites: Sites, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     back_up(settings_of(lived_in), tmp_path / "backup")
-    add_migration(loading, tmp_path, monkeypatch)
+    add_migration(backup_database, tmp_path, monkeypatch)
     with sites.empty() as target:
         fill(target, tmp_path / "backup")
         with psycopg.connect(plain_dsn(target.database_url)) as database:
