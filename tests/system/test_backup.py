@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.standalone.procs import marked_processes
+from kleinkram.standalone.processes import marked_processes
 from tests.acceptance.conftest import KLEIN, wait_until
 from tests.system.cluster import Cluster, environment
 

@@ -27,7 +27,7 @@ def test_an_hour_of_many_people_leaves_memory_steady(tmp_path: Path) -> None:
     cluster = Cluster(tmp_path, settings={"KLEINKRAM_SEARCHES_PER_MINUTE": "0"})
     cluster.start()
     try:
-        parts = {name: psutil.Process(cluster.runtime_info()["parts"][name]) for name in ("api", "worker")}
+        parts = {name: psutil.Process(cluster.runtime_info()["services"][name]) for name in ("api", "worker")}
         seed.fill(parts["worker"].environ()["KLEINKRAM_DATABASE_URL"], seed.Size(1), say=lambda _text: None)
         token = (cluster.data_dir / "owner-token").read_text().strip()
         asked = [cluster.runtime_info()["url"], token, str(_CLIENTS), str(_SECONDS), str(seeded("project1"))]

@@ -19,7 +19,7 @@ from kleinkram.cli.units import parse_rate
 from kleinkram.cli.up import DataDirOption, resolve_data_dir
 from kleinkram.client.errors import InvalidInput
 
-app = Noun("Backups of a whole site: create, list, verify, prune.")
+app = Noun("Backups of a whole instance: create, list, verify, prune.")
 
 _AT_ONCE = 8
 _REMOTE = re.compile(r"s3://|[\w.+@-]+:")  # of rclone's configuration; a folder is made absolute
@@ -64,13 +64,13 @@ def create(
     Exit code 9: it was made, but some files were lost or corrupt in the store already; it says which.
     """
     pace = _pace(limit_rate, connections)
-    _become(_order("create", place, passphrase_file, as_json, encrypt=encrypt, **pace), data_dir)
+    _become(_request("create", place, passphrase_file, as_json, encrypt=encrypt, **pace), data_dir)
 
 
 @app.command("list")
 def list_(place: Place, passphrase_file: PassphraseFile = None, as_json: AsJson = False) -> None:
     """List the backups in a place, the oldest first."""
-    _become_server(_order("list", place, passphrase_file, as_json))
+    _become_server(_request("list", place, passphrase_file, as_json))
 
 
 @app.command()
@@ -87,7 +87,7 @@ def verify(
 ) -> None:
     """Say whether the backups are whole: by names and sizes, or with --read-all by every byte. Exit code 9 if not."""
     which = {"snapshot_id": snapshot, "read_all": read_all}
-    _become_server(_order("verify", place, passphrase_file, as_json, **which, **_pace(limit_rate, connections)))
+    _become_server(_request("verify", place, passphrase_file, as_json, **which, **_pace(limit_rate, connections)))
 
 
 @app.command()
@@ -98,7 +98,7 @@ def prune(
     as_json: AsJson = False,
 ) -> None:
     """Remove all backups but the latest, and the objects that only they name."""
-    _become_server(_order("prune", place, passphrase_file, as_json, keep=keep))
+    _become_server(_request("prune", place, passphrase_file, as_json, keep=keep))
 
 
 def restore(
@@ -115,32 +115,34 @@ def restore(
     Exit code 9: it was restored, but some files are lost or corrupt, and shown so; it says which.
     """
     pace = _pace(limit_rate, connections)
-    _become(_order("restore", place, passphrase_file, as_json, snapshot_id=snapshot, **pace), data_dir)
+    _become(_request("restore", place, passphrase_file, as_json, snapshot_id=snapshot, **pace), data_dir)
 
 
 def _pace(limit_rate: str | None, connections: int) -> dict[str, object]:
     return {"bytes_per_s": parse_rate(limit_rate), "connections": connections}
 
 
-def _order(command: str, place: str, passphrase_file: Path | None, as_json: bool, **more: object) -> dict[str, object]:
+def _request(
+    command: str, place: str, passphrase_file: Path | None, as_json: bool, **more: object
+) -> dict[str, object]:
     # The process that does it has another working directory.
     where = place if _REMOTE.match(place) else str(Path(place).expanduser().resolve())
     file = str(passphrase_file.expanduser().resolve()) if passphrase_file else None
     return {"command": command, "place": where, "passphrase_file": file, "as_json": as_json, **more}
 
 
-def _become(order: dict[str, object], data_dir: Path | None) -> None:
+def _become(request: dict[str, object], data_dir: Path | None) -> None:
     if data_dir is None and "KLEINKRAM_DATABASE_URL" in os.environ:
-        _become_server(order)
+        _become_server(request)
     _require_server()
-    from kleinkram.standalone.backup import Errand
+    from kleinkram.standalone.backup import BackupTask
 
-    _exec(Errand(str(resolve_data_dir(data_dir)), order, fills=order["command"] == "restore").command())
+    _exec(BackupTask(str(resolve_data_dir(data_dir)), request, restores=request["command"] == "restore").command())
 
 
-def _become_server(order: dict[str, object]) -> None:
+def _become_server(request: dict[str, object]) -> None:
     _require_server()
-    _exec([sys.executable, "-m", "kleinkram.server.backup", json.dumps(order)])
+    _exec([sys.executable, "-m", "kleinkram.server.backup", json.dumps(request)])
 
 
 def _require_server() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from kleinkram.standalone import doctor
 from kleinkram.standalone.data_dir import DataDir
-from kleinkram.standalone.leftovers import stop_instance
+from kleinkram.standalone.supervisor import stop_instance
 from tests.integration.standalone.conftest import Instance, wait_until
 
 
@@ -22,16 +22,16 @@ def test_all_is_well_with_a_running_instance(shared_instance: Instance) -> None:
     stop_instance(DataDir(shared_instance.data_dir))
 
 
-def test_a_stopped_instance_is_said_to_be_stopped(shared_instance: Instance) -> None:
+def test_a_stopped_instance_is_reported(shared_instance: Instance) -> None:
     assert "klein up" in _problems(shared_instance)["running"]
 
 
 def test_a_dead_api_and_an_unreachable_store_are_named(shared_instance: Instance) -> None:
     process = shared_instance.up()
-    parts = shared_instance.told["parts"]
+    services = shared_instance.runtime_info["services"]
     process.send_signal(signal.SIGSTOP)  # so that nothing starts them again
-    for part in ("api", "store"):
-        os.kill(parts[part], signal.SIGKILL)
+    for service in ("api", "store"):
+        os.kill(services[service], signal.SIGKILL)
     wait_until(lambda: {"api", "store reachable"} <= _problems(shared_instance).keys())
     assert "nobody can upload or download" in _problems(shared_instance)["store reachable"]
     process.send_signal(signal.SIGCONT)
@@ -65,9 +65,9 @@ def test_a_folder_of_a_newer_kleinkram_is_refused(shared_instance: Instance) -> 
     version = shared_instance.data_dir / "VERSION"
     before = version.read_text()
     version.write_text("1 99.0.0\n")
-    said, problems = shared_instance.refused(), _problems(shared_instance)
+    stderr, problems = shared_instance.refused(), _problems(shared_instance)
     version.write_text(before)
-    assert "was last used by Kleinkram 99.0.0" in said
+    assert "was last used by Kleinkram 99.0.0" in stderr
     assert "install 99.0.0 or later" in problems["version"]
 
 
@@ -75,12 +75,12 @@ def test_a_database_of_another_postgres_is_refused(shared_instance: Instance) ->
     version = shared_instance.data_dir / "postgres" / "PG_VERSION"
     before = version.read_text()
     version.write_text("14\n")
-    said, problems = shared_instance.refused(), _problems(shared_instance)
+    stderr, problems = shared_instance.refused(), _problems(shared_instance)
     version.write_text(before)
-    assert "was made by PostgreSQL 14" in said
-    assert "KLEINKRAM_POSTGRES_BIN" in said
-    assert f"`klein backup create BACKUPS --data-dir {shared_instance.data_dir}`" in said
-    assert "`klein restore BACKUPS --data-dir NEW`" in said
+    assert "was made by PostgreSQL 14" in stderr
+    assert "KLEINKRAM_POSTGRES_BIN" in stderr
+    assert f"`klein backup create BACKUPS --data-dir {shared_instance.data_dir}`" in stderr
+    assert "`klein restore BACKUPS --data-dir NEW`" in stderr
     assert "PostgreSQL 14" in problems["database version"]
     assert "klein restore" in problems["database version"]
     assert shared_instance.processes == []
@@ -93,7 +93,7 @@ def test_a_folder_with_other_things_is_not_taken(instance: Instance) -> None:
     assert [path.name for path in instance.data_dir.iterdir()] == ["thesis.tex"]
 
 
-def test_a_missing_folder_is_said_to_be_made_by_up(tmp_path: Path) -> None:
+def test_a_missing_folder_is_created_by_up(tmp_path: Path) -> None:
     findings = {it.check: it for it in doctor.examine(tmp_path / "none")}
     assert not findings["data directory"].ok
     assert "klein up" in findings["data directory"].remedy

@@ -34,7 +34,7 @@ def test_what_was_typed_lasts(cluster: Cluster, act: Act, pictures: Path, tmp_pa
     wait_until(lambda: "/imu/data" in terminal.run("mission", "info", mission, "--json").out, "its topics to be known")
     later = tmp_path / "later.txt"
     later.write_text("what was seen")
-    api = cluster.runtime_info()["parts"]["api"]
+    api = cluster.runtime_info()["services"]["api"]
     seen = act("lasting.mjs", cluster, invited["url"], mission, api, later, pictures, timeout_s=250)
 
     assert seen["errors"] == []
@@ -49,7 +49,7 @@ def test_what_was_typed_lasts(cluster: Cluster, act: Act, pictures: Path, tmp_pa
     assert seen["loadsOfMission"] == 1, "the page was never loaded anew"
     assert seen["keptOfUpload"] == ["second", "beatrice"]
     assert "File uploaded." in seen["over"]
-    assert cluster.runtime_info()["parts"]["api"] != api
+    assert cluster.runtime_info()["services"]["api"] != api
     runtime_info = {each["name"]: each for each in terminal.run("mission", "list", "--json").json()["items"]}
     assert runtime_info["day"]["metadata"] == {"operator": "edith"}
     assert runtime_info["second"]["metadata"] == {"operator": "beatrice"}
