@@ -1,4 +1,4 @@
-"""Backups are looked at, sealed, dropped, kept in a bucket; nothing is deleted from under one that is being made."""
+"""Verify, encrypt and prune backups, in folders and buckets; locks, and objects that must not be deleted meanwhile."""
 
 import os
 import subprocess
@@ -28,16 +28,16 @@ from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.settings import plain_dsn
 from tests.integration.api_server import Api
 from tests.integration.backup.conftest import LARGE
-from tests.integration.backup.sites import (
-    Sites,
+from tests.integration.backup.instances import (
+    EmptyInstances,
     back_up,
     content_files,
     contents,
-    drop,
-    fill,
-    look,
+    prune_place,
+    restore_to,
     rows,
     settings_of,
+    verify_place,
 )
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
@@ -45,31 +45,31 @@ from tests.integration.upload_client import upload
 from tests.services import RunningStore
 
 
-def test_looking_makes_no_folder(tmp_path: Path) -> None:
+def test_verifying_creates_no_folder(tmp_path: Path) -> None:
     with pytest.raises(BackupNotFound, match="There are no backups"):
-        look(tmp_path / "none")
+        verify_place(tmp_path / "none")
     assert not (tmp_path / "none").exists()
 
 
-def test_damage_is_found_and_named(lived_in: Api, tmp_path: Path) -> None:
-    made = back_up(settings_of(lived_in), tmp_path)
+def test_damage_is_reported(populated: Api, tmp_path: Path) -> None:
+    made = back_up(settings_of(populated), tmp_path)
     *_, largest = content_files(tmp_path)
     whole = largest.read_bytes()
 
     flipped = bytearray(whole)
     flipped[len(whole) // 2] ^= 1
     largest.write_bytes(flipped)
-    assert look(tmp_path, read_all=False).damage.first == []  # names and sizes say nothing of it
-    [sentence] = look(tmp_path).damage.first
+    assert verify_place(tmp_path, read_all=False).damage.first == []  # names and sizes are unchanged
+    [sentence] = verify_place(tmp_path).damage.first
     assert largest.name in sentence
     assert "changed or cut off" in sentence
 
     largest.write_bytes(whole[:-1])
-    [sentence] = look(tmp_path, read_all=False).damage.first
+    [sentence] = verify_place(tmp_path, read_all=False).damage.first
     assert f"has {len(whole) - 1} bytes instead of {len(whole)}" in sentence
 
     largest.unlink()
-    [sentence] = look(tmp_path, read_all=False).damage.first
+    [sentence] = verify_place(tmp_path, read_all=False).damage.first
     assert "is missing" in sentence
     assert made.snapshot.id in sentence
 
@@ -79,24 +79,26 @@ def test_damage_is_found_and_named(lived_in: Api, tmp_path: Path) -> None:
         body = path.read_bytes()
         for damaged in (body[:-10], body[:20] + bytes([body[20] ^ 1]) + body[21:]):
             path.write_bytes(damaged)
-            [sentence] = look(tmp_path).damage.first
+            [sentence] = verify_place(tmp_path).damage.first
             assert name in sentence
         path.write_bytes(body)
-    assert look(tmp_path).damage.first == []
+    assert verify_place(tmp_path).damage.first == []
 
     [document] = tmp_path.glob("snapshots/*.json")
     document.write_bytes(document.read_bytes()[:-10])
-    [sentence] = look(tmp_path, read_all=False).damage.first
+    [sentence] = verify_place(tmp_path, read_all=False).damage.first
     assert made.snapshot.id in sentence
     assert "cannot be restored" in sentence
     with pytest.raises(BackupDamaged):
-        drop(tmp_path, keep=1)
+        prune_place(tmp_path, keep=1)
     assert largest.exists()
 
 
 @pytest.mark.slow
-def test_encrypted_backups_reveal_nothing_and_can_be_restored(lived_in: Api, sites: Sites, tmp_path: Path) -> None:
-    source = settings_of(lived_in)
+def test_encrypted_backups_reveal_nothing_and_can_be_restored(
+    populated: Api, instances: EmptyInstances, tmp_path: Path
+) -> None:
+    source = settings_of(populated)
     with pytest.raises(BackupRequestInvalid, match="needs a passphrase"):
         back_up(source, tmp_path, encrypt=True)
     made = back_up(source, tmp_path, encrypt=True, passphrase="horse staple")
@@ -107,26 +109,28 @@ def test_encrypted_backups_reveal_nothing_and_can_be_restored(lived_in: Api, sit
     assert not any(LARGE[:64] in path.read_bytes() or b"large.bin" in path.read_bytes() for path in files)
     for passphrase, sentence in ((None, "are encrypted"), ("another", "is not the one")):
         with pytest.raises(PassphraseWrong, match=sentence):
-            look(tmp_path, passphrase=passphrase)
-    assert look(tmp_path, passphrase="horse staple").damage.first == []
-    with sites.empty() as target:
-        fill(target, tmp_path, passphrase="horse staple")
+            verify_place(tmp_path, passphrase=passphrase)
+    assert verify_place(tmp_path, passphrase="horse staple").damage.first == []
+    with instances.empty() as target:
+        restore_to(target, tmp_path, passphrase="horse staple")
         assert rows(target) == rows(source)
         assert contents(target) == contents(source)
     largest = max(files, key=lambda path: path.stat().st_size)
     whole = largest.read_bytes()
     largest.write_bytes(whole[: -(64 * 1024 + 16)])  # a block less
-    assert len(look(tmp_path, passphrase="horse staple").damage.first) == 2 + 1  # each backup, and the bytes themselves
+    assert (
+        len(verify_place(tmp_path, passphrase="horse staple").damage.first) == 2 + 1
+    )  # each backup, and the bytes themselves
     largest.write_bytes(whole[:5000] + bytes([whole[5000] ^ 1]) + whole[5001:])
-    [sentence] = look(tmp_path, passphrase="horse staple").damage.first
+    [sentence] = verify_place(tmp_path, passphrase="horse staple").damage.first
     assert "changed or cut off" in sentence
 
 
 @pytest.mark.slow
-def test_old_backups_go_with_what_only_they_held(start_api: StartApi, tmp_path: Path) -> None:
+def test_pruning_removes_old_backups_and_their_objects(start_api: StartApi, tmp_path: Path) -> None:
     api = start_api(trash_days=0, sweep_grace_s=0)
     mission = api.mission(api.project()["id"])["id"]
-    kept = upload(api, mission, "kept", b"kept")
+    uploaded = upload(api, mission, "kept", b"kept")
     gone = upload(api, mission, "gone", b"gone")
     source = settings_of(api)
     first = back_up(source, tmp_path)
@@ -137,22 +141,22 @@ def test_old_backups_go_with_what_only_they_held(start_api: StartApi, tmp_path: 
     second = back_up(source, tmp_path)
     assert second.snapshot.objects == 1
     with pytest.raises(BackupRequestInvalid):
-        drop(tmp_path, keep=0)
+        prune_place(tmp_path, keep=0)
 
     with open_repository(str(tmp_path), None, Rclone()).locked():
-        for write in (lambda: drop(tmp_path, keep=1), lambda: back_up(source, tmp_path)):
+        for write in (lambda: prune_place(tmp_path, keep=1), lambda: back_up(source, tmp_path)):
             with pytest.raises(BackupConflict, match="Another process"):
                 write()
-    done = drop(tmp_path, keep=1)
+    done = prune_place(tmp_path, keep=1)
     assert done.removed == (first.snapshot.id,)
     assert done.removed_objects == 1
-    assert kept["id"]
-    found = look(tmp_path)
-    assert (found.snapshots, found.damage.first, found.unused) == (1, [], 0)
+    assert uploaded["id"]
+    result = verify_place(tmp_path)
+    assert (result.snapshots, result.damage.first, result.unused) == (1, [], 0)
 
 
 @pytest.fixture
-def in_bucket(store: RunningStore, monkeypatch: pytest.MonkeyPatch) -> str:
+def bucket_location(store: RunningStore, monkeypatch: pytest.MonkeyPatch) -> str:
     """A place for backups in a bucket of its own, and in the environment how to get there."""
     monkeypatch.setenv("KLEINKRAM_BACKUP_S3_URL", store.endpoint)
     monkeypatch.setenv("KLEINKRAM_BACKUP_S3_ACCESS_KEY", store.access_key)
@@ -161,32 +165,32 @@ def in_bucket(store: RunningStore, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 @pytest.mark.slow
-def test_a_bucket_keeps_backups_too(
-    lived_in: Api, sites: Sites, in_bucket: str, monkeypatch: pytest.MonkeyPatch
+def test_backups_in_a_bucket(
+    populated: Api, instances: EmptyInstances, bucket_location: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    source, place = settings_of(lived_in), in_bucket
+    source, place = settings_of(populated), bucket_location
     with monkeypatch.context() as bare:
         bare.delenv("KLEINKRAM_BACKUP_S3_URL")
         with pytest.raises(BackupRequestInvalid, match="KLEINKRAM_BACKUP_S3_URL"):
             back_up(source, place)
     with pytest.raises(BackupNotFound):
-        look(place)
+        verify_place(place)
     assert back_up(source, place, encrypt=True, passphrase="p").copied == 7
     assert back_up(source, place, encrypt=True, passphrase="p").copied == 0
-    assert drop(place, keep=1, passphrase="p").kept
-    found = look(place, passphrase="p")
-    assert (found.damage.first, found.snapshots, found.unused) == ([], 1, 0)
-    with sites.empty() as target:
-        fill(target, place, passphrase="p")
+    assert prune_place(place, keep=1, passphrase="p").remaining
+    result = verify_place(place, passphrase="p")
+    assert (result.damage.first, result.snapshots, result.unused) == ([], 1, 0)
+    with instances.empty() as target:
+        restore_to(target, place, passphrase="p")
         assert contents(target) == contents(source)
 
 
 def test_a_process_that_lost_its_lock_completes_and_removes_nothing(
-    lived_in: Api, in_bucket: str, monkeypatch: pytest.MonkeyPatch
+    populated: Api, bucket_location: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    source = settings_of(lived_in)
-    first = back_up(source, in_bucket)
-    repository = open_repository(in_bucket, None, Rclone())
+    source = settings_of(populated)
+    first = back_up(source, bucket_location)
+    repository = open_repository(bucket_location, None, Rclone())
     problems = _Creation._problems
 
     def another_takes_over() -> None:
@@ -201,7 +205,7 @@ def test_a_process_that_lost_its_lock_completes_and_removes_nothing(
         return problems(self)
 
     with repository.locked(), pytest.raises(BackupConflict, match="Another process"):
-        back_up(source, in_bucket)
+        back_up(source, bucket_location)
     with repository.locked() as confirm:
         confirm()
         another_takes_over()
@@ -209,59 +213,59 @@ def test_a_process_that_lost_its_lock_completes_and_removes_nothing(
             confirm()
     monkeypatch.setattr(_Creation, "_problems", take_over)
     with pytest.raises(BackupConflict, match="another may have changed"):
-        back_up(source, in_bucket)
+        back_up(source, bucket_location)
     assert repository.snapshot_ids() == [first.snapshot.id]
 
 
-def test_a_lock_of_a_dead_process_of_this_machine_is_removed(in_bucket: str, lived_in: Api) -> None:
-    source = settings_of(lived_in)
-    back_up(source, in_bucket)
-    repository = open_repository(in_bucket, None, Rclone())
+def test_a_lock_of_a_dead_process_of_this_machine_is_removed(bucket_location: str, populated: Api) -> None:
+    source = settings_of(populated)
+    back_up(source, bucket_location)
+    repository = open_repository(bucket_location, None, Rclone())
     left = f"{lock_module._host()}.{2**22 - 1}.1.abc"
     repository.rclone.write(f"{repository.root}/locks/{left}", b"lock")
-    assert back_up(source, in_bucket).copied == 0
+    assert back_up(source, bucket_location).copied == 0
 
 
 @pytest.mark.parametrize("path", ["unfinished/thesis.tex", "lockers.csv", "objects/field-day.bag"])
-def test_somebody_elses_folder_is_left_unchanged(lived_in: Api, tmp_path: Path, path: str) -> None:
+def test_a_folder_with_other_files_is_left_unchanged(populated: Api, tmp_path: Path, path: str) -> None:
     theirs = tmp_path / path
     theirs.parent.mkdir(exist_ok=True)
     theirs.write_text("the only copy")
     with pytest.raises(BackupConflict, match=path):
-        back_up(settings_of(lived_in), tmp_path)
+        back_up(settings_of(populated), tmp_path)
     with pytest.raises(BackupNotFound):
-        drop(tmp_path, keep=1)
-    assert [each for each in tmp_path.rglob("*") if each.is_file()] == [theirs]
+        prune_place(tmp_path, keep=1)
+    assert [file for file in tmp_path.rglob("*") if file.is_file()] == [theirs]
 
 
 def test_a_backup_reaches_the_disk_before_its_document_names_it(
-    lived_in: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    populated: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     documents: list[int] = []
     monkeypatch.setattr(os, "sync", lambda: documents.append(len([*tmp_path.glob("snapshots/*.json")])))
-    back_up(settings_of(lived_in), tmp_path)
+    back_up(settings_of(populated), tmp_path)
     assert documents == [0, 1]
 
 
-def test_files_of_an_unfinished_backup_are_removed_by_the_next(lived_in: Api, tmp_path: Path) -> None:
-    back_up(settings_of(lived_in), tmp_path)
+def test_files_of_an_unfinished_backup_are_removed_by_the_next(populated: Api, tmp_path: Path) -> None:
+    back_up(settings_of(populated), tmp_path)
     half = tmp_path / "snapshots" / "20260101T000000000000Z-abcdef" / "database.zst"
     half.parent.mkdir()
     half.write_text("half")
-    made = back_up(settings_of(lived_in), tmp_path)
+    made = back_up(settings_of(populated), tmp_path)
     assert not half.exists()
     assert made.copied == 0
 
 
-def test_backups_of_the_earlier_format_are_refused(tmp_path: Path) -> None:
+def test_backups_of_another_format_are_refused(tmp_path: Path) -> None:
     (tmp_path / "klein-backup.json").write_text('{"format": 1, "id": "x", "key": null}')
-    with pytest.raises(BackupRequestInvalid, match="commit 530100f"):
-        look(tmp_path)
+    with pytest.raises(BackupRequestInvalid, match="another format"):
+        verify_place(tmp_path)
 
 
 @pytest.mark.slow
-def test_a_full_disk_fails_the_backup_and_says_so(lived_in: Api, tmp_path: Path) -> None:
-    source, folder = settings_of(lived_in), tmp_path / "small"
+def test_a_full_disk_fails_the_backup(populated: Api, tmp_path: Path) -> None:
+    source, folder = settings_of(populated), tmp_path / "small"
     folder.mkdir()
     mounted = subprocess.run(
         ["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", folder], check=False, capture_output=True
@@ -274,12 +278,12 @@ def test_a_full_disk_fails_the_backup_and_says_so(lived_in: Api, tmp_path: Path)
         assert not any(folder.glob("backups/snapshots/*.json"))
         subprocess.run(["mount", "-o", "remount,size=60m", folder], check=True)
         assert back_up(source, folder / "backups").problems.first == []
-        assert look(folder / "backups").damage.first == []
+        assert verify_place(folder / "backups").damage.first == []
     finally:
         subprocess.run(["umount", folder], check=True)
 
 
-def test_nothing_is_swept_while_a_backup_copies(start_api: StartApi) -> None:
+def test_no_garbage_is_collected_while_a_backup_copies(start_api: StartApi) -> None:
     api = start_api(trash_days=0, sweep_grace_s=0)
     mission = api.mission(api.project()["id"])["id"]
     file = upload(api, mission, "file", b"bytes")
@@ -296,21 +300,21 @@ def test_nothing_is_swept_while_a_backup_copies(start_api: StartApi) -> None:
 
 
 def test_a_deletion_lock_that_the_database_ended_makes_no_backup(
-    lived_in: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    populated: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     problems = _Creation._problems
 
-    def cut(self: _Creation) -> Any:
+    def disconnect(self: _Creation) -> Any:
         """Let the database end the connections of backups, as when it is restarted."""
-        found = problems(self)
+        result = problems(self)
         query = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE application_name = 'kleinkram backup'"
-        with psycopg.connect(plain_dsn(settings_of(lived_in).database_url)) as other:
+        with psycopg.connect(plain_dsn(settings_of(populated).database_url)) as other:
             other.execute(f"{query} AND datname = current_database()")
-        return found
+        return result
 
-    monkeypatch.setattr(_Creation, "_problems", cut)
+    monkeypatch.setattr(_Creation, "_problems", disconnect)
     with pytest.raises(BackupUnreachable, match="kept objects from being deleted"):
-        back_up(settings_of(lived_in), tmp_path)
+        back_up(settings_of(populated), tmp_path)
     assert not any(tmp_path.glob("snapshots/*.json"))
 
 

@@ -15,8 +15,9 @@ from typing import TypeVar
 import pytest
 
 from kleinkram.contract.actions import Network, Resources
-from kleinkram.runner.executors.base import Ending, Executor, PortForward, RunJob, wait_for_end
-from kleinkram.runner.executors.docker import DockerExecutor
+from kleinkram.runner.executors.base import Ending, Executor, RunJob, wait_for_end
+from kleinkram.runner.executors.docker.executor import DockerExecutor
+from kleinkram.runner.executors.port_forward import PortForward
 from kleinkram.runner.executors.process import ProcessExecutor
 from tests.integration.runner import engines, podmen
 from tests.integration.runner.engines import Dockerd

@@ -8,7 +8,7 @@ import pytest
 
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import wait_for_end
-from kleinkram.runner.executors.docker import DockerExecutor
+from kleinkram.runner.executors.docker.executor import DockerExecutor
 from tests.integration.runner import engines, podmen
 from tests.integration.runner.conftest import Bench, log_of
 from tests.integration.runner.engines import Dockerd

@@ -12,9 +12,10 @@ import pytest
 
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner.executors import docker_container
-from kleinkram.runner.executors.base import PortForward, RunJob
-from kleinkram.runner.executors.docker_client import DockerClient
+from kleinkram.runner.executors.base import RunJob
+from kleinkram.runner.executors.docker import container as docker_container
+from kleinkram.runner.executors.docker.client import DockerClient
+from kleinkram.runner.executors.port_forward import PortForward
 from tests.integration.runner import engines
 from tests.integration.runner.conftest import Bench, lent, log_of
 from tests.integration.runner.test_executors import ending_of_start

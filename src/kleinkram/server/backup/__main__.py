@@ -164,7 +164,7 @@ def _prune(request: BackupRequest) -> int:
     pruned = prune(request.options(), keep=request.keep)
     text = (
         f"Removed {len(pruned.removed)} backups and {pruned.removed_objects} objects ({amount(pruned.removed_bytes)}); "
-        f"{len(pruned.kept)} backups are kept."
+        f"{len(pruned.remaining)} backups are kept."
     )
     _print(request, vars(pruned), text)
     return 0
@@ -173,8 +173,8 @@ def _prune(request: BackupRequest) -> int:
 def _restore(request: BackupRequest) -> int:
     restored = restore(_settings(), request.options(), request.snapshot_id)
     problems = Messages()
-    for each in restored.unavailable:
-        problems.add(f"{each.key}: {each.state}: {each.reason}")
+    for lost in restored.unavailable:
+        problems.add(f"{lost.key}: {lost.state}: {lost.reason}")
     snapshot = restored.snapshot
     result = {
         "id": snapshot.id,

@@ -357,7 +357,7 @@ def _adjust_rows(
     with database.cursor() as cursor:
         cursor.executemany(
             "UPDATE blob SET state = %s, state_reason = %s, damaged_at = now() WHERE store_id = %s AND key = %s",
-            ((each.state, each.reason, to, each.key) for each in unavailable),
+            ((lost.state, lost.reason, to, lost.key) for lost in unavailable),
         )
 
 

@@ -55,7 +55,7 @@ class ObjectEntry(NamedTuple):
     problem: Problem | None
 
 
-class StoredObject(NamedTuple):
+class UnnamedObject(NamedTuple):
     """An object in the location."""
 
     key: str
@@ -75,7 +75,7 @@ class ObjectIndex:
 
     def add_named(self, objects: Iterable[NamedObject]) -> None:
         """Add objects that the database names."""
-        self._insert("INSERT OR REPLACE INTO named VALUES (?, ?, ?)", (each[:3] for each in objects))
+        self._insert("INSERT OR REPLACE INTO named VALUES (?, ?, ?)", (named[:3] for named in objects))
 
     def add_stored(self, files: Iterable[RemoteFile]) -> None:
         """Add objects that the location has."""
@@ -103,7 +103,7 @@ class ObjectIndex:
     def pending_batches(self) -> Iterator[list[NamedObject]]:
         """Yield the objects that are to be copied or read, in batches; others were verified by an earlier backup."""
         self._db.executescript(f"DROP TABLE IF EXISTS pending; CREATE TABLE pending AS {_PENDING}")
-        rows = self._all("SELECT * FROM pending")
+        rows = self._db.execute("SELECT * FROM pending")
         return in_batches(NamedObject(key, size, sha256, bool(is_stored)) for key, size, sha256, is_stored in rows)
 
     def entries(self) -> Iterator[ObjectEntry]:
@@ -116,16 +116,16 @@ class ObjectIndex:
         row = self._db.execute("SELECT size_bytes FROM stored WHERE key = ?", (key,)).fetchone()
         return None if row is None else int(row[0])
 
-    def unnamed_stored(self) -> Iterator[StoredObject]:
+    def unnamed_stored(self) -> Iterator[UnnamedObject]:
         """Yield objects in the location that nothing names."""
-        for row in self._all(
+        for row in self._db.execute(
             "SELECT key, size_bytes FROM stored WHERE key NOT IN (SELECT key FROM named) ORDER BY key"
         ):
-            yield StoredObject(*row)
+            yield UnnamedObject(*row)
 
     def stored_batches(self) -> Iterator[list[NamedObject]]:
         """Yield the named objects that the location has, in batches."""
-        rows = self._all(
+        rows = self._db.execute(
             "SELECT named.key, named.size_bytes, named.sha256 FROM named JOIN stored USING (key) ORDER BY 1"
         )
         return in_batches(NamedObject(*row) for row in rows)
@@ -137,19 +137,16 @@ class ObjectIndex:
         finally:
             self._db.execute("COMMIT")
 
-    def _all(self, query: str) -> "sqlite3.Cursor":
-        return self._db.execute(query)
-
 
 def in_batches(objects: Iterable[NamedObject]) -> Iterator[list[NamedObject]]:
     """Yield objects in lists of bounded number and bytes."""
     batch: list[NamedObject] = []
     size_bytes = 0
-    for each in objects:
-        if batch and (len(batch) == BATCH_OBJECTS or size_bytes + each.size_bytes > BATCH_BYTES):
+    for named in objects:
+        if batch and (len(batch) == BATCH_OBJECTS or size_bytes + named.size_bytes > BATCH_BYTES):
             yield batch
             batch, size_bytes = [], 0
-        batch.append(each)
-        size_bytes += each.size_bytes
+        batch.append(named)
+        size_bytes += named.size_bytes
     if batch:
         yield batch

@@ -92,10 +92,10 @@ class Verification:
 
 @dataclass(frozen=True)
 class Pruned:
-    """Which backups were removed and kept, and how many objects were removed."""
+    """Which backups were removed, which remain, and how many objects were removed."""
 
     removed: tuple[str, ...]
-    kept: tuple[str, ...]
+    remaining: tuple[str, ...]
     removed_objects: int
     removed_bytes: int
 
@@ -111,7 +111,7 @@ class Restored:
     unavailable: list[UnavailableObject] = field(default_factory=list)
 
 
-class Progress:
+class ProgressLine:
     """One line about progress on stderr, written over on a terminal."""
 
     def __init__(self, what: str, *, quiet: bool) -> None:
@@ -164,7 +164,7 @@ class _Creation:
     """One backup that is being made."""
 
     def __init__(
-        self, settings: Settings, repository: Repository, index: ObjectIndex, progress: Progress, dsn: str
+        self, settings: Settings, repository: Repository, index: ObjectIndex, progress: ProgressLine, dsn: str
     ) -> None:
         self._settings = settings
         self._repository = repository
@@ -294,12 +294,12 @@ def verify(options: BackupOptions, snapshot_id: str | None, *, read_all: bool) -
         ids = [snapshot_id] if snapshot_id else repository.snapshot_ids()
         index.add_stored(repository.rclone.files(repository.objects))
         result.objects, result.object_bytes = index.stored_totals()
-        for each in ids:
+        for each_id in ids:
             result.snapshots += 1
-            damage = _damage_of(repository, each, index, result, read_all=read_all)
-            if damage and (snapshot_id or each in repository.snapshot_ids()):  # else it was pruned meanwhile
+            damage = _damage_of(repository, each_id, index, result, read_all=read_all)
+            if damage and (snapshot_id or each_id in repository.snapshot_ids()):  # else it was pruned meanwhile
                 for message in damage:
-                    result.damage.add(f"In the backup {each}, {message}.")
+                    result.damage.add(f"In the backup {each_id}, {message}.")
         if read_all:
             _read_objects(repository, index, result, progress)
         if snapshot_id is None:
@@ -339,7 +339,7 @@ def _check_entries(
         yield NamedObject(entry.key, entry.size_bytes, entry.sha256)
 
 
-def _read_objects(repository: Repository, index: ObjectIndex, result: Verification, progress: Progress) -> None:
+def _read_objects(repository: Repository, index: ObjectIndex, result: Verification, progress: ProgressLine) -> None:
     progress.total = index.totals()
     for batch in index.stored_batches():
         hashes = repository.rclone.sha256(repository.objects, [named.key for named in batch])
@@ -363,9 +363,9 @@ def prune(options: BackupOptions, *, keep: int) -> Pruned:
     repository = open_repository(options.place, options.passphrase, options.rclone)
     with repository.locked() as confirm_lock, contextlib.closing(ObjectIndex()) as index:
         ids = repository.snapshot_ids()
-        old, kept = ids[:-keep], ids[-keep:]
+        old, remaining = ids[:-keep], ids[-keep:]
         index.add_stored(repository.rclone.files(repository.objects))
-        for snapshot_id in kept:
+        for snapshot_id in remaining:
             try:
                 entries = repository.entries(repository.snapshot(snapshot_id))
                 index.add_named(NamedObject(entry.key, entry.size_bytes, entry.sha256) for entry in entries)
@@ -381,7 +381,7 @@ def prune(options: BackupOptions, *, keep: int) -> Pruned:
             repository.rclone.delete(repository.objects, [stored.key for stored in batch])
             removed += len(batch)
             removed_bytes += sum(stored.size_bytes for stored in batch)
-    return Pruned(tuple(old), tuple(kept), removed, removed_bytes)
+    return Pruned(tuple(old), tuple(remaining), removed, removed_bytes)
 
 
 def restore(settings: Settings, options: BackupOptions, snapshot_id: str | None) -> Restored:
@@ -408,7 +408,7 @@ def restore(settings: Settings, options: BackupOptions, snapshot_id: str | None)
 
 
 def _restore(
-    settings: Settings, repository: Repository, snapshot: Snapshot, target: RestoreTarget, progress: Progress
+    settings: Settings, repository: Repository, snapshot: Snapshot, target: RestoreTarget, progress: ProgressLine
 ) -> Restored:
     rclone, site = _with_site(repository.rclone, settings)
     is_continued = _mark_target(rclone, site, settings.s3_bucket, snapshot)
@@ -505,8 +505,8 @@ def _with_site(rclone: Rclone, settings: Settings) -> tuple[Rclone, str]:
 
 
 @contextlib.contextmanager
-def _progress(what: str, options: BackupOptions) -> Iterator[Progress]:
-    progress = Progress(what, quiet=options.quiet)
+def _progress(what: str, options: BackupOptions) -> Iterator[ProgressLine]:
+    progress = ProgressLine(what, quiet=options.quiet)
     try:
         yield progress
     finally:

@@ -41,7 +41,7 @@ from kleinkram.server.backup.objects import ObjectEntry
 from kleinkram.server.backup.rclone import Rclone, join_remote, s3_remote
 from kleinkram.server.environment import SettingsInvalid, secret_from_file
 
-FORMAT = 2
+_FORMAT = 2
 _MARKER, _CHECK = "klein-backup.json", "passphrase-check"
 _CRYPT = "kleincrypt:"
 _REMOTE = re.compile(r"[\w.+@-]+:.*")
@@ -370,10 +370,10 @@ def _resolve(place: str) -> tuple[str, dict[str, str]]:
     names = ("s3_access_key", "s3_secret_key")
     try:
         secrets_in_files = {name: secret_from_file(f"KLEINKRAM_BACKUP_{name.upper()}") for name in names}
-        given = {name: value for name, value in secrets_in_files.items() if value is not None}
-        settings = _BucketSettings(**given)  # type: ignore[arg-type]  # validated
+        credentials = {name: value for name, value in secrets_in_files.items() if value is not None}
+        settings = _BucketSettings(**credentials)  # type: ignore[arg-type]  # validated
     except ValidationError as error:
-        missing = ", ".join(f"KLEINKRAM_BACKUP_{str(each['loc'][0]).upper()}" for each in error.errors())
+        missing = ", ".join(f"KLEINKRAM_BACKUP_{str(detail['loc'][0]).upper()}" for detail in error.errors())
         raise BackupRequestInvalid(f"{place} needs these settings: {missing}.") from None
     except SettingsInvalid as error:
         raise BackupRequestInvalid(str(error)) from None
@@ -387,11 +387,10 @@ def _resolve(place: str) -> tuple[str, dict[str, str]]:
 def _read_marker(place: str, root: str, rclone: Rclone) -> _Marker | None:
     try:
         values = json.loads(rclone.read(join_remote(root, _MARKER)))
-        if values["format"] == FORMAT:
+        if values["format"] == _FORMAT:
             return _Marker.model_validate(values)
-        which = "a later version" if values["format"] > FORMAT else "commit 530100f"
     except FileNotFoundError:
         return None
     except (ValueError, KeyError, TypeError):
-        raise BackupDamaged(f"{_MARKER} in {place} cannot be read: put it back from a copy.") from None
-    raise BackupRequestInvalid(f"The backups in {place} have another format: use {which}, or name another location.")
+        raise BackupDamaged(f"{_MARKER} in {place} cannot be read: restore it from a copy.") from None
+    raise BackupRequestInvalid(f"The backups in {place} have another format: use a later version of Kleinkram.")

@@ -1,4 +1,4 @@
-"""A site that is backed up and an empty one to restore into, without processes of their own; and looks at both."""
+"""Backups in this process, empty instances to restore to, and their rows and objects."""
 
 import asyncio
 import hashlib
@@ -28,13 +28,13 @@ from kleinkram.server.settings import Settings, plain_dsn
 from tests.integration.api_server import Api
 from tests.services import RunningPostgres, RunningStore
 
-# What a restored site says anew: nothing has been proven at its store, and nobody is sending or running anything there.
-ANEW = {
+# Columns that restoring resets: nothing is verified in the new store, and no upload or run is active.
+RESET = {
     "blob": ("state", "state_reason", "damaged_at"),
     "upload": ("state", "completing_since"),
     "run": ("lease_ends_at",),
 }
-LEFT = {"alembic_version", "store_probe"}
+EXCLUDED = {"alembic_version", "store_probe"}
 _TABLES = "SELECT relname FROM pg_class WHERE relnamespace = 'public'::regnamespace AND relkind = 'r'"
 
 
@@ -50,19 +50,19 @@ def back_up(
     return create(settings, _options(place, passphrase, bytes_per_s), encrypt=encrypt)
 
 
-def look(place: object, *, passphrase: str | None = None, read_all: bool = True) -> Verification:
+def verify_place(place: object, *, passphrase: str | None = None, read_all: bool = True) -> Verification:
     """Verify backups, by default every byte."""
     return verify(_options(place, passphrase), None, read_all=read_all)
 
 
-def fill(
+def restore_to(
     settings: Settings, place: object, *, passphrase: str | None = None, snapshot_id: str | None = None
 ) -> Restored:
     """Restore a backup."""
     return restore(settings, _options(place, passphrase), snapshot_id)
 
 
-def drop(place: object, *, keep: int, passphrase: str | None = None) -> Pruned:
+def prune_place(place: object, *, keep: int, passphrase: str | None = None) -> Pruned:
     """Prune backups."""
     return prune(_options(place, passphrase), keep=keep)
 
@@ -72,8 +72,8 @@ def _options(place: object, passphrase: str | None, bytes_per_s: float | None = 
 
 
 @dataclass(frozen=True)
-class Sites:
-    """Where empty sites come from."""
+class EmptyInstances:
+    """Creates empty instances."""
 
     postgres: RunningPostgres
     store: RunningStore
@@ -82,7 +82,7 @@ class Sites:
     def empty(self) -> Iterator[Settings]:
         """A database without tables, and a bucket without objects."""
         name = self.postgres.create_database()
-        given: dict[str, Any] = {
+        settings: dict[str, Any] = {
             "database_url": self.postgres.serve_url(name),
             "migration_database_url": self.postgres.migrate_url(name),
             "s3_internal_url": self.store.endpoint,
@@ -91,7 +91,7 @@ class Sites:
             "s3_secret_key": self.store.secret_key,
         }
         try:
-            yield Settings(**given)
+            yield Settings(**settings)
         finally:
             self.postgres.drop_database(name)
 
@@ -103,24 +103,24 @@ def settings_of(api: Api) -> Settings:
 
 
 def rows(settings: Settings) -> dict[str, list[str]]:
-    """All rows of all tables, sorted, but for what a restored site says anew."""
-    found: dict[str, list[str]] = {}
+    """All rows of all tables, sorted, without the columns that restoring resets."""
+    rows_by_table: dict[str, list[str]] = {}
     dsn = plain_dsn(settings.migration_database_url or settings.database_url)
     with psycopg.connect(dsn) as database:
         for (table,) in database.execute(_TABLES).fetchall():
-            if table not in LEFT:
+            if table not in EXCLUDED:
                 selected = database.execute(f"SELECT to_jsonb(t) FROM {table} t").fetchall()
-                found[table] = sorted(as_kept(table, row) for (row,) in selected)
-    return found
+                rows_by_table[table] = sorted(comparable_row(table, row) for (row,) in selected)
+    return rows_by_table
 
 
-def as_kept(table: str, row: dict[str, Any]) -> str:
-    """A row as text, but for what a restored site says anew."""
-    return json.dumps({name: value for name, value in row.items() if name not in ANEW.get(table, ())}, sort_keys=True)
+def comparable_row(table: str, row: dict[str, Any]) -> str:
+    """A row as text, without the columns that restoring resets."""
+    return json.dumps({name: value for name, value in row.items() if name not in RESET.get(table, ())}, sort_keys=True)
 
 
 def contents(settings: Settings) -> dict[str, str]:
-    """The SHA-256 of every object that a blob or a piece of a log names, by key; `lost` where it is not."""
+    """Return the SHA-256 of every object of a blob or log chunk, by key; `lost` where it does not exist."""
     dsn = plain_dsn(settings.migration_database_url or settings.database_url)
     with psycopg.connect(dsn) as database:
         keys = [row[0] for row in database.execute("SELECT key FROM blob UNION SELECT key FROM log_chunk").fetchall()]
@@ -143,7 +143,7 @@ async def _content(storage: Storage, key: str) -> str:
 
 
 def delete_object(settings: Settings, key: str) -> None:
-    """Let the store lose an object."""
+    """Delete an object from the store."""
 
     async def go() -> None:
         async with open_storage(settings) as storage:
@@ -153,7 +153,7 @@ def delete_object(settings: Settings, key: str) -> None:
 
 
 def write_object(settings: Settings, key: str, body: bytes) -> None:
-    """Let the store hold other bytes under a key."""
+    """Write other bytes under a key."""
 
     async def go() -> None:
         async with open_storage(settings) as storage:
