@@ -80,7 +80,7 @@ def test_a_command_at_the_barrier_can_be_ended(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("command", ["/usr/bin/nonsense", "nonsense", "/etc/hosts"])
-def test_a_command_that_is_not_there(bench: Bench, command: str) -> None:
+def test_a_missing_command(bench: Bench, command: str) -> None:
     ending = ending_of_start(bench, bench.job([command], network=Network.api, port_forwards=PORT_FORWARDS))
     assert (ending.reason, command in ending.message) == (EndReason.command_not_found, True)
 

@@ -31,7 +31,7 @@ open("/out/x", "w").write("x")
 LASTING = "import time\nfor n in range(60): print(n, flush=True); time.sleep(0.1)"
 
 
-def test_a_container_has_its_inputs_and_the_api_and_leaves_files(
+def test_a_container_reads_inputs_calls_the_api_and_writes_artifacts(
     server: FakeServer,
     runners: Runners,
     engine: Dockerd,  # noqa: F811  the fixture
@@ -71,7 +71,7 @@ def test_a_container_outlives_its_runner(
     wait_until(lambda: not engine.docker("ps", "--all", "--quiet").strip())
 
 
-def test_containers_are_chosen_where_scripts_can_be_run_in_them(
+def test_containers_are_chosen_where_the_default_image_is_available(
     engine: Dockerd,  # noqa: F811  the fixture
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

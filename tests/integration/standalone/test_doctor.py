@@ -16,7 +16,7 @@ def _problems(instance: Instance) -> dict[str, str]:
     return {it.check: f"{it.message} {it.remedy}" for it in doctor.examine(instance.data_dir) if not it.ok}
 
 
-def test_all_is_well_with_a_running_instance(shared_instance: Instance) -> None:
+def test_a_running_instance_has_no_problems(shared_instance: Instance) -> None:
     shared_instance.up()
     assert _problems(shared_instance) == {}
     stop_instance(DataDir(shared_instance.data_dir))
@@ -26,7 +26,7 @@ def test_a_stopped_instance_is_reported(shared_instance: Instance) -> None:
     assert "klein up" in _problems(shared_instance)["running"]
 
 
-def test_a_dead_api_and_an_unreachable_store_are_named(shared_instance: Instance) -> None:
+def test_a_dead_api_and_an_unreachable_store_are_reported(shared_instance: Instance) -> None:
     process = shared_instance.up()
     services = shared_instance.runtime_info["services"]
     process.send_signal(signal.SIGSTOP)  # so that nothing starts them again
@@ -39,7 +39,7 @@ def test_a_dead_api_and_an_unreachable_store_are_named(shared_instance: Instance
     stop_instance(DataDir(shared_instance.data_dir))
 
 
-def test_what_others_may_read_is_named(shared_instance: Instance) -> None:
+def test_files_readable_by_others_are_reported(shared_instance: Instance) -> None:
     token = shared_instance.data_dir / "owner-token"
     token.chmod(0o644)
     shared_instance.data_dir.chmod(0o755)
@@ -50,7 +50,7 @@ def test_what_others_may_read_is_named(shared_instance: Instance) -> None:
     assert f"chmod 700 {shared_instance.data_dir}" in problems["data directory"]
 
 
-def test_clocks_that_differ_and_low_disks_are_named(shared_instance: Instance, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_clock_skew_and_low_disk_space_are_reported(shared_instance: Instance, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "LOW_DISK_BYTES", 10**18)
     monkeypatch.setattr(doctor, "WORST_SKEW_S", -1.0)
     shared_instance.up()
@@ -86,7 +86,7 @@ def test_a_database_of_another_postgres_is_refused(shared_instance: Instance) ->
     assert shared_instance.processes == []
 
 
-def test_a_folder_with_other_things_is_not_taken(instance: Instance) -> None:
+def test_a_folder_with_other_files_is_refused(instance: Instance) -> None:
     instance.data_dir.mkdir()
     (instance.data_dir / "thesis.tex").write_text("important")
     assert "is not empty and no data directory" in instance.refused()
@@ -99,6 +99,6 @@ def test_a_missing_folder_is_created_by_up(tmp_path: Path) -> None:
     assert "klein up" in findings["data directory"].remedy
 
 
-def test_programs_named_in_vain_are_refused(instance: Instance, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_without_postgres_is_refused(instance: Instance, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("KLEINKRAM_POSTGRES_BIN", "/nowhere")
     assert "KLEINKRAM_POSTGRES_BIN=/nowhere holds no PostgreSQL" in instance.refused()

@@ -101,7 +101,7 @@ def test_other_ports_of_the_store_refuse_requests(shared_instance: Instance) -> 
     stop_instance(DataDir(shared_instance.data_dir))
 
 
-def test_down_from_elsewhere_ends_it_and_says_so_when_nothing_runs(shared_instance: Instance) -> None:
+def test_down_ends_an_instance_and_fails_when_none_runs(shared_instance: Instance) -> None:
     process = shared_instance.up()
     stop_instance(DataDir(shared_instance.data_dir))
     process.communicate(timeout=60)
@@ -111,7 +111,7 @@ def test_down_from_elsewhere_ends_it_and_says_so_when_nothing_runs(shared_instan
         stop_instance(DataDir(shared_instance.data_dir))
 
 
-def test_up_and_down_say_in_json_what_runs_and_what_ended(shared_instance: Instance) -> None:
+def test_up_and_down_print_json(shared_instance: Instance) -> None:
     process = shared_instance.spawn(as_json=True)
     assert process.stdout is not None
     output = json.loads(process.stdout.readline())
@@ -132,7 +132,7 @@ def test_up_and_down_say_in_json_what_runs_and_what_ended(shared_instance: Insta
     assert "does not run" in again.stderr
 
 
-def test_down_names_no_parts_of_an_instance_that_was_killed(shared_instance: Instance) -> None:
+def test_down_names_no_services_of_a_killed_instance(shared_instance: Instance) -> None:
     process = shared_instance.up()
     services = {name: pid for name, pid in shared_instance.runtime_info["services"].items() if pid is not None}
     # What one leaves that is killed, and what the next has not replaced yet.
@@ -143,7 +143,7 @@ def test_down_names_no_parts_of_an_instance_that_was_killed(shared_instance: Ins
     process.communicate(timeout=60)
 
 
-def test_down_never_signals_a_process_that_got_the_pid_since(shared_instance: Instance) -> None:
+def test_down_never_signals_a_later_process_with_the_same_pid(shared_instance: Instance) -> None:
     with subprocess.Popen(["sleep", "1000"]) as stranger:
         lock = shared_instance.data_dir / "lock"
         lock.write_text(f'{{"pid": {stranger.pid}, "start_ticks": {(start_ticks(stranger.pid) or 0) - 1}}}')
@@ -161,7 +161,7 @@ def test_a_second_up_on_the_same_folder_is_refused(shared_instance: Instance) ->
     stop_instance(DataDir(shared_instance.data_dir))
 
 
-def test_every_part_that_is_killed_comes_back(shared_instance: Instance) -> None:
+def test_every_killed_service_is_restarted(shared_instance: Instance) -> None:
     process = shared_instance.up()
     for service in SERVICES:
         pid = shared_instance.runtime_info["services"][service]
@@ -215,7 +215,7 @@ def test_a_stop_during_the_start_leaves_nothing(instance: Instance) -> None:
     assert instance.processes == []
 
 
-def test_a_port_that_is_taken_after_it_was_chosen_is_chosen_again(instance: Instance) -> None:
+def test_a_port_taken_after_it_was_chosen_is_replaced(instance: Instance) -> None:
     process = instance.spawn(listening=Listening())
     ports = instance.data_dir / "ports.json"
     wait_until(ports.exists)
@@ -243,7 +243,7 @@ def _port_taken_while_down(
 
 
 @pytest.mark.parametrize("service", ["api", "postgres"])
-def test_a_chosen_port_that_is_taken_while_its_part_is_down_is_chosen_again(instance: Instance, service: str) -> None:
+def test_a_chosen_port_taken_while_its_service_is_down_is_replaced(instance: Instance, service: str) -> None:
     process = instance.up(listening=Listening())
     before = instance.runtime_info["ports"][service]
     with _port_taken_while_down(instance, process, service, before):
@@ -289,7 +289,7 @@ def _waiting(*before: str, for_s: float = 0.3) -> "subprocess.Popen[str]":
     return process
 
 
-def test_a_supervisor_that_is_stopped_until_after_its_time_goes_on() -> None:
+def test_a_suspended_supervisor_continues() -> None:
     """Ctrl-Z and fg."""
     process = _waiting()
     wait_until(lambda: Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()[0] == "S")
@@ -314,7 +314,7 @@ def test_a_closed_terminal_ends_it_except_under_nohup() -> None:
 
 
 @pytest.mark.parametrize("failing", ["migrate", "api"])
-def test_a_server_that_cannot_start_is_named_with_its_log(instance: Instance, failing: str) -> None:
+def test_a_failing_start_is_reported_with_its_log(instance: Instance, failing: str) -> None:
     # What is not to fail waits, as the API does until it is environments to begin.
     script = f'if [ "$0" = {failing} ]; then echo no such thing >&2; exit 3; fi; [ "$0" != api ] || exec sleep 1000'
     output = instance.refused(server=("/bin/sh", "-c", script))

@@ -49,7 +49,7 @@ def test_listening_opens_api_and_store_and_nothing_else(shared_instance: Instanc
     assert "can read passwords, tokens and recordings" in warned
 
 
-def test_with_a_certificate_both_addresses_speak_tls(shared_instance: Instance, certificate: tuple[Path, Path]) -> None:
+def test_with_a_certificate_api_and_store_serve_tls(shared_instance: Instance, certificate: tuple[Path, Path]) -> None:
     listening = replace(
         shared_instance.listening,
         address="0.0.0.0",
@@ -83,7 +83,7 @@ def test_with_a_certificate_both_addresses_speak_tls(shared_instance: Instance, 
     assert "without TLS" not in process.communicate(timeout=60)[1]
 
 
-def test_a_terminal_is_shown_how_the_owner_gets_in_with_a_browser(shared_instance: Instance) -> None:
+def test_a_terminal_shows_the_owners_link(shared_instance: Instance) -> None:
     ours, its = os.openpty()
     process = shared_instance.spawn(stdout=its)
     os.close(its)
@@ -94,7 +94,7 @@ def test_a_terminal_is_shown_how_the_owner_gets_in_with_a_browser(shared_instanc
     process.communicate(timeout=60)
 
 
-def test_a_taken_port_is_named_with_its_holder(shared_instance: Instance) -> None:
+def test_a_taken_port_is_reported_with_its_program(shared_instance: Instance) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         output = shared_instance.refused(listening=replace(shared_instance.listening, port=port))
@@ -103,7 +103,7 @@ def test_a_taken_port_is_named_with_its_holder(shared_instance: Instance) -> Non
     assert shared_instance.processes == []
 
 
-def test_a_private_port_that_was_taken_meanwhile_is_chosen_anew(shared_instance: Instance) -> None:
+def test_a_taken_private_port_is_replaced(shared_instance: Instance) -> None:
     shared_instance.up()
     before = shared_instance.runtime_info["ports"]
     stop_instance(DataDir(shared_instance.data_dir))
@@ -124,12 +124,12 @@ def test_a_private_port_that_was_taken_meanwhile_is_chosen_anew(shared_instance:
         (Listening(tls_cert=Path("/none.pem"), tls_key=Path("/none.pem")), "is not there"),
     ],
 )
-def test_options_that_cannot_be_meant_are_refused(listening: Listening, sentence: str) -> None:
+def test_invalid_options_are_refused(listening: Listening, sentence: str) -> None:
     with pytest.raises(StandaloneError, match=sentence):
         check_listening(listening)
 
 
-def test_the_public_url_gives_the_store_its_host() -> None:
+def test_the_store_has_the_host_of_the_public_url() -> None:
     listening = Listening(address="0.0.0.0", public_url="http://lab.example:9000/")
     assert public_urls(listening, {"api": 1, "store": 2}) == ("http://lab.example:9000", "http://lab.example:2")
 

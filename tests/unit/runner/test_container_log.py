@@ -43,7 +43,7 @@ def copy(directory: Path, pieces: list[bytes], offset: int = 0) -> ContainerLog:
 
 
 @pytest.mark.parametrize("copied", [b"", b"one\nt", b"one\ntwo\n", b"one\ntwo\nthree"])
-def test_a_copy_goes_on_where_it_was_interrupted(tmp_path: Path, copied: bytes) -> None:
+def test_an_interrupted_copy_continues(tmp_path: Path, copied: bytes) -> None:
     earlier = b"of an earlier start\n"
     (tmp_path / "log").write_bytes(earlier + copied)
     # As written before an append that was cut short.

@@ -14,7 +14,7 @@ def say(out: Path, text: str) -> None:
         stream.write(text)
 
 
-def test_the_last_word_counts(tmp_path: Path) -> None:
+def test_the_last_progress_counts(tmp_path: Path) -> None:
     reader = ProgressReader(tmp_path)
     reader.read()
     assert reader.progress is None
@@ -27,7 +27,7 @@ def test_the_last_word_counts(tmp_path: Path) -> None:
     assert reader.progress.fraction == 0.5
 
 
-def test_links_lead_nowhere(tmp_path: Path) -> None:
+def test_links_are_not_followed(tmp_path: Path) -> None:
     other = tmp_path / "other"
     other.mkdir()
     say(other, '{"progress": {"fraction": 0.9}}\n')
