@@ -1,4 +1,4 @@
-# One verb per chore, at home as in CI. Each sets up what it needs.
+# One target per chore, the same on a laptop and in CI. Each sets up what it needs.
 SHELL := /bin/bash
 PYTHON ?= python3
 VENV := .venv
@@ -25,7 +25,7 @@ $(STAMP): requirements/dev.txt pyproject.toml
 	fi
 	@touch $@
 
-# The web interface, with the system's Node or, where there is none, one from a wheel (docs/decisions/0018-web.md).
+# The web interface, built with the system's Node or one from a wheel (docs/decisions/0018-web.md).
 $(MODULES): web/package.json web/package-lock.json web/.npmrc | $(STAMP)
 	@web/npm ci --silent
 	@touch $@
@@ -40,11 +40,11 @@ demo: setup
 story: setup
 	@$(BIN)/python examples/demo.py --story
 
-# A test that hangs where nothing can interrupt it ends its process, and says where it hung.
+# A test that hangs without reacting to the timeout ends its process with a traceback.
 test: setup
 	@$(BIN)/python -m pytest -m "not slow and not soak" -q -n 4 --dist loadfile --no-loadscope-reorder --timeout=240 -o faulthandler_timeout=300
 
-# No process, no socket, no file over 1 MB: tests/unit/conftest.py fails a test that needs one.
+# Unit tests use no process, no socket, and no file over 1 MB; tests/unit/conftest.py enforces this.
 test-unit: setup
 	@$(BIN)/python -m pytest tests/unit -m "not slow and not soak" -q -n 2 --dist worksteal --timeout=60
 
@@ -69,7 +69,7 @@ check: setup
 bench: setup
 	@$(BIN)/python -m benchmarks
 
-# What README and tour show, taken anew of the app as it is now.
+# Screenshots of the README and the tour.
 pictures: setup
 	@$(BIN)/python -m pytest -q tests/system/web/test_every_page_pictures.py
 	@mkdir -p docs/pictures

@@ -1,4 +1,4 @@
-"""What is built from here has the web interface in it, or is not built at all."""
+"""Wheels and sdists contain the built web interface; without it, the build fails."""
 
 from pathlib import Path
 from typing import Any
@@ -6,14 +6,14 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 
-class WithTheApp(BuildHookInterface):  # type: ignore[type-arg]  # its parameter is the builder's own affair
-    """Refuses a wheel or an sdist without the built app; `pip install -e` may do without."""
+class WithTheApp(BuildHookInterface):  # type: ignore[type-arg]  # its parameter is private to the builder
+    """Fails a wheel or sdist without the built web interface; `pip install -e` does not need it."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """See that the app is there.
+        """Check that the web interface is built.
 
         Raises:
-            RuntimeError: it is not.
+            RuntimeError: it is not built.
         """
         del build_data
         page = Path(self.root) / "src" / "kleinkram" / "server" / "web" / "built" / "index.html"

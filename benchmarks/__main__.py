@@ -42,7 +42,7 @@ STARTS = int(os.environ.get("KLEINKRAM_BENCH_STARTS", "30"))
 
 
 def main() -> None:
-    """Measure the rows that are named (`python -m benchmarks small starts`), or everything; each is told at once."""
+    """Measure the rows that are named (`python -m benchmarks small starts`), or all; print each when it is measured."""
     selected = set(sys.argv[1:]) or ROWS
     if unknown := selected - ROWS:
         raise SystemExit(f"no rows called {', '.join(sorted(unknown))}; there are {', '.join(sorted(ROWS))}")
@@ -59,7 +59,7 @@ def main() -> None:
 
 
 def measured(selected: set[str]) -> Iterator[Row]:
-    """Yield the rows that are wanted, as they are measured."""
+    """Yield the selected rows when they are measured."""
     if selected != {"recordings"}:
         with instance():
             klein("project", "create", "bench")
@@ -137,7 +137,7 @@ def rows_of_the_web() -> list[Row]:
 
 
 def memory_row() -> Row:
-    """Memory of everything, after 1 GB came and went."""
+    """Memory of all processes, after an upload and a download of 1 GB."""
     source = random_file(STAGE / "gigabyte" / "memory.bin", GB)
     klein("upload", "-p", "bench", "-m", "memory", "--create", str(source))
     settle()

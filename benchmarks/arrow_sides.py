@@ -26,7 +26,7 @@ def arrow_ours(path: str, topic: str) -> Facts:
 
 
 def arrow_at_hand(path: str, topic: str) -> Facts:
-    """From messages that are in memory already."""
+    """From messages in memory."""
     from kleinkram.recordings import Recording
     from kleinkram.recordings.decoding import decoder_for, to_arrow
 
@@ -68,7 +68,7 @@ def arrow_mcap(path: str, topic: str) -> Facts:
 
 
 def _table(messages: Iterable[tuple[int, int, Any]]) -> Any:
-    """Make the table that ours makes: a column a number, one a covariance."""
+    """Build the same table as Kleinkram: a column per number, one per covariance."""
     rows = list(messages)
     columns: dict[str, Any] = {
         "log_time_ns": [log for log, _, _ in rows],

@@ -1,11 +1,11 @@
-"""The row about Arrow tables: an IMU topic from messages at hand, from a file of its own, and from among all others."""
+"""The row about Arrow tables: an IMU topic from memory, from a file of its own, from a file of all topics."""
 
 import statistics
 from pathlib import Path
 
 from benchmarks.measure import Run, take_turns
 from kleinkram.recordings import Recording
-from kleinkram.recordings.formats.mcap.writer import McapWriter
+from kleinkram.recordings.sample.writers import McapWriter
 
 _SIDES = "benchmarks.arrow_sides"
 _OTHERS = {"arrow_small_mcap": "small-mcap with mcap-ros2-support-fast", "arrow_mcap": "mcap with mcap-ros2-support"}
@@ -14,11 +14,11 @@ _MOST_MB = 200
 _LEAST_PER_S = 300_000
 _IMU = "/imu/data"
 _MESSAGES = 150_000
-"""Twelve minutes of it; 50 MB as a table."""
+"""Twelve minutes; 50 MB as a table."""
 
 
 def arrow_row(path: Path) -> dict[str, object]:
-    """An IMU topic to an Arrow table of all fields, by every reader that leads there; `path`: a file of all topics."""
+    """An IMU topic to an Arrow table of all fields, by every reader that can; `path`: a file of all topics."""
     alone = _imu_alone(path)
     runs = take_turns(["arrow_ours", "arrow_at_hand", *_OTHERS], str(alone), _IMU, module=_SIDES, rounds=_RUNS)
     runs["among"] = take_turns(["arrow_ours"], str(path), _IMU, module=_SIDES, rounds=_RUNS)["arrow_ours"]

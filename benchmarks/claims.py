@@ -1,4 +1,4 @@
-"""The row about claims: ten runners that ask for 10 000 runs at once, and are killed again and again.
+"""The row about claims: ten runners claim 10 000 runs concurrently, and are killed repeatedly.
 
 What a killed runner held is taken for lost at once here, rather than after a minute: its lease is put into the past.
 Some of the killed wake up later, and say that their run is done.
@@ -44,7 +44,7 @@ _EXPIRE_LEASES = (
 
 @dataclass
 class _Lab:
-    """What the runners share: the server, and what each of them began."""
+    """State shared by the runners: the server, and the runs that each began."""
 
     url: str
     token: str
@@ -56,14 +56,14 @@ class _Lab:
     seconds: list[float] = field(default_factory=list)
 
     def ask(self, path: str, body: object) -> tuple[int, Any]:
-        """Say something to the server; returns status and answer."""
+        """Send a request; returns status and body."""
         headers = {"Authorization": f"Bearer {self.token}", "Content-Type": "application/json"}
         answer = self.pool.request("POST", f"{self.url}/api/v1/{path}", body=json.dumps(body), headers=headers)
         return answer.status, json.loads(answer.data) if answer.data else None
 
 
 def claims_row(url: str, owner_token: str, database_url: str, mission_id: str) -> dict[str, object]:
-    """Have the runners do all runs of a mission that has a file; says how many were begun twice at once."""
+    """Execute all runs of a mission; returns how many were executed twice at the same time."""
     label = f"only-{uuid.uuid4().hex[:8]}"
     definition = {"name": "claims", "script": "print(1)", "resources": {"labels": [label]}}
     with urllib3.PoolManager(retries=False, timeout=60, maxsize=_RUNNERS) as pool:
@@ -98,7 +98,7 @@ def claims_row(url: str, owner_token: str, database_url: str, mission_id: str) -
 
 
 def _play(lab: _Lab, label: str, seed: int) -> None:
-    """Be a runner until there is nothing to do; now and then, be another one instead."""
+    """Act as a runner until no run is left; now and then, continue as another one."""
     rng = random.Random(seed)
     runner_id = _hello(lab, label)
     dead: list[dict[str, Any]] = []
@@ -137,7 +137,7 @@ def _finish(lab: _Lab, claim: dict[str, Any]) -> int:
 
 
 def _wake(lab: _Lab, claim: dict[str, Any]) -> None:
-    """Speak for a run whose lease is over: nobody may believe it once another attempt was made."""
+    """Report on a run whose lease has expired: the server must reject it once another attempt exists."""
     with psycopg.connect(lab.database_url, autocommit=True) as database:
         question = "SELECT attempt, runner_id IS NULL FROM run WHERE id = %s"
         attempt, is_free = database.execute(question, (claim["run_id"],)).fetchone() or (0, False)

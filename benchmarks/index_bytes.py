@@ -1,4 +1,4 @@
-"""How many bytes of a recording are its index: what no summary can do without. Read off the file by other readers."""
+"""How many bytes of a recording are its index: the minimum that a summary reads. Determined with other readers."""
 
 import struct
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The instance that is measured: started and ended here, spoken with by `klein`, and left to come to rest."""
+"""The measured instance: starts and ends it, runs `klein` commands, waits until it is idle."""
 
 import json
 import os
@@ -54,13 +54,13 @@ def instance() -> Iterator[dict[str, str]]:
 
 
 def endpoint_info() -> dict[str, Any]:
-    """Return what the instance says of itself."""
+    """Return the contents of `instance.json`."""
     facts: dict[str, Any] = json.loads((DATA / "instance.json").read_text())
     return facts
 
 
 def settle() -> None:
-    """Wait until no job waits or runs, so that nothing runs beside a measurement."""
+    """Wait until no job waits or runs, so that nothing disturbs a measurement."""
     while True:
         with urllib.request.urlopen(
             f"http://127.0.0.1:{endpoint_info()['ports']['api_metrics']}/metrics", timeout=60

@@ -13,7 +13,7 @@ PAIRS = int(os.environ.get("KLEINKRAM_BENCH_PAIRS", "6"))
 
 @dataclass(frozen=True)
 class Run:
-    """One run of one side. `seconds` is what the side itself measured; the rest is the process's own account."""
+    """One run of one side. `seconds` is what the side itself measured; the rest is measured of the process."""
 
     seconds: float
     cpu_s: float
@@ -22,7 +22,7 @@ class Run:
 
 
 def run_side(name: str, *arguments: str, environment: dict[str, str], module: str = "benchmarks.sides") -> Run:
-    """Run `python -m MODULE NAME ARGUMENTS…` and return its account."""
+    """Run `python -m MODULE NAME ARGUMENTS…` and return its measurement."""
     command = [sys.executable, "-m", module, name, *arguments]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, env={**os.environ, **environment})
     stdout = process.stdout.read() if process.stdout else b""
@@ -63,7 +63,7 @@ def pair(ours: Callable[[], Run], raw: Callable[[], Run], *, pairs: int = PAIRS)
 
 
 def take_turns(names: Sequence[str], *arguments: str, module: str, rounds: int) -> dict[str, list[Run]]:
-    """Run each side as often as every other, in an order that turns."""
+    """Run all sides equally often, in rotating order."""
     runs: dict[str, list[Run]] = {name: [] for name in names}
     for number in range(rounds):
         shift = number % len(names)

@@ -22,7 +22,7 @@ def raw_ours(path: str) -> Facts:
 
 
 def raw_small_mcap(path: str) -> Facts:
-    """The same with small-mcap, without checksums, as it comes."""
+    """The same with small-mcap, without checksums."""
     started = time.perf_counter()
     with Path(path).open("rb") as stream:
         size = sum(len(message.data) for _, _, message in read_message(stream))
@@ -49,7 +49,7 @@ def remote_span(path: str, topic: str, start_ns: str, end_ns: str) -> Facts:
             self.wfile.write(body)
 
         def log_message(self, *_: object) -> None:
-            """Keep quiet."""
+            """Log nothing."""
 
     server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
     threading.Thread(target=server.serve_forever, daemon=True).start()

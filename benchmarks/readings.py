@@ -61,7 +61,7 @@ def remote_row(path: Path) -> dict[str, object]:
 
 
 def _remote_span(path: Path, seconds: int) -> tuple[Run, float]:
-    """Return what reading a span in the middle of a file cost, and how many MB cannot be spared."""
+    """Return the cost of reading a span in the middle of a file, and the minimum number of MB."""
     with Recording.open(path) as recording:
         start_ns = ((recording.start_ns or 0) + (recording.end_ns or 0)) // 2
     end_ns = start_ns + seconds * 10**9

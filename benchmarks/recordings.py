@@ -27,7 +27,7 @@ _MOST_MB = 200
 
 
 def recording_rows(folder: Path) -> list[Row]:
-    """Measure all rows; `folder` holds the files; it and they are made where they are missing."""
+    """Measure all rows; `folder` contains the files, which are created if missing."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "large.mcap"
     if not path.exists():

@@ -1,4 +1,4 @@
-"""The row about rights: what a list costs somebody with very many of them, beside the same list for an admin.
+"""The row about rights: the cost of a list for somebody with very many grants, compared with an admin.
 
 500 people, 60 groups and 20 000 grants over 2000 projects, 10 000 missions and 40 000 files, put straight into the
 database. The one who asks reads everything, by grants to ten groups, so that both lists have the same rows.
@@ -101,7 +101,7 @@ def rights_row(url: str, owner_token: str, database_url: str) -> dict[str, objec
 
 
 def fill(database_url: str) -> str:
-    """Put the people, groups, grants and what they are on into the database; returns the token of who reads it all."""
+    """Insert people, groups, grants and their objects; returns the token of a person who can read everything."""
     token = secrets.token_urlsafe(32)
     secret = hashlib.sha256(token.encode()).digest()
     with psycopg.connect(database_url, autocommit=False) as database:

@@ -1,4 +1,4 @@
-"""The rows about runs: how soon one begins and is over, many on few slots, logs that never stop, inputs from the cache.
+"""The rows about runs: start and end latency, many runs on few slots, continuous logs, cached inputs.
 
 A runner of its own, with an engine of its own where Docker is installed, else with processes; says which.
 """
@@ -174,7 +174,7 @@ def _bare(lab: _Lab) -> float:
 
 
 def _see_that_it_is_whole(lab: _Lab, run: Any) -> None:
-    """See that a run went well, and that its log and what it left are there."""
+    """Check that a run succeeded, and that its log and artifacts exist."""
     artifacts = lab.ask("GET", f"runs/{run['id']}/artifacts")["items"]
     log = lab.ask("GET", f"runs/{run['id']}/log")
     if (run["state"], [run_id["path"] for run_id in artifacts], log["text"]) != ("done", ["left.txt"], "hello\n"):
@@ -186,7 +186,7 @@ def _between(run: Any, first: str, last: str) -> float:
 
 
 def _cache_row(lab: _Lab, mission_id: str, folder: Path, upload: Callable[[str, Path], str]) -> dict[str, object]:
-    """What 1 GB of inputs adds, once it is in the cache: beside the same run on one small file."""
+    """The cost of 1 GB of cached inputs, compared with the same run on one small file."""
     large = folder / "large.bin"
     with large.open("wb") as stream:
         for _ in range(100):
@@ -210,7 +210,7 @@ def _cache_row(lab: _Lab, mission_id: str, folder: Path, upload: Callable[[str, 
 
 
 def _log_row(lab: _Lab, mission_id: str) -> dict[str, object]:
-    """A run that writes 10 MB/s: every line must be there, and the API as quick as beside the same without a run."""
+    """A run that writes 10 MB/s: every line must be stored, and the API as fast as without the run."""
     beside = _latencies_during(lab, lambda: _bare_writing(lab))
     run_id = lab.launch(mission_id, _WRITING)
     ended: list[Any] = []
@@ -237,7 +237,7 @@ def _bare_writing(lab: _Lab) -> None:
 
 
 def _latencies_during(lab: _Lab, work: Callable[[], object]) -> Sequence[float]:
-    """Ask the API for something ordinary as long as something goes on; return how long each answer took."""
+    """Send ordinary requests to the API during something; return the time of each."""
     thread = threading.Thread(target=work)
     thread.start()
     times: list[float] = []

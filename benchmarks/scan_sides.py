@@ -6,7 +6,7 @@ from pathlib import Path
 
 from benchmarks.side import Facts, main
 from kleinkram.recordings import CountingSource, summarise
-from kleinkram.recordings.sources import file_reader
+from kleinkram.recordings.sources import FileReader
 from kleinkram.recordings.summary import scan
 
 _CHUNK_BYTES = 4 * 2**20
@@ -15,7 +15,7 @@ _CHUNK_BYTES = 4 * 2**20
 def scan_ours(path: str) -> Facts:
     """Read everything, check everything."""
     started = time.perf_counter()
-    with file_reader(path) as forward:
+    with FileReader(path) as forward:
         summary = scan(forward)
     return {"seconds": time.perf_counter() - started, "messages": summary.message_count or 0}
 
@@ -60,8 +60,8 @@ def scan_rosbags(path: str) -> Facts:
 
 
 def summary_synthetic(size_bytes: str) -> Facts:
-    """Summarise a recording of that size, which is made as it is read."""
-    from tests.unit.recordings.synthetic import SyntheticMcap
+    """Summarise a recording of that size, which is generated while it is read."""
+    from tests.recording_files.synthetic import SyntheticMcap
 
     source = SyntheticMcap(int(size_bytes), chunk_bytes=_CHUNK_BYTES)
     counting = CountingSource(source)

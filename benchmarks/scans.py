@@ -35,7 +35,7 @@ def scan_bag_row(path: Path) -> Row:
 
 
 def synthetic_row(_path: Path) -> Row:
-    """Summaries of 10 GB and 1 TB, of which nothing but the index exists."""
+    """Summaries of 10 GB and 1 TB, of which only the index exists."""
     costs = []
     for size_bytes in (10 * _GB, 1000 * _GB):
         run = run_side("summary_synthetic", str(size_bytes), environment={}, module=_SIDES)

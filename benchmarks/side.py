@@ -1,4 +1,4 @@
-"""How a side is run as a process of its own: its name and arguments on the command line, its account as JSON."""
+"""A side runs as its own process: name and arguments on the command line, its measurement as JSON."""
 
 import json
 import resource
@@ -6,11 +6,11 @@ import sys
 from collections.abc import Callable, Iterable
 
 Facts = dict[str, float]
-"""What a side says of itself: `seconds`, which it measured itself, and whatever else it knows."""
+"""The measurement of a side: `seconds`, measured by itself, and further values."""
 
 
 def main(sides: Iterable[Callable[..., Facts]]) -> None:
-    """Run the side that the command line names, and print its account."""
+    """Run the side that the command line names, and print its measurement."""
     usage = resource.getrusage(resource.RUSAGE_SELF)
     account = {side.__name__: side for side in sides}[sys.argv[1]](*sys.argv[2:])
     # What importing cost is no part of the work.

@@ -23,9 +23,8 @@ from benchmarks.side import Facts, main
 from kleinkram.client import connect
 from kleinkram.client.transfer import download, plan_download, plan_upload, upload
 from kleinkram.client.transfer.upload import CONNECTIONS
-from kleinkram.contract.checksums import crc64nvme
 from kleinkram.contract.files import DownloadLink, FileFilter
-from kleinkram.contract.uploads import ChecksumKind, part_size_bytes
+from kleinkram.contract.uploads import ChecksumKind, crc64nvme, part_size_bytes
 from kleinkram.recordings import CountingSource, summarise
 from kleinkram.recordings.http_source import HttpSource
 from kleinkram.recordings.limits import PARALLEL_READS
@@ -137,7 +136,7 @@ def download_ours(mission: str, destination: str) -> Facts:
 
 
 def _hash(path: Path) -> None:
-    """Read a file as verifying reads it."""
+    """Read a file as verification reads it."""
     sha256, piece = hashlib.sha256(), bytearray(1024 * 1024)
     with path.open("rb", buffering=0) as stream:
         while length := stream.readinto(piece):
@@ -157,7 +156,7 @@ def _links(mission: str) -> list[DownloadLink]:
 
 
 def download_raw(mission: str, destination: str) -> Facts:
-    """Fetch the same ranges with the same concurrency into files that are forced to disk, without looking at a byte."""
+    """Fetch the same ranges with the same concurrency into files that are forced to disk, without processing them."""
     links = list(enumerate(_links(mission)))
     pool = urllib3.PoolManager(maxsize=CONNECTIONS)
     pieces = [
@@ -202,7 +201,7 @@ def summary_remote(mission: str, path: str) -> Facts:
 
 
 def summary_raw(mission: str, path: str) -> Facts:
-    """Ask the store for the ranges that a summary reads, eight at a time, by bare sockets, and look at nothing."""
+    """Ask the store for the ranges that a summary reads, eight at a time, by bare sockets, without processing them."""
     link = _link(mission, path)
     ranges = _ranges_of_summary(link, path)
     url = urlsplit(link.url)

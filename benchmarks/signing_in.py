@@ -1,4 +1,4 @@
-"""The row about signing in: what the server needs for a local account, password checked, session made and recorded."""
+"""The row about signing in: a local account: password check, session, audit event."""
 
 import json
 import secrets
@@ -14,7 +14,7 @@ _EMAIL = "ada@bench.example"
 
 
 def sign_in_row(url: str, owner_token: str) -> dict[str, object]:
-    """Sign in again and again with a local account; timed from outside on the same machine, so no less than it takes.
+    """Sign in again and again with a local account; timed from outside on the same machine, so at least the real time.
 
     The instance must not limit how often one may sign in.
     """

@@ -1,4 +1,4 @@
-"""Files up and down, large and small, and their summaries over HTTP, each beside the least that it can take."""
+"""Files up and down, large and small, and their summaries over HTTP, each compared with the minimum."""
 
 import itertools
 import os
@@ -19,7 +19,7 @@ _SMALL_ROUNDS = 3
 
 
 def random_file(path: Path, size_bytes: int) -> Path:
-    """Write a file of bytes that are nobody's."""
+    """Write a file of random bytes."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("wb") as stream:
         for start in range(0, size_bytes, 1 << 24):
@@ -30,7 +30,7 @@ def random_file(path: Path, size_bytes: int) -> Path:
 
 
 def upload_row(environment: dict[str, str]) -> dict[str, object]:
-    """1 GB up. Sizes differ by some bytes from run to run, so that no run finds a twin of the last one."""
+    """1 GB up. Sizes differ by some bytes from run to run, so that no run uploads a duplicate of the last one."""
     source = random_file(STAGE / "large" / "large.bin", GB)
     number = 0
 

@@ -32,7 +32,7 @@ Klein = Callable[..., str]
 
 
 def web_rows(klein: Klein, url: str, token: str, database_url: str, folder: Path) -> list[Row]:
-    """Fill the instance, and measure what somebody waits for; says so where there is nothing to measure with.
+    """Fill the instance, and measure the times that people wait; prints a note if the browser is missing.
 
     `KLEINKRAM_BENCH_WEB=load,scroll` measures some of it.
     """

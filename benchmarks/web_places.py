@@ -1,4 +1,4 @@
-"""What the web interface is measured on: missions with many files and topics, put straight into the database.
+"""Data for the measurements of the web interface: missions with many files and topics, inserted into the database.
 
 500 recordings of 600 topics each, 10 000 files of which half are recordings, and 200 000 files for a search to find.
 """
@@ -53,7 +53,7 @@ SELECT count(*) FROM pg_stat_user_tables WHERE last_autoanalyze IS NULL AND reln
 
 
 def fill(client: Client, database_url: str) -> tuple[uuid.UUID, uuid.UUID, uuid.UUID]:
-    """Put everything there; returns the project and the missions of many topics and of many files.
+    """Insert everything; returns the project and the missions of many topics and of many files.
 
     What follows from the files is not derived yet: anything that is uploaded to a mission starts it.
     """
@@ -87,7 +87,7 @@ def fill(client: Client, database_url: str) -> tuple[uuid.UUID, uuid.UUID, uuid.
 
 
 def seconds_to_derive(client: Client, mission_id: uuid.UUID) -> float:
-    """Wait until what is kept of a mission's topics is of today; returns the seconds that took."""
+    """Wait until a mission's stored topics are current; returns the seconds that took."""
     began = time.perf_counter()
     while not client.missions.topics(mission_id, bins=0).is_current:
         time.sleep(0.05)

@@ -1,4 +1,4 @@
-"""Write what the code says of itself: OpenAPI; commands, settings and operations. `--check` only compares."""
+"""Generate the reference: OpenAPI, commands, settings, operations and plots. `--check` only compares."""
 
 import json
 import sys
@@ -13,7 +13,7 @@ from pydantic_core import PydanticUndefined
 
 from kleinkram.cli.errors import EXIT_CODES, ExitCode
 from kleinkram.cli.main import app as cli
-from kleinkram.contract.rights import Scope
+from kleinkram.contract.access import Scope
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS, Permission, ResourceKind
 from kleinkram.server.app import ROUTERS, create_app
 from kleinkram.server.settings import Settings
@@ -39,7 +39,7 @@ def main() -> int:
     stale = [path for path, text in pages.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
     if "--check" in sys.argv:
         for path in stale:
-            sys.stderr.write(f"{path.relative_to(_HERE.parent)} is not what the code says; run `make generated`\n")
+            sys.stderr.write(f"{path.relative_to(_HERE.parent)} is not up to date; run `make generated`\n")
         return 1 if stale else 0
     for path in stale:
         path.parent.mkdir(exist_ok=True)
@@ -58,10 +58,10 @@ def settings_reference() -> str:
     lines = [
         "# Settings",
         "",
-        "Read from the environment when a process starts. `klein up` sets them itself; you set them when you run the",
-        "server on your own PostgreSQL and S3 (see [running on your own](../running.md)). This page is generated.",
+        "Environment variables of the server's processes, read at start. `klein up` sets them itself; set them if you",
+        "use your own PostgreSQL and S3 ([production setup](../running.md)). This page is generated.",
         "",
-        "| variable | default | what it is |",
+        "| variable | default | meaning |",
         "|---|---|---|",
     ]
     for name, field in sorted(Settings.model_fields.items()):
@@ -71,15 +71,15 @@ def settings_reference() -> str:
 
 
 def operations_reference() -> str:
-    """Return every route with what it takes, and those that take nothing."""
+    """Return the required permissions of every route, and the public pages."""
     lines = [
         "# Operations",
         "",
-        "What each operation of the API takes of people, signed in by a browser or with a token: which right on what,",
-        "which scope of the token; and who else may. Failures are in the [description](../openapi.json).",
+        "The permissions that each operation of the API requires: the right and its object, the scope of a token, and",
+        "who else may use it. Errors are in the [OpenAPI description](../openapi.json).",
         "This page is generated.",
         "",
-        "| operation | route | right | a token's scope | also for |",
+        "| operation | route | right | token scope | also for |",
         "|---|---|---|---|---|",
     ]
     routes = {
@@ -89,39 +89,38 @@ def operations_reference() -> str:
         if isinstance(route, APIRoute)
     }
     for name, need in OPERATIONS.items():
-        route = routes.get(name, "what a change may amount to")
+        route = routes.get(name, "part of another operation")
         lines.append(f"| {name} | {route} | {_right(need)} | {_scopes(need)} | {_others(need)} |")
-    lines += ["", "For everybody, with nothing in it that somebody has:", "", "| page | what it shows |", "|---|---|"]
+    lines += ["", "Public pages, without any data of people:", "", "| page | content |", "|---|---|"]
     lines += [f"| `{path}` | {what} |" for path, what in sorted(OPEN_PAGES.items())]
     return "\n".join(lines) + "\n"
 
 
 def _right(need: Permission) -> str:
     if need.on is ResourceKind.server:
-        return "of an admin"
+        return "admin"
     if need.right is None:
         return "—"
-    return (
-        f"{need.right.value} on {'whatever is shown' if need.on is ResourceKind.anything else f'the {need.on.value}'}"
-    )
+    noun = "each object in the result" if need.on is ResourceKind.anything else f"the {need.on.value}"
+    return f"{need.right.value} on {noun}"
 
 
 def _scopes(need: Permission) -> str:
     if need.browsers:
-        return "none: a browser that is signed in"
+        return "none: a signed-in browser"
     scopes = "any" if len(need.scopes) == len(Scope) else " or ".join(sorted(scope.value for scope in need.scopes))
     return f"{scopes}, without limits" if need.boundless else scopes
 
 
 def _others(need: Permission) -> str:
-    guests = "whoever comes" if need.on is ResourceKind.nothing else "guests, of what is public or shared with them"
+    guests = "everybody" if need.on is ResourceKind.nothing else "guests, for public or shared objects"
     return ", ".join([guests] * need.guests + ["runners"] * need.runners)
 
 
 def cli_reference() -> str:
     """Return every command with its arguments and options."""
     root = typer.main.get_command(cli)
-    lines = ["# Commands", "", "What `klein --help` says, in one place. This page is generated.", ""]
+    lines = ["# Commands", "", "The output of `klein --help` for all commands. This page is generated.", ""]
     for path, command in _commands(root, ["klein"]):
         lines += _section(path, command)
     return "\n".join(lines + _exit_codes()).rstrip() + "\n"
@@ -143,7 +142,7 @@ def _exit_codes() -> list[str]:
 
 
 def _commands(command: Any, path: list[str]) -> Iterator[tuple[list[str], Any]]:
-    # Any: which click it is, Typer's own copy or the library, is Typer's business.
+    # Any: Typer may use its own copy of click.
     if not hasattr(command, "list_commands"):
         yield path, command
         return

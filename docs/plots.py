@@ -1,4 +1,4 @@
-"""The plots of the reading guide: what `Recording.to_arrow` gives of the sample mission, as SVG. Deterministic."""
+"""The plots of the reading guide as SVG, from `Recording.to_arrow` of the sample mission. Deterministic."""
 
 import tempfile
 from collections.abc import Sequence

@@ -1,6 +1,6 @@
-"""The main story, told by the real commands against a real instance: `make demo` (`--story` tells all of it).
+"""The demo: the commands of docs/story.md, run against a real instance. `make demo`; `--story` runs all of them.
 
-Everything happens in `.demo/`, on loopback, and is stopped at the end. Exit code 0 means that every step held.
+Everything happens in `.demo/`, on loopback, and is stopped at the end. Exit code 0 means that every step succeeded.
 """
 
 import argparse
@@ -25,7 +25,7 @@ KLEIN = Path(sys.executable).parent / "klein"
 START_LIMIT_S = 60
 
 FIELDS = """\
-# What every mission of this project must say of itself.
+# Metadata of every mission in this project.
 undeclared: refuse
 fields:
   - {name: robot, type: choice, choices: [anymal, spot], required: true, description: Which robot was out}
@@ -39,23 +39,23 @@ operator: Ada
 temperature: 7.5 degC
 location: {latitude: 46.5475, longitude: 7.9808, name: Jungfraujoch}
 """
-# An action is one file: what it needs stands in its first comment.
+# An action is one file; its first comment is its definition.
 ACTION = """\
 # /// script
 # dependencies = ["open-kleinkram"]
 #
 # [tool.kleinkram]
-# description = "How often the IMU speaks, and a table of it"
+# description = "Rates of IMU topics, and a table of them"
 # inputs = {topics = ["*imu*"]}
 # right = "CREATE"
 # ///
 from kleinkram.action import context, out, progress, report
 
 rows = ["file,topic,rate_hz"]
-said = [topic for topic in context().topics if "imu" in topic.name and topic.rate_hz]
+imu_topics = [topic for topic in context().topics if "imu" in topic.name and topic.rate_hz]
 paths = {file.id: file.path for file in context().files}
-for number, topic in enumerate(said, 1):
-    progress(number / len(said), topic.name)
+for number, topic in enumerate(imu_topics, 1):
+    progress(number / len(imu_topics), topic.name)
     print(f"{paths[topic.file_id]}: {topic.name} at {topic.rate_hz:.1f} Hz", flush=True)
     report.metric("imu_rate", topic.rate_hz, unit="Hz", file=paths[topic.file_id])
     rows.append(f"{paths[topic.file_id]},{topic.name},{topic.rate_hz:.3f}")
@@ -65,21 +65,21 @@ report.put_back("imu_rates.csv", "derived/imu_rates.csv")
 
 
 class Failed(Exception):
-    """A step of the story did not hold."""
+    """A step failed."""
 
 
 def main() -> int:
-    """Tell the story; 0 when all of it held."""
+    """Run the steps; returns 0 if all succeed."""
     arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--story", action="store_true", help="tell all of it")
+    arguments.add_argument("--story", action="store_true", help="run all steps")
     options = arguments.parse_args()
     story = Story()
     try:
         with running_instance(story):
-            tell(story)
-            tell_of_people(story)
+            upload_and_find(story)
+            show_access(story)
             if options.story:
-                tell_the_rest(story)
+                run_remaining_steps(story)
     except Failed as failure:
         sys.stderr.write(f"\nThe demo failed: {failure}\n")
         return 1
@@ -96,22 +96,22 @@ class Story:
 
     @contextmanager
     def step(self, title: str) -> Iterator[None]:
-        """Run one step and keep its time."""
+        """Run one step and measure its time."""
         print(f"\n\033[1m{title}\033[0m", flush=True)
         started = time.monotonic()
         yield
         self.times.append((title, time.monotonic() - started))
 
     def close(self) -> None:
-        """Print where the time went."""
-        print("\n\033[1mWhere the time went\033[0m")
+        """Print the time of each step."""
+        print("\n\033[1mTime per step\033[0m")
         for title, seconds in self.times:
             print(f"  {seconds:6.1f} s  {title}")
-        print(f"  {time.monotonic() - self.started:6.1f} s  in all\n")
+        print(f"  {time.monotonic() - self.started:6.1f} s  total\n")
 
 
 def environment(who: str | None = None) -> dict[str, str]:
-    """Return the environment in which `klein` finds only the demo's own instance; of somebody else, not even that."""
+    """Return the environment of `klein`: with the demo's instance only, or for another person without any instance."""
     if who is not None:
         homes = {f"XDG_{kind}_HOME": str(STAGE / who / kind.lower()) for kind in ("CONFIG", "STATE", "DATA")}
         return {**environment(), **homes, "KLEINKRAM_DATA_DIR": str(STAGE / who / "none"), "BROWSER": "true"}
@@ -128,7 +128,7 @@ def environment(who: str | None = None) -> dict[str, str]:
 def klein(
     *arguments: str | Path, show: bool = True, expect: int = 0, who: str | None = None, token: str | None = None
 ) -> str:
-    """Run one command as a person would, and return what it printed on stdout; `token` is what a robot comes with."""
+    """Run one command as a person would, or as a robot with `token`; returns its stdout."""
     command = [str(KLEIN), *map(str, arguments)]
     if show:
         print(f"{who or ''}$ klein {' '.join(map(str, arguments))}", flush=True)
@@ -146,13 +146,13 @@ def klein(
 
 
 def url() -> str:
-    """Return where the demo's instance answers."""
+    """Return the URL of the demo's instance."""
     return str(json.loads((STAGE / "data" / "instance.json").read_text())["url"])
 
 
 @contextmanager
 def running_instance(story: Story) -> Iterator[None]:
-    """Start Kleinkram on a fresh stage, and stop it cleanly."""
+    """Start Kleinkram in an empty directory, and stop it cleanly."""
     if (STAGE / "data").exists():
         subprocess.run([KLEIN, "down"], env=environment(), capture_output=True, check=False)
     shutil.rmtree(STAGE, ignore_errors=True)
@@ -167,18 +167,18 @@ def running_instance(story: Story) -> Iterator[None]:
     try:
         yield
     finally:
-        with story.step("Stop it, cleanly"):
+        with story.step("Stop it"):
             process.send_signal(signal.SIGINT)
             code = process.wait(timeout=60)
     if code != 0:
         raise Failed(f"Kleinkram ended with {code}")
 
 
-def tell(story: Story) -> None:
-    """Upload a field day, know what is in it, find it, get it back, and kill an upload half-way."""
+def upload_and_find(story: Story) -> None:
+    """Upload a field day, inspect it, find it, download it, run an action, and kill an upload half-way."""
     with story.step("Make a sample mission: MCAP, ROS 1 bag and rosbag2, with cameras, lidar, IMU, GPS, tf"):
         klein("sample", "field-day", "--size", "150MB", "--seed", "7")
-    with story.step("A project says what its missions must say of themselves"):
+    with story.step("Declare the metadata that missions need"):
         (STAGE / "fields.yaml").write_text(FIELDS)
         klein("project", "create", "alpine", "--description", "Walks above the snow line", "--fields", "fields.yaml")
     with story.step("Without the metadata, nothing is uploaded"):
@@ -201,7 +201,7 @@ def tell(story: Story) -> None:
             *("upload", "-p", "alpine", "-m", "jungfraujoch-1", "--create"),
             *("--metadata", "mission.yaml", "--wait", "field-day"),
         )
-    with story.step("What is in it"):
+    with story.step("Inspect it"):
         klein("project", "info", "alpine")
         klein("mission", "info", "jungfraujoch-1", "-p", "alpine")
     with story.step("Find a file by a topic in it"):
@@ -209,7 +209,7 @@ def tell(story: Story) -> None:
         matches = json.loads(klein("search", "--topic", "*imu*", "--json", show=False))
         if not matches["items"]:
             raise Failed("the search for an IMU topic found nothing")
-    with story.step("Get it back, and prove that every byte is the same"):
+    with story.step("Download it, and compare every byte"):
         klein("download", "-p", "alpine", "-m", "jungfraujoch-1", "--dest", "back")
         compare(STAGE / "field-day", STAGE / "back")
     run_an_action(story)
@@ -217,17 +217,17 @@ def tell(story: Story) -> None:
 
 
 def run_an_action(story: Story) -> None:
-    """Run a script where the data is: its live log, a metric, what it leaves, and where that comes from."""
+    """Run a script on the mission: live log, a metric, an artifact, and its lineage."""
     mission = ("-p", "alpine", "-m", "jungfraujoch-1")
     (runner,) = json.loads(klein("runner", "list", "--json", show=False))["items"]
-    kind = {"docker": "a container", "process": "a process, since no engine of containers is here"}
+    kind = {"docker": "a container", "process": "a process, because no container engine is running"}
     with story.step(f"Run a script on the mission, as {kind[runner['abilities']['executor']]}"):
         (STAGE / "imu_rate.py").write_text(ACTION)
         klein("action", "run", "imu_rate.py", *mission, "--follow")
         (run,) = json.loads(klein("run", "list", "-p", "alpine", "--json", show=False))["items"]
         if (run["state"], run["metric_count"] > 0, run["artifact_count"]) != ("done", True, 1):
-            raise Failed(f"the run did not end as it should: {run}")
-    with story.step("What it left, and where that comes from"):
+            raise Failed(f"the run failed: {run}")
+    with story.step("Its artifacts, and their lineage"):
         klein("run", "artifacts", run["id"], "--download", "artifacts")
         klein("lineage", "derived/imu_rates.csv", *mission)
 
@@ -239,12 +239,12 @@ def compare(source: Path, copy: Path) -> None:
     for path in files:
         there = next((root / path for root in roots if (root / path).is_file()), None)
         if there is None or not filecmp.cmp(source / path, there, shallow=False):
-            raise Failed(f"{path} did not come back as it went")
+            raise Failed(f"{path} differs after the download")
     print(f"  {len(files)} files compared: all identical")
 
 
 def kill_and_resume(story: Story) -> None:
-    """Kill an upload half-way with SIGKILL, run the same command again, and show what was not sent twice."""
+    """Kill an upload half-way with SIGKILL, run the same command again, and show how much is sent again."""
     with story.step("Kill an upload half-way (kill -9) ..."):
         klein("sample", "second-day", "--size", "120MB", "--seed", "8", show=False)
         command = ["upload", "-p", "alpine", "-m", "jungfraujoch-2", "--create", "--metadata", "mission.yaml"]
@@ -269,8 +269,8 @@ def kill_and_resume(story: Story) -> None:
         klein("verify", "-p", "alpine", "-m", "jungfraujoch-2", "second-day")
 
 
-def tell_of_people(story: Story) -> None:
-    """Somebody who is refused, let in, and sees; and a robot that can only upload."""
+def show_access(story: Story) -> None:
+    """A person who gets access, and a robot that can only upload."""
     with story.step("Ben is invited, chooses a password in his browser, and signs in on his laptop"):
         klein("project", "create", "secret-plans", show=False)
         browser, link = Browser(url()), klein("person", "invite", "ben@lab.example", "--name", "Ben", show=False)
@@ -279,14 +279,14 @@ def tell_of_people(story: Story) -> None:
         print(f"ben$ klein login {browser.url}", flush=True)
         if log_in(KLEIN, browser, environment("ben"), lambda line: print(f"  {line}", flush=True)) != 0:
             raise Failed("Ben could not sign in")
-    with story.step("He sees nothing: what one may not see is not there"):
+    with story.step("Without a grant, Ben sees nothing"):
         klein("project", "list", who="ben")
         klein("mission", "info", "jungfraujoch-1", "-p", "alpine", who="ben", expect=3)
-    with story.step("Granted to read, he sees, and may not write"):
+    with story.step("With READ, Ben can read but not change"):
         klein("access", "grant", "READ", "--to", "ben@lab.example", "-p", "alpine")
         klein("search", "--topic", "*imu*", who="ben")
         klein("mission", "delete", "jungfraujoch-1", "-p", "alpine", "--yes", who="ben", expect=4)
-    with story.step("A robot gets a token that can only upload, to one project"):
+    with story.step("A robot gets an upload-only token for one project"):
         print("$ klein token create anymal-3 --kind robot -p alpine --days 30")
         token = klein(
             "token", "create", "anymal-3", "--kind", "robot", "-p", "alpine", "--days", "30", show=False
@@ -298,24 +298,24 @@ def tell_of_people(story: Story) -> None:
         klein("upload", *mission, "--create", "--metadata", "mission.yaml", "robot.log", **robot)
         klein("project", "list", **robot)
         klein("download", *mission, "--dest", "stolen", expect=4, **robot)
-    with story.step("All of it is in the record"):
+    with story.step("Everything is in the audit log"):
         klein("audit", "-p", "alpine", "--limit", "6")
 
 
-def tell_the_rest(story: Story) -> None:
-    """The rest of the story: numbers, mistakes that are refused, and taking things back."""
-    with story.step("Numbers for a paper"):
+def run_remaining_steps(story: Story) -> None:
+    """The remaining steps: statistics, duplicates, and the trash."""
+    with story.step("Statistics"):
         klein("stats", "--by", "topic", "-p", "alpine")
         klein("stats", "--by", "metadata.robot")
     with story.step("The same folder again: nothing is sent"):
         klein("upload", "-p", "alpine", "-m", "jungfraujoch-1", "field-day")
-    with story.step("Delete, and take it back"):
+    with story.step("Delete a mission, and restore it"):
         klein("mission", "delete", "jungfraujoch-2", "-p", "alpine", "--yes")
         klein("trash", "list")
         klein("trash", "restore", "jungfraujoch-2")
-    with story.step("What happened"):
+    with story.step("Show the audit log"):
         klein("audit", "-p", "alpine")
-    with story.step("Is all well?"):
+    with story.step("Check the instance"):
         klein("doctor")
 
 

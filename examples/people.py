@@ -1,6 +1,6 @@
-"""Somebody else's browser and terminal, for the part of the story that is about people.
+"""Another person's browser and terminal, for the part of the demo about access.
 
-The browser in which they choose a password and agree to `klein login` is played by this script, over plain HTTP.
+This script stands in for the browser in which they choose a password and approve `klein login`.
 """
 
 import json
@@ -14,18 +14,18 @@ from urllib.parse import parse_qs, urlsplit
 
 
 class Browser:
-    """Somebody's browser, as far as the pages of the server use it."""
+    """The requests that a browser sends for the pages of the server."""
 
     def __init__(self, url: str) -> None:
         self.url = url
         self._opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor(CookieJar()))
 
     def accept_invitation(self, link: str, password: str) -> None:
-        """Choose a password on the page that an invitation opens; that signs the browser in."""
+        """Choose a password on the invitation page, which also signs the browser in."""
         self._post("/auth/invitation", {"code": urlsplit(link).fragment, "password": password})
 
-    def agree_to_login(self, link: str) -> None:
-        """Agree on the page that `klein login` opens, and go where it sends the browser."""
+    def approve_login(self, link: str) -> None:
+        """Approve the program on the page that `klein login` opens, and follow the redirect."""
         request = {name: value for name, (value,) in parse_qs(urlsplit(link).query).items()}
         answer = self._post("/auth/cli/approve", {**request, "port": int(request["port"])})
         self._opener.open(answer["url"], timeout=20).close()
@@ -38,13 +38,13 @@ class Browser:
 
 
 def log_in(klein: Path, browser: Browser, environment: Mapping[str, str], say: Callable[[str], None]) -> int:
-    """Run `klein login` while its person agrees in their browser; returns its exit code."""
+    """Run `klein login` and approve it in the browser; returns its exit code."""
     process = subprocess.Popen([klein, "login", browser.url], stderr=subprocess.PIPE, text=True, env=dict(environment))
     assert process.stderr is not None
     for line in process.stderr:
         words = line.split()
         if "/sign-in/cli?" in line:
-            browser.agree_to_login(words[-1])
+            browser.approve_login(words[-1])
             line = f"{' '.join(words[:-1])} {words[-1].partition('?')[0]}?…"
         say(line.rstrip())
     return process.wait(timeout=60)

@@ -1,1 +1,1 @@
-"""The rows about size: ten years of a lab's data, put straight into the database, and what asking for it then costs."""
+"""The rows about size: ten years of a lab's data, inserted into the database, and the cost of requests for it."""

@@ -1,4 +1,4 @@
-"""Many clients at once: reading and writing, each as fast as it gets answers; a process of its own, told by JSON.
+"""Many clients at once, reading and writing without pause; runs as its own process, with JSON arguments.
 
 `python -m benchmarks.scale.crowd URL TOKEN CLIENTS SECONDS PROJECT_ID` prints one line: what each client got.
 """
@@ -36,7 +36,7 @@ class _Client:
 
 
 def main(url: str, token: str, clients: int, seconds: float, project_id: str) -> dict[str, object]:
-    """Run the crowd; returns how many were answered, how late, what went wrong, and how evenly they were served."""
+    """Run the crowd; returns the number of answers, latencies, errors, and fairness."""
     crowd = [_Client() for _ in range(clients)]
     files = _files_there(url, token)
     until = time.monotonic() + seconds

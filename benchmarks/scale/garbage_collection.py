@@ -1,6 +1,6 @@
-"""Sweeps until nothing is left to sweep, as a process of its own: `python -m benchmarks.scale.garbage_collection`.
+"""Collects garbage until nothing is left, as its own process: `python -m benchmarks.scale.garbage_collection`.
 
-Prints how many rounds it took. The environment is the worker's.
+Prints the number of rounds. The environment is the worker's.
 """
 
 import asyncio

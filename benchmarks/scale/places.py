@@ -1,4 +1,4 @@
-"""What is asked of the filled database: the lists, searches, facets and details that people open all day."""
+"""The measured requests: the lists, searches, facets and details of everyday use."""
 
 import hashlib
 import uuid
@@ -8,13 +8,13 @@ _LARGE_MISSION = 5000
 
 
 def seeded(kind: str) -> uuid.UUID:
-    """Return the id that the seeding gave something: the UUID of the MD5 of its kind and number."""
+    """Return the id of a seeded object: the UUID of the MD5 of its kind and number."""
     return uuid.UUID(hashlib.md5(kind.encode(), usedforsecurity=False).hexdigest())
 
 
 @dataclass(frozen=True)
 class Place:
-    """One thing to ask for; `most_ms` is the bar of the 95th percentile, null where none is set."""
+    """One request; `most_ms` is the limit of the 95th percentile, None if there is none."""
 
     name: str
     path: str
@@ -22,7 +22,7 @@ class Place:
 
 
 def places(facets_ms: float) -> list[Place]:
-    """Return everything that is asked for."""
+    """Return all requests."""
     large, project = seeded(f"mission{_LARGE_MISSION}"), seeded("project1")
     one = seeded("file1234-1")
     week = "recorded_after=2016-03-01&recorded_before=2016-03-08"

@@ -1,4 +1,4 @@
-"""The rows about lists, searches and facets: times over HTTP, beside them the very SQL in a bare loop of psycopg."""
+"""The rows about lists, searches and facets: times over HTTP, compared with the same SQL in a bare psycopg loop."""
 
 import asyncio
 import math
@@ -36,7 +36,7 @@ def list_rows(
     database_url: str,
     places: list[Place],
 ) -> Iterator[Row]:
-    """Ask for every place as `admin`, in turn with the same as `reader`; both by one client, one after the other."""
+    """Send each request as `admin` and as `reader` in turn, with one client."""
     ratios: dict[str, float] = {}
     with urllib3.PoolManager(retries=False, timeout=120) as pool:
         for place in places:
@@ -70,7 +70,7 @@ def _row_of(label: str, place: Place, times: list[float]) -> Row:
 
 
 def _judged(label: str, place: Place, times: list[float], bare_ms: float, rps: float) -> Row:
-    """Return what was measured, beside a loop that sends the same SQL and nothing else, one after the other."""
+    """Return the measurements, compared with a loop that only sends the same SQL."""
     row = _row_of(label, place, times)
     share, one = rps * bare_ms / 1000, bare_ms / statistics.mean(times)
     met = place.most_ms is not None and percentile(times, 95) <= place.most_ms and share >= _LEAST_SHARE
@@ -90,7 +90,7 @@ def _served(url: str, token: str) -> float:
 
 
 def percentile(values: list[float], percent: float) -> float:
-    """Return the smallest value that so many percent of all are not above."""
+    """Return a percentile: the smallest value that so many percent of all do not exceed."""
     return sorted(values)[max(math.ceil(len(values) * percent / 100) - 1, 0)]
 
 
@@ -114,13 +114,13 @@ def _ask_in_turn(
 
 
 def _bare(statements: list[Statement], database_url: str) -> list[float]:
-    """Return the milliseconds that the statements of one request take by themselves, each time anew."""
+    """Return the milliseconds that the statements of one request take by themselves, planned each time."""
     times = []
     with psycopg.connect(database_url, options="-c plan_cache_mode=force_custom_plan") as database:
         for number in range(_WARM + _TIMES):
             began = time.perf_counter()
             for statement, values in statements:
-                # The text is one that the server itself sent.
+                # The text comes from the server itself.
                 database.execute(statement, values).fetchall()
             database.commit()
             if number >= _WARM:
@@ -129,7 +129,7 @@ def _bare(statements: list[Statement], database_url: str) -> list[float]:
 
 
 def statements_of(environment: Mapping[str, str], token: str, places: list[Place]) -> dict[str, list[Statement]]:
-    """Return, by path, the statements that the server sends for it, taken down in an app of this process."""
+    """Return the SQL statements of each path, recorded in an app in this process."""
     os.environ.update({key: value for key, value in environment.items() if key.startswith("KLEINKRAM_")})
     os.environ.pop("KLEINKRAM_OWNER_TOKEN_FILE", None)
     return asyncio.run(_taken_down(token, places))

@@ -1,4 +1,4 @@
-"""The rows about size, put together: `python -m benchmarks scale`, both sizes or one of KLEINKRAM_BENCH_SCALE=1,10."""
+"""All rows about size: `python -m benchmarks scale`, both sizes or one of KLEINKRAM_BENCH_SCALE=1,10."""
 
 import json
 import os
@@ -56,15 +56,15 @@ def scale_rows(
 
 
 def load_rows(size: int, url: str, owner_token: str, environment: Mapping[str, str]) -> Iterator[Row]:
-    """Measure the filled instance while many ask, write and delete, which leaves much behind."""
+    """Measure the filled instance while many clients read, write and delete."""
     label = size_label(size)
     yield _crowd_row(label, _crowd([url], owner_token))
     yield _two_row(label, environment, owner_token)
-    yield _sweep_row(label, url, owner_token, environment)
+    yield _garbage_collection_row(label, url, owner_token, environment)
 
 
 def size_label(size: int) -> str:
-    """Return how a row says which size it is of."""
+    """Return the suffix that names the size of a row."""
     return f"{200_000 * size:_} files".replace("_", " ")
 
 
@@ -73,7 +73,7 @@ def _filled_row(label: str, seconds: float) -> Row:
 
 
 def _crowd(urls: list[str], token: str, *, clients: int = _CLIENTS, seconds: float = _SECONDS) -> dict[str, float]:
-    """Run a crowd at each address, the clients shared between them; returns what they got, added up."""
+    """Run a crowd at each address, sharing the clients; returns the totals."""
     project_id = str(seeded("project1"))
     share = [str(clients // len(urls)), str(seconds), project_id]
     commands = [[sys.executable, "-m", "benchmarks.scale.crowd", url, token, *share] for url in urls]
@@ -142,8 +142,8 @@ def _wait_for(ready: Callable[[], bool]) -> None:
     raise SystemExit("an API process did not begin to answer")
 
 
-def _sweep_row(label: str, url: str, token: str, environment: Mapping[str, str]) -> Row:
-    """Delete a mission of very many files, and sweep them, while one client goes on asking."""
+def _garbage_collection_row(label: str, url: str, token: str, environment: Mapping[str, str]) -> Row:
+    """Delete a mission of very many files and collect the garbage while one client sends requests."""
     times: list[float] = []
     with psycopg.connect(environment["KLEINKRAM_DATABASE_URL"], autocommit=True) as database:
         owner = database.execute("SELECT person_id FROM token WHERE name = 'local owner'").fetchone()
@@ -162,12 +162,12 @@ def _sweep_row(label: str, url: str, token: str, environment: Mapping[str, str])
             times.append((time.perf_counter() - began) * 1000)
             # As if it had been in the trash for long enough.
             database.execute("UPDATE mission SET deleted_at = now() - interval '1 year' WHERE id = md5('swept')::uuid")
-            sweeping = subprocess.Popen(
+            collection = subprocess.Popen(
                 [sys.executable, "-m", "benchmarks.scale.garbage_collection"],
                 env={**environment},
                 stdout=subprocess.PIPE,
             )
-            while sweeping.poll() is None:
+            while collection.poll() is None:
                 for path in _MEANWHILE:
                     requests = time.perf_counter()
                     pool.request("GET", f"{url}/api/v1/{path}", headers=headers)
@@ -177,7 +177,7 @@ def _sweep_row(label: str, url: str, token: str, environment: Mapping[str, str])
         "what": f"{label}: {_DELETED} files deleted and their rows swept in {seconds:.0f} s, asked meanwhile",
         "measured": f"{len(times)} answers, p99 {percentile(times, 99):.0f} ms, worst {max(times):.0f} ms",
         "bar": "none above 1000 ms",
-        "met": max(times) <= 1000 and sweeping.returncode == 0,
+        "met": max(times) <= 1000 and collection.returncode == 0,
     }
 
 

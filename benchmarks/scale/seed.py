@@ -1,4 +1,4 @@
-"""Ten years of a lab, put into PostgreSQL by the serving role: statements over sets, one a step, each committed.
+"""Ten years of a lab, inserted into PostgreSQL by the serving role: one statement per step, each committed.
 
 Ids follow from names, so that a step that was done is passed over, and one that was interrupted is done again. The
 bytes are nobody's: they are said to be in another store, which the jobs of this one leave alone.
@@ -37,13 +37,13 @@ class Size:
     times: int
 
     def values(self) -> dict[str, int]:
-        """Return the numbers that the statements take."""
+        """Return the parameters of the statements."""
         sizes = {"people": 500, "groups": 60, "projects": 100, "missions": 10_000}
         return {name: number * self.times for name, number in sizes.items()}
 
 
 def fill(url: str, size: Size, *, owner_url: str | None = None, say: Say = print) -> None:
-    """Put everything there. What is there already stays; an interrupted call is gone on with by the same call.
+    """Insert everything. Existing rows stay; repeat an interrupted call to continue.
 
     With `owner_url`, of the role that the tables belong to, indexes are made once all rows are there, which takes a
     fraction of the time, and the tables are vacuumed and analysed at the end, as they would be in any database that has
@@ -82,7 +82,7 @@ def fill(url: str, size: Size, *, owner_url: str | None = None, say: Say = print
 
 
 def _set_indexes_aside(owner_url: str) -> None:
-    """Drop the costly indexes of the tables with most rows; what they were is noted."""
+    """Drop the costly indexes of the largest tables, and note their definitions."""
     with psycopg.connect(owner_url) as database:
         database.execute("CREATE TABLE IF NOT EXISTS seed_index (definition text PRIMARY KEY)")
         for name, definition in database.execute(_COSTLY).fetchall():
@@ -95,7 +95,7 @@ def _noted(database: psycopg.Connection) -> bool:
 
 
 def _make_indexes(owner_url: str, progress: Say) -> None:
-    """Make the indexes again that were set aside, by this call or by one that was interrupted."""
+    """Recreate the dropped indexes, of this call or of an interrupted one."""
     with psycopg.connect(owner_url, autocommit=True) as database:
         if not _noted(database):
             return
@@ -109,7 +109,7 @@ def _make_indexes(owner_url: str, progress: Say) -> None:
 
 
 def _steps() -> Iterator[tuple[str, str, str, dict[str, object]]]:
-    """Yield each step with the question whether it is done, and what it takes besides."""
+    """Yield each step with the query whether it is done, and its parameters."""
     for name, check, statement in statements.WHOLE_BEFORE:
         yield name, check, statement, {}
     for number in range(_SLICES):

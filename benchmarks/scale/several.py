@@ -1,4 +1,4 @@
-"""Some clients that ask for one thing for some seconds, each anew once it has its answer: how many answers they get.
+"""Clients that repeat one request for some seconds: how many answers they get.
 
 `python -m benchmarks.scale.several URL TOKEN CLIENTS SECONDS`; prints the answers a second. A process of its own, so
 that they take no time of whoever measures.
@@ -12,7 +12,7 @@ import urllib3
 
 
 def main() -> None:
-    """Ask, and print."""
+    """Run the clients, and print the number of answers."""
     url, token, clients, seconds = sys.argv[1], sys.argv[2], int(sys.argv[3]), float(sys.argv[4])
     counts = [0] * clients
     until = time.perf_counter() + seconds

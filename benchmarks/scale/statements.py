@@ -1,5 +1,5 @@
 # ruff: noqa: E501  (tables of names, and statements whose lines are rows)
-"""What the seeding says to PostgreSQL. Each step: its name, what returns a row once it is done, and what does it.
+"""The SQL of the seeding. Each step: its name, a query that returns a row once it is done, and the statement.
 
 Everything is drawn by hashes of numbers, so it is the same every time. `%(projects)s` and so on are how many there are.
 """

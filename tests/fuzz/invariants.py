@@ -19,8 +19,8 @@ from kleinkram.recordings import (
     to_dict,
 )
 from kleinkram.recordings.decoding import image, points
-from kleinkram.recordings.decoding.errors import DecodeError
-from kleinkram.recordings.sources import file_reader
+from kleinkram.recordings.decoding.types import DecodeError
+from kleinkram.recordings.sources import FileReader
 from kleinkram.recordings.summary import scan
 from tests.fuzz.seeds import Seed
 
@@ -42,7 +42,7 @@ def check(file: Seed, folder: Path) -> None:
     try:
         with FileSource(path) as source:
             _check_summary(summarise(source), len(file.data))
-        with file_reader(path) as forward:
+        with FileReader(path) as forward:
             _check_summary(scan(forward), len(file.data))
         _check_messages(path)
     finally:

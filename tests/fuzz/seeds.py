@@ -9,9 +9,7 @@ from pathlib import Path
 
 import zstandard
 
-from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
-from kleinkram.recordings.formats.rosbag1.writer import BagCompression, BagWriter
-from kleinkram.recordings.formats.rosbag2.writer import Db3Writer
+from kleinkram.recordings.sample.writers import BagCompression, BagWriter, Compression, Db3Writer, McapWriter
 from tests.conftest import RECORDINGS
 
 _T0 = 1_700_000_000_000_000_000

@@ -12,8 +12,8 @@ from kleinkram.server import worker
 from kleinkram.server.blobs.reader_processes import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
+from kleinkram.server.jobs.attempts import keep_why
 from kleinkram.server.jobs.courtesy import Courtesy
-from kleinkram.server.jobs.failing import keep_why
 from kleinkram.server.jobs.queue import queue
 from kleinkram.server.recordings.rests import Rests
 from kleinkram.server.recordings.understanding import Understanding

@@ -6,8 +6,8 @@ import uuid
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
+from kleinkram.contract.access import GroupKind, Right, Scope, TokenKind
 from kleinkram.contract.names import name_key
-from kleinkram.contract.rights import GroupKind, Right, Scope, TokenKind
 from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID
 from tests.integration.api_server import Api
 

@@ -98,7 +98,7 @@ def test_a_change_is_completed_although_its_client_disconnected(small: Watched) 
     wait_until(lambda: api.get(f"/projects/{project}").ok()["description"] == "changed")
 
 
-def test_slow_clients_hold_no_database_connection(small: Watched) -> None:
+def test_slow_clients_occupy_no_database_connection(small: Watched) -> None:
     api = small.api
     project = api.project(description="d" * 9000)["id"]
     for number in range(40):

@@ -19,9 +19,9 @@ from kleinkram.client.errors import ServerUnreachable
 from kleinkram.client.transfer import download, plan_download, plan_upload, upload
 from kleinkram.client.transfer.download import fetch
 from kleinkram.client.transfer.report import SilentObserver
-from kleinkram.contract.events import Change
+from kleinkram.contract.access import Scope, TokenKind
+from kleinkram.contract.audit import Change
 from kleinkram.contract.files import DownloadLink, FileFilter
-from kleinkram.contract.rights import Scope, TokenKind
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi

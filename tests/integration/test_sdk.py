@@ -17,8 +17,8 @@ import kleinkram
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.client.tokens import Reach
+from kleinkram.contract.access import Right, TokenKind
 from kleinkram.contract.errors import KleinkramError, MetadataInvalid, NotFound
-from kleinkram.contract.rights import Right, TokenKind
 from kleinkram.recordings import Recording
 from kleinkram.recordings.sample import Faults, SampleFormat, generate_mission
 from tests.integration.api_server import Api

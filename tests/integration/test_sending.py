@@ -96,12 +96,12 @@ class Scripted:
 
 
 def put_each(*answers: bytes) -> tuple[list[PutResult], Scripted]:
-    """PUT four bytes for each answer, one after the other by one door."""
-    store, door = Scripted(*answers), StoreClient(1)
+    """PUT four bytes for each answer, one after the other by one client."""
+    store, client = Scripted(*answers), StoreClient(1)
     try:
-        return [door.put(store.url, {"X-Checksum": "1"}, 4, [b"abcd"]) for _ in answers], store
+        return [client.put(store.url, {"X-Checksum": "1"}, 4, [b"abcd"]) for _ in answers], store
     finally:
-        door.close()
+        client.close()
         store.listener.close()
 
 
@@ -110,13 +110,13 @@ def wait_for(event: threading.Event, seconds: float) -> None:
 
 
 def put(source: OpenFile, pause: Pause = lambda: None) -> tuple[PutResult, bytes]:
-    taker, door = Taker(pause), StoreClient(1)
+    taker, client = Taker(pause), StoreClient(1)
     try:
         length = _SLICES * SLICE_BYTES
-        answer = door.put(taker.url, {}, length, source.stretches(5, length))
+        answer = client.put(taker.url, {}, length, source.stretches(5, length))
         return answer, taker.body
     finally:
-        door.close()
+        client.close()
         taker.listener.close()
 
 
@@ -235,12 +235,12 @@ def test_a_redirect_is_not_followed() -> None:
     [("a b", {}), ("a\r\nX: y", {}), ("a", {"X\r\nY": "z"}), ("a", {"X": "y\r\nZ: z"}), ("a", {"X": "\u00fc"})],
 )
 def test_nothing_slips_into_a_request(target: str, headers: dict[str, str]) -> None:
-    store, door = Scripted(_TAKEN), StoreClient(1)
+    store, client = Scripted(_TAKEN), StoreClient(1)
     try:
         with pytest.raises(ValueError, match="would be read as another"):
-            door.put(store.url.replace("key", target), headers, 4, [b"abcd"])
+            client.put(store.url.replace("key", target), headers, 4, [b"abcd"])
     finally:
-        door.close()
+        client.close()
         store.listener.close()
     assert store.requests == []
 
@@ -257,12 +257,12 @@ def test_a_put_goes_to_a_store_whose_certificate_is_known(
     file = tmp_path / "a.bin"
     file.write_bytes(b"abcd")
     source = OpenFile(LocalFile(file, "a.bin", identity_of(file.stat())))
-    store, door = Scripted(_TAKEN, _TAKEN, tls=tls), StoreClient(1)
+    store, client = Scripted(_TAKEN, _TAKEN, tls=tls), StoreClient(1)
     try:
-        answers = [door.put(store.url, {}, 4, source.stretches(0, 4)) for _ in range(2)]
+        answers = [client.put(store.url, {}, 4, source.stretches(0, 4)) for _ in range(2)]
     finally:
         source.close()
-        door.close()
+        client.close()
         store.listener.close()
     if is_known:
         assert answers == [PutResult(StoreAnswer.taken, etag="e")] * 2

@@ -8,7 +8,7 @@ from typing import Any
 
 import urllib3
 
-from kleinkram.contract.checksums import crc64nvme
+from kleinkram.contract.uploads import crc64nvme
 from tests.integration.api_server import Answer, Api
 
 _POOL = urllib3.PoolManager(retries=False, timeout=30, maxsize=4)

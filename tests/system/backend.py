@@ -1,4 +1,4 @@
-"""What stands behind a running `klein up`: its database and its store, asked directly."""
+"""Direct access to the database and the store of a running `klein up`."""
 
 import asyncio
 from collections.abc import Awaitable, Callable
@@ -24,13 +24,13 @@ _PROBES = ("probe/", ".kleinkram-probe")
 
 
 def sql(cluster: Cluster, statement: str, *values: object) -> list[tuple[Any, ...]]:
-    """Ask its database."""
+    """Run a statement in its database."""
     with psycopg.connect(_database_url(cluster)) as connection:
         return connection.execute(statement, values).fetchall()
 
 
 def tidy(cluster: Cluster) -> None:
-    """Do at once what the worker's periodic jobs do in time: see to uploads and runs, sweep what nothing refers to."""
+    """Run the worker's periodic jobs now: uploads, runs, garbage collection."""
 
     async def all_rounds(context: AppContext) -> None:
         await maintain_uploads(context, stale_after_s=0)
@@ -42,35 +42,35 @@ def tidy(cluster: Cluster) -> None:
 
 
 def objects(cluster: Cluster) -> dict[str, int]:
-    """Return what its store holds for users: sizes in bytes by key."""
-    found = on_site(cluster, lambda context: context.storage.sizes(""))
-    return {key: size for key, size in found.items() if not key.startswith(_PROBES)}
+    """Return the sizes of the objects in its store by key, without those of start-up probes."""
+    sizes = on_site(cluster, lambda context: context.storage.sizes(""))
+    return {key: size for key, size in sizes.items() if not key.startswith(_PROBES)}
 
 
 def list_multiparts(cluster: Cluster) -> list[tuple[str, str]]:
-    """Return the multipart uploads that its store still keeps parts of."""
-    found = on_site(cluster, lambda context: context.storage.list_multiparts(""))
-    return [(key, multipart_id) for key, multipart_id in found if not key.startswith(_PROBES)]
+    """Return the multipart uploads in progress in its store."""
+    uploads = on_site(cluster, lambda context: context.storage.list_multiparts(""))
+    return [(key, multipart_id) for key, multipart_id in uploads if not key.startswith(_PROBES)]
 
 
-def held_bytes(cluster: Cluster) -> int:
-    """Return how many bytes its store holds, also of parts that are no objects yet."""
+def stored_bytes(cluster: Cluster) -> int:
+    """Return the bytes in its store, including parts of unfinished uploads."""
 
     async def weigh(context: AppContext) -> int:
         while True:
             objects = await context.storage.sizes("")
             parts = [
-                await context.storage.list_parts(*each) or [] for each in await context.storage.list_multiparts("")
+                await context.storage.list_parts(*upload) or [] for upload in await context.storage.list_multiparts("")
             ]
             # What was joined meanwhile would count twice, as parts and as an object.
             if await context.storage.sizes("") == objects:
-                return sum(objects.values()) + sum(part.size_bytes for each in parts for part in each)
+                return sum(objects.values()) + sum(part.size_bytes for upload_parts in parts for part in upload_parts)
 
     return on_site(cluster, weigh)
 
 
 def on_site(cluster: Cluster, work: Callable[[AppContext], Awaitable[T]]) -> T:
-    """Do something with its database and its store, as a job would."""
+    """Run a function with its database and its store, as a job would."""
     secrets = load_secrets(DataDir(cluster.data_dir))
     settings = Settings(
         database_url=_database_url(cluster),

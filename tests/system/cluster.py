@@ -1,4 +1,4 @@
-"""One `klein up` that tests may start, kill and start again, and the terminals in front of it."""
+"""One `klein up` that tests may start, kill and start again, and terminals for it."""
 
 import json
 import os
@@ -18,15 +18,15 @@ START_TIMEOUT_S = 90
 
 
 def environment(home: Path, **more: str) -> dict[str, str]:
-    """What a person's programs see: their own folders, and nothing of this machine's Kleinkram."""
+    """Return the environment of a person's programs: their own folders, no `KLEINKRAM_` variables of this machine."""
     ours = {name: str(home / name[4:-5].lower()) for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_DATA_HOME")}
-    kept = {key: value for key, value in os.environ.items() if not key.startswith("KLEINKRAM_")}
-    return {**kept, **ours, **more}
+    inherited = {key: value for key, value in os.environ.items() if not key.startswith("KLEINKRAM_")}
+    return {**inherited, **ours, **more}
 
 
 @dataclass
 class Cluster:
-    """A data directory under `home`, and the supervisor that runs on it now, if one does."""
+    """A data directory under `home`, and its supervisor if one is running."""
 
     home: Path
     options: list[str] = field(default_factory=list)
@@ -50,23 +50,23 @@ class Cluster:
         """Run `klein up` and wait for its line."""
         command = [*self.inside, str(KLEIN), "up", "--data-dir", str(self.data_dir), "--port", str(self.port)]
         command += ["--s3-port", str(self.s3_port), *self.options]
-        said = self.home / "up.out"
-        with said.open("wb") as out, (self.home / "up.err").open("ab") as err:
+        output = self.home / "up.out"
+        with output.open("wb") as out, (self.home / "up.err").open("ab") as err:
             self.process = subprocess.Popen(
                 command, env=environment(self.home, **self.settings), stdout=out, stderr=err
             )
         process = self.process
-        wait_until(lambda: b"answers at" in said.read_bytes() or process.poll() is not None, "klein up to answer")
+        wait_until(lambda: b"answers at" in output.read_bytes() or process.poll() is not None, "klein up to answer")
         if process.poll() is not None:
             pytest.fail(f"klein up failed: {(self.home / 'up.err').read_text()}")
 
     def runtime_info(self) -> dict[str, Any]:
-        """What it says of itself."""
+        """Return the contents of its `instance.json`."""
         runtime_info: dict[str, Any] = json.loads((self.data_dir / "instance.json").read_text())
         return runtime_info
 
     def kill(self, part: str) -> None:
-        """Kill a part, or the `supervisor`, as a crash would. A part that is not running now is left alone."""
+        """Kill a part, or the `supervisor`, with SIGKILL. No effect on a part that is not running."""
         if part == "supervisor":
             assert self.process is not None
             self.process.kill()
@@ -75,12 +75,12 @@ class Cluster:
             os.kill(pid, signal.SIGKILL)
 
     def start_again_if_dead(self) -> None:
-        """What a person does who finds that nothing answers any more."""
+        """Start it if its supervisor has ended."""
         if self.process is None or self.process.poll() is not None:
             self.start()
 
     def end(self) -> None:
-        """Press Ctrl-C, and see that nothing is left."""
+        """Send SIGINT, and wait until all processes have ended."""
         if self.process is not None and self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
             assert self.process.wait(timeout=60) == 0

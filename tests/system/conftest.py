@@ -1,4 +1,4 @@
-"""Another machine, made of a network namespace on this one: its own loopback, its own routes, one cable to us."""
+"""Another machine, as a network namespace: its own loopback and routes, and one link to this machine."""
 
 import os
 import subprocess
@@ -25,13 +25,13 @@ class OtherMachine:
         return Terminal(home, environment(home, **more), tuple(self.command()))
 
     def command(self, *arguments: str) -> list[str]:
-        """The command line that runs a program over there."""
+        """Return the command line that runs a program on that machine."""
         return ["ip", "netns", "exec", self.name, *arguments]
 
 
 @pytest.fixture(scope="session")
 def other_machine() -> Iterator[OtherMachine]:
-    """The other machine; skipped, or failed where all is required, where this one cannot make it."""
+    """The other machine. Skips, or fails if all requirements are mandatory, if this machine cannot create it."""
     _require_ip()
     number = os.getpid() % 16_384
     ours, theirs = (f"10.231.{number // 64}.{number % 64 * 4 + host}" for host in (1, 2))

@@ -30,7 +30,7 @@ def _node() -> Path:
 
 @dataclass
 class RealProvider:
-    """The provider's process, at one address for as long as the test takes. Whoever types a name is that person."""
+    """The provider's process, at one address for as long as the test takes. It signs in anybody by name."""
 
     node: Path
     redirect_uri: str
@@ -43,11 +43,16 @@ class RealProvider:
         return f"http://127.0.0.1:{self.port}"
 
     def start(self, *, late_s: int = 0) -> None:
-        """Start it anew, with a new key, and with a clock that is late."""
+        """Restart it with a new key, and with a clock that is `late_s` slow."""
         self.end()
-        asked = {"port": self.port, "redirect_uri": self.redirect_uri, "late_s": late_s, "kid": secrets.token_hex(4)}
-        asked |= {"client_id": CLIENT_ID, "client_secret": CLIENT_SECRET}
-        command = ["node", "provider.mjs", json.dumps(asked)]
+        configuration = {
+            "port": self.port,
+            "redirect_uri": self.redirect_uri,
+            "late_s": late_s,
+            "kid": secrets.token_hex(4),
+        }
+        configuration |= {"client_id": CLIENT_ID, "client_secret": CLIENT_SECRET}
+        command = ["node", "provider.mjs", json.dumps(configuration)]
         self.process = subprocess.Popen(
             command, cwd=self.node, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
         )
@@ -64,12 +69,12 @@ class RealProvider:
 
 @dataclass
 class Chromium:
-    """A real browser. What cannot be done within seconds fails the test, and says where the browser was."""
+    """A real browser. A command that takes more than seconds fails the test with the address of the page."""
 
     process: "subprocess.Popen[str]"
 
     def do(self, act: str, **how: object) -> Any:
-        """Have `drive.mjs` do something, and return what it tells."""
+        """Send a command to `drive.mjs`, and return its result."""
         assert self.process.stdin is not None
         self.process.stdin.write(json.dumps({"act": act, **how}) + "\n")
         self.process.stdin.flush()
@@ -95,7 +100,7 @@ class Chromium:
         self.do("click", selector=selector)
 
     def see(self, text: str) -> None:
-        """Wait until the page says something."""
+        """Wait until the page shows a text."""
         self.do("see", text=text)
 
     def arrive(self, path: str) -> str:
@@ -103,15 +108,15 @@ class Chromium:
         return str(self.do("arrive", path=path))
 
     def text(self) -> str:
-        """Return what the page says."""
+        """Return the text of the page."""
         return str(self.do("text"))
 
-    def keep(self, pattern: str) -> None:
-        """Do not go to addresses like that from now on."""
+    def intercept(self, pattern: str) -> None:
+        """Stop the browser from opening addresses that match a pattern."""
         self.do("keep", pattern=pattern)
 
-    def kept(self) -> str:
-        """Wait until the browser wanted to go to such an address, and return it."""
+    def intercepted(self) -> str:
+        """Wait until the browser tries to open such an address, and return it."""
         return str(self.do("kept"))
 
 

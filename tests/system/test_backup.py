@@ -56,8 +56,8 @@ def test_a_lost_machine_is_restored(cluster: Cluster) -> None:
     cluster.start()
     out = cluster.home / "out"
     me.run("download", "-p", "p", "-m", "drive", "--dest", out)
-    downloaded = {path.name: path.read_bytes() for path in out.rglob("*.bin")}
-    assert downloaded == {path.name: path.read_bytes() for path in day.iterdir()}
+    restored = {path.name: path.read_bytes() for path in out.rglob("*.bin")}
+    assert restored == {path.name: path.read_bytes() for path in day.iterdir()}
     url = cluster.runtime_info()["url"]
     assert me.run("whoami", "--json").json()  # the owner's token is a new one
     stranger = type(me)(cluster.home, environment(cluster.home, KLEINKRAM_URL=url, KLEINKRAM_TOKEN=robot))

@@ -1,4 +1,4 @@
-"""A robot on a slow link that breaks connections: what it sends is kept, and it says what it waits for."""
+"""A robot on a slow link that breaks connections: its parts are kept, and `klein` reports what it waits for."""
 
 import filecmp
 import json
@@ -93,11 +93,11 @@ def _running(context: AppContext, *arguments: object) -> Iterator[Transfer]:
             transfer.process.communicate()
 
 
-def test_a_robot_that_gets_a_new_address_every_25_s_keeps_what_it_has_sent(context: AppContext) -> None:
+def test_an_upload_with_a_new_address_every_25_s_keeps_the_parts_sent(context: AppContext) -> None:
     file = context.file("day.bin", 40 * MB)
     sent_before = context.link.up.sent_bytes
     changes: list[float] = []
-    kept: list[int] = []
+    parts_seen: list[int] = []
     with _running(context, "upload", "-p", "p", "-m", "moving", "--create", file) as transfer:
         wait_until(lambda: bool(context.robot.journals()), "the upload to begin")
         since, carried_before = time.monotonic(), context.link.up.sent_bytes
@@ -108,11 +108,11 @@ def test_a_robot_that_gets_a_new_address_every_25_s_keeps_what_it_has_sent(conte
                 changes.append(since)
                 context.link.change_address()
             if parts := context.robot.parts_sent():  # the journal goes at the end
-                kept.append(parts)
+                parts_seen.append(parts)
             threading.Event().wait(0.05)
         ended_at = time.monotonic()
         report = transfer.end()
-    assert kept == sorted(kept), "what was kept is never lost again"
+    assert parts_seen == sorted(parts_seen), "parts in the journal are never lost"
     assert len(changes) >= 3
     assert context.link.up.sent_bytes - sent_before <= _MOST_SENT * file.stat().st_size
     for moment in changes:
@@ -124,7 +124,7 @@ def test_a_robot_that_gets_a_new_address_every_25_s_keeps_what_it_has_sent(conte
     context.robot.run("verify", "-p", "p", "-m", "moving", file)
 
 
-def test_a_link_that_is_dark_for_a_while_is_noticed_told_and_used_again(context: AppContext) -> None:
+def test_a_silent_link_is_detected_reported_and_used_again(context: AppContext) -> None:
     file = context.file("dark.bin", 11 * MB)
     sent_before = context.link.up.sent_bytes
     with _running(context, "upload", "-p", "p", "-m", "dark", "--create", file) as transfer:
@@ -150,7 +150,7 @@ def test_a_link_that_is_dark_for_a_while_is_noticed_told_and_used_again(context:
     assert context.link.up.sent_bytes - sent_before <= _MOST_SENT * file.stat().st_size
 
 
-def test_a_download_goes_on_from_the_byte_where_the_address_changed(context: AppContext, tmp_path: Path) -> None:
+def test_a_download_continues_at_the_byte_where_the_address_changed(context: AppContext, tmp_path: Path) -> None:
     file = context.file("back.bin", 8 * MB)
     lab = Terminal(
         context.cluster.home,
@@ -171,7 +171,7 @@ def test_a_download_goes_on_from_the_byte_where_the_address_changed(context: App
     assert context.link.down.sent_bytes - sent_before <= _MOST_SENT * file.stat().st_size
 
 
-def test_a_router_that_forgets_connections_is_noticed_although_the_address_stays(context: AppContext) -> None:
+def test_a_router_that_drops_its_connections_is_detected_without_a_change_of_address(context: AppContext) -> None:
     file = context.file("router.bin", 8 * MB)
     with _running(context, "upload", "-p", "p", "-m", "router", "--create", file) as transfer:
         wait_until(lambda: context.robot.parts_sent() >= 1, "a part to arrive")

@@ -1,4 +1,4 @@
-"""Clocks an hour apart, of server and store, and of client and server: all goes well, and ends when the server says."""
+"""Clocks of server, store and client an hour apart: transfers work, and expiries use the server's clock."""
 
 import datetime
 import filecmp
@@ -25,7 +25,7 @@ _MEANWHILE = datetime.timedelta(minutes=5)
 
 
 @pytest.mark.parametrize("hours", [1, pytest.param(-1, marks=pytest.mark.soak)])
-def test_all_goes_well_and_ends_by_the_server_s_clock(cluster: Cluster, tmp_path: Path, hours: int) -> None:
+def test_transfers_work_and_expiries_use_the_server_s_clock(cluster: Cluster, tmp_path: Path, hours: int) -> None:
     """The server is an hour off from its store and its database, and the client an hour to the other side."""
     cluster.settings |= wrong_at_server(tmp_path / "server", hours)
     cluster.start()
@@ -37,8 +37,10 @@ def test_all_goes_well_and_ends_by_the_server_s_clock(cluster: Cluster, tmp_path
     mission = ["-p", "p", "-m", "m"]
     client.run("project", "create", "p")
     files = [_file(tmp_path / "large.bin", 20 * _MIB), _file(tmp_path / "small.bin", 1000)]
-    said = client.run("upload", *mission, "--create", *files, "--json").json()["items"]
-    assert [each["moved_bytes"] for each in said] == [file.stat().st_size for file in files], "nothing is sent in vain"
+    transfers = client.run("upload", *mission, "--create", *files, "--json").json()["items"]
+    assert [transfer["moved_bytes"] for transfer in transfers] == [file.stat().st_size for file in files], (
+        "nothing is sent twice"
+    )
     client.run("verify", *mission, *files)
     client.run("verify", *mission, "--remote")
     client.run("download", *mission, "--dest", tmp_path / "back")
@@ -49,7 +51,7 @@ def test_all_goes_well_and_ends_by_the_server_s_clock(cluster: Cluster, tmp_path
     a_day_on = _time_at(url) + datetime.timedelta(days=1)
     assert abs(ending - a_day_on) < _MEANWHILE
     assert abs(_time_at(url) - datetime.datetime.now(datetime.timezone.utc)) > datetime.timedelta(minutes=50)
-    _is_told(cluster, hours)
+    _check_reports(cluster, hours)
 
 
 def _sign_in_by_a_code(cluster: Cluster, client: Terminal, url: str) -> None:
@@ -65,11 +67,11 @@ def _sign_in_by_a_code(cluster: Cluster, client: Terminal, url: str) -> None:
     assert endpoint["person"] == "owner"
 
 
-def _is_told(cluster: Cluster, hours: int) -> None:
-    """The server's log and the doctor say so, in a sentence."""
+def _check_reports(cluster: Cluster, hours: int) -> None:
+    """Check that the server's log and `klein doctor` report the difference."""
     lines = [json.loads(line) for line in (cluster.data_dir / "logs" / "api.log").read_text().splitlines()]
-    (said,) = [line for line in lines if "clocks of this server and of the store differ" in line["message"]]
-    assert abs(said["store_ahead_s"] + hours * 3600) < _MEANWHILE.total_seconds()
+    (warning,) = [line for line in lines if "clocks of this server and of the store differ" in line["message"]]
+    assert abs(warning["store_ahead_s"] + hours * 3600) < _MEANWHILE.total_seconds()
     command = cluster.terminal.command("doctor", "--data-dir", cluster.data_dir)
     runtime_info = subprocess.run(
         command, check=False, capture_output=True, text=True, env=cluster.terminal.environment

@@ -1,4 +1,4 @@
-"""Disks that fill up, at the client and at the database: it is said where and why, nothing lies, and work goes on."""
+"""Full disks of the client and the database are reported with place and reason; work continues once there is space."""
 
 import filecmp
 import json
@@ -50,7 +50,7 @@ def _file(path: Path, size_bytes: int) -> Path:
     return path
 
 
-def test_a_download_says_that_there_is_no_room_and_goes_on_when_there_is(
+def test_a_download_reports_a_full_disk_and_resumes_once_there_is_space(
     disk: tuple[Cluster, SmallDisk], tmp_path: Path
 ) -> None:
     terminal, size_bytes = disk[0].terminal, 40 * MIB
@@ -79,27 +79,27 @@ def test_a_download_says_that_there_is_no_room_and_goes_on_when_there_is(
         assert filecmp.cmp(file, filling.path("large.bin"), shallow=False)
 
 
-def test_a_database_without_room_says_so_and_comes_back_when_there_is_some(
+def test_a_database_with_a_full_disk_reports_it_and_recovers_once_there_is_space(
     disk: tuple[Cluster, SmallDisk], tmp_path: Path
 ) -> None:
     cluster, small = disk
     terminal = cluster.terminal
-    kept = _file(tmp_path / "kept.bin", 9 * MIB)
-    terminal.run("upload", "-p", "p", "-m", "m", "--create", kept)
+    stored = _file(tmp_path / "kept.bin", 9 * MIB)
+    terminal.run("upload", "-p", "p", "-m", "m", "--create", stored)
     with _administrator(cluster) as administrator:
         small.fill()
         _fill_a_table(cluster)
-        terminal.run("verify", "-p", "p", "-m", "m", kept)  # what is there can be read
+        terminal.run("verify", "-p", "p", "-m", "m", stored)  # what is there can be read
         with pytest.raises(psycopg.OperationalError):
             _fill_the_log(administrator)
     wait_until(lambda: _postgres_complains(cluster), "the supervisor to say why PostgreSQL does not start")
     findings: dict[str, Any] = {}
 
-    def is_said() -> bool:  # not while it is being started once more
-        findings.update({each["check"]: each for each in _doctor(cluster, small)})
+    def is_reported() -> bool:  # not while it is being started once more
+        findings.update({finding["check"]: finding for finding in _doctor(cluster, small)})
         return "No space left on device" in findings["part postgres"]["message"]
 
-    wait_until(is_said, "the doctor to say why PostgreSQL does not run")
+    wait_until(is_reported, "the doctor to say why PostgreSQL does not run")
     assert "without any the database stops until there is some" in findings["disk of the database"]["remedy"]
     assert not findings["disk of the database"]["ok"]
     coming = _file(tmp_path / "coming.bin", 9 * MIB)
@@ -108,13 +108,13 @@ def test_a_database_without_room_says_so_and_comes_back_when_there_is_some(
     small.make_room()
     wait_until(lambda: terminal.run("project", "list", code=None).code == 0, "the database to be back")
     terminal.run("upload", "-p", "p", "-m", "m", coming)
-    terminal.run("verify", "-p", "p", "-m", "m", kept, coming)
+    terminal.run("verify", "-p", "p", "-m", "m", stored, coming)
     backend.tidy(cluster)
     assert backend.objects(cluster) == dict(backend.sql(cluster, "SELECT key, size_bytes FROM blob"))
 
 
 def _fill_a_table(cluster: Cluster) -> None:
-    """Make missions until there is no room for their rows, and see what is said then."""
+    """Make missions until there is no room for their rows, and check the error."""
     token = (cluster.data_dir / "owner-token").read_text().strip()
     with connect(cluster.runtime_info()["url"], token) as client, pytest.raises(DatabaseUnavailable) as refused:
         _make_missions(client)
@@ -146,12 +146,12 @@ def _fill_the_log(administrator: "psycopg.Connection[tuple[object, ...]]") -> No
 
 
 def _postgres_complains(cluster: Cluster) -> bool:
-    said = (cluster.home / "up.err").read_text()
-    return "postgres has ended" in said and "No space left on device; starting it again in" in said
+    log = (cluster.home / "up.err").read_text()
+    return "postgres has ended" in log and "No space left on device; starting it again in" in log
 
 
 def _doctor(cluster: Cluster, small: SmallDisk) -> list[dict[str, str]]:
     command = [*small.inside, *cluster.terminal.command("doctor", "--data-dir", cluster.data_dir, "--json")]
     done = subprocess.run(command, check=False, capture_output=True, text=True, env=cluster.terminal.environment)
-    found: list[dict[str, str]] = json.loads(done.stdout)["checks"]
-    return found
+    checks: list[dict[str, str]] = json.loads(done.stdout)["checks"]
+    return checks

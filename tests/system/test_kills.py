@@ -1,4 +1,4 @@
-"""kill -9 of everything in turn, in the middle of an upload; then the same command again, and all must be well.
+"""Kill each process in turn during an upload, then run the same command again: nothing is lost, blocked or left over.
 
 A failure names its seed; KLEINKRAM_KILLS_SEED repeats it.
 """
@@ -22,7 +22,7 @@ from tests.system.cluster import Cluster
 # small ones than are announced at once. What more bytes add is time.
 _FULL_MB, _SMALL_MB = 300, 50
 _FULL_RATE_MB_S, _SMALL_RATE_MB_S = 75, 25
-_ROUNDS_A_HOUSE = 10
+_ROUNDS_PER_CLUSTER = 10
 _UNFINISHED = "SELECT path, state, failure FROM upload WHERE state IN ('open', 'completing')"
 _FILES = """
     SELECT file.path, encode(blob.sha256, 'hex') FROM file JOIN blob ON blob.id = file.blob_id
@@ -43,8 +43,8 @@ for step in range(20):
 @pytest.mark.timeout(900)
 def test_ten_rounds(cluster: Cluster) -> None:
     first = _first_seed()
-    sizes = {seed: _FULL_MB for seed in range(first, first + _ROUNDS_A_HOUSE) if seed % _ROUNDS_A_HOUSE == 1}
-    _rounds(cluster, [*_planned(cluster.home, first, _ROUNDS_A_HOUSE, sizes)])
+    sizes = {seed: _FULL_MB for seed in range(first, first + _ROUNDS_PER_CLUSTER) if seed % _ROUNDS_PER_CLUSTER == 1}
+    _rounds(cluster, [*_planned(cluster.home, first, _ROUNDS_PER_CLUSTER, sizes)])
 
 
 @pytest.mark.soak
@@ -52,12 +52,12 @@ def test_many_rounds_of_the_full_size(tmp_path: Path) -> None:
     first, count = _first_seed(), int(os.environ.get("KLEINKRAM_SOAK_ROUNDS", "100"))
     sizes = dict.fromkeys(range(first, first + count), _FULL_MB)
     planned = [*_planned(tmp_path, first, count, sizes)]
-    for begin in range(0, count, _ROUNDS_A_HOUSE):  # a new house now and then: a hundred rounds fill a disk
-        home = tmp_path / f"house{begin}"
+    for begin in range(0, count, _ROUNDS_PER_CLUSTER):  # a new cluster now and then: a hundred rounds fill a disk
+        home = tmp_path / f"cluster{begin}"
         home.mkdir()
         cluster = Cluster(home)
         try:
-            _rounds(cluster, planned[begin : begin + _ROUNDS_A_HOUSE])
+            _rounds(cluster, planned[begin : begin + _ROUNDS_PER_CLUSTER])
         finally:
             cluster.end()
         shutil.rmtree(home)
@@ -91,7 +91,7 @@ def _rounds(cluster: Cluster, rounds: list[Round]) -> None:
         upload_under_fire(cluster, one, chance, rate_mb_s=_rate(one))
         assert one.sent_again_bytes <= CONNECTIONS * MIN_PART_BYTES, "more than a part a connection was sent again"
         shutil.rmtree(one.folder)
-    _all_is_well(cluster, rounds)
+    _check_state(cluster, rounds)
 
 
 def _rate(one: Round) -> int:
@@ -104,7 +104,7 @@ def _launch(cluster: Cluster) -> str:
     return str(launched["items"][0]["run"]["id"])
 
 
-def _all_is_well(cluster: Cluster, rounds: list[Round]) -> None:
+def _check_state(cluster: Cluster, rounds: list[Round]) -> None:
     wait_until(lambda: all(cluster.runtime_info()["services"].values()), "every part to run")
     backend.tidy(cluster)
     assert backend.sql(cluster, _UNFINISHED) == [], "no name is blocked"
@@ -113,11 +113,11 @@ def _all_is_well(cluster: Cluster, rounds: list[Round]) -> None:
         assert dict(backend.sql(cluster, _FILES, one.mission)) == one.sha256, f"round {one.seed}"
     wait_until(lambda: all(_is_over(cluster, run) for one in rounds for run in one.runs), "the runs to end")
     for run in (run for one in rounds for run in one.runs):
-        said = cluster.terminal.run("run", "info", run, "--json").json()
-        assert (said["state"], said["artifact_count"]) == ("done", 1), said
+        run_info = cluster.terminal.run("run", "info", run, "--json").json()
+        assert (run_info["state"], run_info["artifact_count"]) == ("done", 1), run_info
     backend.tidy(cluster)
-    kept = dict(backend.sql(cluster, "SELECT key, size_bytes FROM blob"))
-    assert backend.objects(cluster) == kept, "objects that nobody refers to, or none where one should be"
+    sizes_by_key = dict(backend.sql(cluster, "SELECT key, size_bytes FROM blob"))
+    assert backend.objects(cluster) == sizes_by_key, "unreferenced or missing objects"
     assert backend.list_multiparts(cluster) == []
 
 

@@ -18,7 +18,7 @@ _HARM = {"gone.bin": ("lost", "no longer"), "cut.bin": ("corrupt", "1000 bytes")
 
 
 def _harm(cluster: Cluster, bodies: dict[str, bytes]) -> None:
-    """Do behind the server's back to each object what its file's name says."""
+    """Delete, truncate or alter each object in the store, as the name of its file says."""
     keys = dict(backend.sql(cluster, "SELECT f.path, b.key FROM file f JOIN blob b ON b.id = f.blob_id"))
     altered = bodies["altered.bin"]
 
@@ -35,7 +35,9 @@ def _states(terminal: Any) -> dict[str, tuple[str, str | None]]:
     return {file["path"]: (file["state"], file["state_reason"]) for file in runtime_info["files"]}
 
 
-def test_what_a_store_loses_cuts_and_alters_is_told_and_mended(cluster: Cluster, tmp_path: Path) -> None:
+def test_lost_truncated_and_altered_objects_are_reported_and_repaired_by_uploading_again(
+    cluster: Cluster, tmp_path: Path
+) -> None:
     cluster.start()
     terminal, folder = cluster.terminal, tmp_path / "day"
     folder.mkdir()
@@ -86,7 +88,7 @@ def _flip_byte(cluster: Cluster, needle: bytes) -> None:
     raise AssertionError("no object on disk has it")
 
 
-def test_a_damaged_object_is_told_within_a_minute_by_whoever_reads_it(cluster: Cluster, tmp_path: Path) -> None:
+def test_a_download_reports_a_damaged_object_within_a_minute(cluster: Cluster, tmp_path: Path) -> None:
     cluster.start()
     terminal, folder = cluster.terminal, tmp_path / "day"
     folder.mkdir()
@@ -107,5 +109,5 @@ def test_a_damaged_object_is_told_within_a_minute_by_whoever_reads_it(cluster: C
     assert (state, "serves others" in str(why)) == ("corrupt", True)
     token = (cluster.data_dir / "owner-token").read_text().strip()
     with connect(cluster.runtime_info()["url"], token) as client:
-        needs = {(each.need.value, each.count) for each in client.home.get().attention}
+        needs = {(item.need.value, item.count) for item in client.home.get().attention}
     assert ("files_corrupt", 1) in needs

@@ -1,4 +1,4 @@
-"""Signing in as people do it: a real OpenID provider, a real browser, `klein up`, and what goes wrong between them."""
+"""Signing in with a real OpenID provider, a real browser and `klein up`, and the failures between them."""
 
 import base64
 import hashlib
@@ -35,7 +35,7 @@ class Place:
         return f"http://127.0.0.1:{self.cluster.port}"
 
     def ask(self, method: str, path: str, body: object = None, token: str | None = None) -> Any:
-        """Make a request of a program, as the owner unless a token is given."""
+        """Send an API request, by default as the owner."""
         owner = (self.cluster.data_dir / "owner-token").read_text().strip()
         headers = {"Authorization": f"Bearer {token or owner}", "Content-Type": "application/json"}
         data = None if body is None else json.dumps(body)
@@ -44,9 +44,9 @@ class Place:
         return json.loads(answer.data) if answer.data else None
 
     def refusals(self) -> list[str]:
-        """Return why the last ways back from the provider were refused, latest first."""
+        """Return why the last callbacks from the provider were refused, latest first."""
         events = self.ask("GET", "/audit?operation=auth.refused&limit=50")["items"]
-        return [str(each["after"]["reason"]) for each in events if _CALLBACK[:17] in each["noun_name"]]
+        return [str(event["after"]["reason"]) for event in events if _CALLBACK[:17] in event["noun_name"]]
 
 
 @pytest.fixture(name="place", scope="module")
@@ -67,7 +67,7 @@ def _place(node: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pla
 
 
 def go_to_provider(place: Place, chromium: Chromium, name: str) -> None:
-    """Sign in at the provider as somebody, up to where it asks whether it may say so."""
+    """Sign in at the provider, up to its consent page."""
     chromium.goto(f"{place.url}/sign-in?{urlencode({'return_to': '/account'})}")
     chromium.click("[data-provider=lab]")
     chromium.fill("login", name)
@@ -77,7 +77,7 @@ def go_to_provider(place: Place, chromium: Chromium, name: str) -> None:
 
 
 def sign_in(place: Place, chromium: Chromium, name: str) -> None:
-    """Sign in as somebody, all the way."""
+    """Sign in through the provider."""
     go_to_provider(place, chromium, name)
     chromium.click("button[type=submit]")
     chromium.arrive("/account")
@@ -85,16 +85,16 @@ def sign_in(place: Place, chromium: Chromium, name: str) -> None:
 
 
 def come_back(place: Place, chromium: Chromium, name: str) -> str:
-    """Sign in at the provider, and return the way back without going it."""
+    """Sign in at the provider, and return the callback address without opening it."""
     go_to_provider(place, chromium, name)
-    chromium.keep(f"*{_CALLBACK}*")
+    chromium.intercept(f"*{_CALLBACK}*")
     chromium.click("button[type=submit]")
-    return chromium.kept()
+    return chromium.intercepted()
 
 
 def test_somebody_signs_in_and_out(place: Place, chromium: Chromium) -> None:
     sign_in(place, chromium, "ada")
-    (cookie,) = (each for each in chromium.do("cookies") if each["name"] == "kleinkram")
+    (cookie,) = (cookie for cookie in chromium.do("cookies") if cookie["name"] == "kleinkram")
     assert (cookie["httpOnly"], cookie["sameSite"]) == (True, "Lax")
     chromium.click("[data-sign-out]")
     chromium.arrive("/sign-in")
@@ -103,16 +103,16 @@ def test_somebody_signs_in_and_out(place: Place, chromium: Chromium) -> None:
     assert chromium.do("complaints") == []
 
 
-def test_the_second_time_it_is_the_same_account(place: Place, chromium: Chromium) -> None:
+def test_signing_in_again_uses_the_same_account(place: Place, chromium: Chromium) -> None:
     sign_in(place, chromium, "grace")
     chromium.do("fresh")
     sign_in(place, chromium, "grace")
     chromium.see("Your only sign-in method; it cannot be removed.")
-    found = place.ask("GET", "/audit?operation=person.create&limit=100")["items"]
-    assert [each["noun_name"] for each in found].count("grace") == 1
+    events = place.ask("GET", "/audit?operation=person.create&limit=100")["items"]
+    assert [event["noun_name"] for event in events].count("grace") == 1
 
 
-def test_a_refused_consent_is_told_plainly(place: Place, chromium: Chromium) -> None:
+def test_a_refused_consent_is_reported(place: Place, chromium: Chromium) -> None:
     go_to_provider(place, chromium, "no")
     chromium.click("text=Cancel")
     chromium.see("denied access")
@@ -127,7 +127,7 @@ def test_a_wrong_state_signs_nobody_in(place: Place, chromium: Chromium) -> None
     chromium.arrive("/sign-in")
 
 
-def test_a_way_back_that_somebody_else_began_signs_nobody_in(place: Place, chromium: Chromium) -> None:
+def test_a_callback_that_another_browser_began_signs_nobody_in(place: Place, chromium: Chromium) -> None:
     back = come_back(place, chromium, "mallory")
     chromium.do("fresh")
     chromium.goto(back)
@@ -148,14 +148,14 @@ def test_a_replayed_code_signs_nobody_in(place: Place, chromium: Chromium) -> No
     chromium.see("did not accept its own code")
 
 
-def test_keys_that_were_rotated_are_fetched_anew(place: Place, chromium: Chromium) -> None:
+def test_rotated_keys_are_fetched_again(place: Place, chromium: Chromium) -> None:
     sign_in(place, chromium, "ada")
     place.provider.start()
     chromium.do("fresh")
     sign_in(place, chromium, "ada")
 
 
-def test_a_token_that_has_expired_is_not_believed(place: Place, chromium: Chromium) -> None:
+def test_an_expired_token_is_rejected(place: Place, chromium: Chromium) -> None:
     place.provider.start(late_s=2 * 3600)
     try:
         back = come_back(place, chromium, "ada")
@@ -166,7 +166,7 @@ def test_a_token_that_has_expired_is_not_believed(place: Place, chromium: Chromi
         place.provider.start()
 
 
-def test_a_provider_that_dies_on_the_way_is_told_plainly(place: Place, chromium: Chromium) -> None:
+def test_a_provider_that_dies_during_sign_in_is_reported(place: Place, chromium: Chromium) -> None:
     back = come_back(place, chromium, "ada")
     place.provider.end()
     try:
@@ -186,9 +186,9 @@ def test_an_invited_person_links_the_provider_to_their_account(place: Place, chr
     chromium.goto(link)
     chromium.see("someone@elsewhere.example")
     chromium.fill("password", "correct horse battery")
-    chromium.keep(f"{place.url}/")
+    chromium.intercept(f"{place.url}/")
     chromium.click("form button")
-    chromium.kept()
+    chromium.intercepted()
     chromium.goto(f"{place.url}/account")
     chromium.see("Signed in as Some One")
     chromium.click("[data-methods] [data-provider=lab]")
@@ -214,9 +214,9 @@ def test_an_invited_person_links_the_provider_to_their_account(place: Place, chr
 
 def test_the_owner_s_link_signs_in_once(place: Place, chromium: Chromium) -> None:
     link = place.ask("POST", "/auth/owner-link")["url"]
-    chromium.keep(f"{place.url}/")
+    chromium.intercept(f"{place.url}/")
     chromium.goto(link)
-    chromium.kept()
+    chromium.intercepted()
     chromium.goto(f"{place.url}/account")
     chromium.see("Signed in as owner")
     chromium.do("fresh")
@@ -224,29 +224,29 @@ def test_the_owner_s_link_signs_in_once(place: Place, chromium: Chromium) -> Non
     chromium.see("This link or code is not valid")
 
 
-def test_a_program_on_this_machine_signs_in_when_somebody_agrees(place: Place, chromium: Chromium) -> None:
+def test_a_program_on_this_machine_signs_in_after_approval(place: Place, chromium: Chromium) -> None:
     verifier = secrets.token_urlsafe(48)
     challenge = base64.urlsafe_b64encode(hashlib.sha256(verifier.encode()).digest()).decode().rstrip("=")
     query = {"port": 40123, "state": "a" * 20, "code_challenge": challenge, "client": "klein on <b>anymal</b>"}
     sign_in(place, chromium, "ada")
     chromium.goto(f"{place.url}/sign-in/cli?{urlencode(query)}")
     chromium.see("klein on <b>anymal</b>")
-    chromium.keep("http://127.0.0.1:40123/*")
+    chromium.intercept("http://127.0.0.1:40123/*")
     chromium.click("[data-act=approve]")
-    brought = parse_qs(urlsplit(chromium.kept()).query)
+    brought = parse_qs(urlsplit(chromium.intercepted()).query)
     assert brought["state"] == ["a" * 20]
     runtime_info = place.ask("POST", "/auth/cli/token", {"code": brought["code"][0], "code_verifier": verifier})
     assert place.ask("GET", "/me", token=runtime_info["token"])["person"]["name"] == "ada"
 
 
-def test_a_program_on_this_machine_hears_that_somebody_refused(place: Place, chromium: Chromium) -> None:
+def test_a_program_on_this_machine_gets_the_refusal(place: Place, chromium: Chromium) -> None:
     sign_in(place, chromium, "ada")
     query = {"port": 40123, "state": "a" * 20, "code_challenge": "A" * 43, "client": "klein"}
     chromium.goto(f"{place.url}/sign-in/cli?{urlencode(query)}")
     chromium.see("asks to sign in")
-    chromium.keep("http://127.0.0.1:40123/*")
+    chromium.intercept("http://127.0.0.1:40123/*")
     chromium.click("[data-act=deny]")
-    assert parse_qs(urlsplit(chromium.kept()).query) == {"error": ["denied"], "state": ["a" * 20]}
+    assert parse_qs(urlsplit(chromium.intercepted()).query) == {"error": ["denied"], "state": ["a" * 20]}
 
 
 def test_a_robot_signs_in_by_a_code_that_somebody_types(place: Place, chromium: Chromium) -> None:

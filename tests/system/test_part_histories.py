@@ -91,7 +91,9 @@ def _live(client: Client, mission_id: uuid.UUID, history: History, file: Path) -
         for count, sends in enumerate(history.rounds):
             if count == 1 and history.is_joined_early:
                 assert _outcomes(together, client, finish, callers=1) == {"refused"}
-            for status in [each.result() for each in [together.submit(_send, client, upload, body, s) for s in sends]]:
+            for status in [
+                future.result() for future in [together.submit(_send, client, upload, body, s) for s in sends]
+            ]:
                 assert status == 200
         assert _outcomes(together, client, finish, callers=history.callers) == {"completed"}
 
@@ -107,8 +109,8 @@ def _send(client: Client, upload: UploadRead, body: bytes, sent: Sent) -> int:
 
 
 def _outcomes(together: ThreadPoolExecutor, client: Client, finish: UploadFinish, *, callers: int) -> set[str]:
-    asked = [together.submit(client.uploads.complete, [finish]) for _ in range(callers)]
-    return {each.outcome for answer in asked for each in answer.result().items}
+    futures = [together.submit(client.uploads.complete, [finish]) for _ in range(callers)]
+    return {item.outcome for future in futures for item in future.result().items}
 
 
 def _clear_up(cluster: Cluster) -> None:
@@ -116,8 +118,8 @@ def _clear_up(cluster: Cluster) -> None:
     ports = json.loads((cluster.data_dir / "ports.json").read_text())
     shell = [str(locate_weed()), "shell", "-master", f"127.0.0.1:{ports['master']}.{ports['master_grpc']}"]
     text = "lock\nvolume.vacuum -garbageThreshold 0.00001\nunlock\n"
-    said = subprocess.run(shell, input=text, capture_output=True, text=True, timeout=60, check=False)
-    assert said.returncode == 0, said.stderr
+    done = subprocess.run(shell, input=text, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def _live_all(cluster: Cluster, folder: Path, histories: Sequence[History], mission: str) -> None:

@@ -47,7 +47,7 @@ def _away(cluster: Cluster) -> None:
         threading.Event().wait(0.1)
 
 
-def test_a_store_that_is_away_for_half_a_minute_is_waited_for(cluster: Cluster, tmp_path: Path) -> None:
+def test_transfers_wait_for_a_store_that_is_unavailable_for_half_a_minute(cluster: Cluster, tmp_path: Path) -> None:
     cluster.start()
     terminal = cluster.terminal
     terminal.run("project", "create", "p")
@@ -76,7 +76,7 @@ def _fetched(back: Path) -> int:
     return len(journal.read_text().splitlines()) - 1 if journal.exists() else 0
 
 
-def test_a_store_without_room_says_so_and_goes_on_when_there_is_some(tmp_path: Path) -> None:
+def test_a_full_store_is_reported_and_uploads_continue_once_there_is_space(tmp_path: Path) -> None:
     need_small_disks()
     cluster = Cluster(tmp_path)
     cluster.start()
@@ -93,17 +93,17 @@ def _fill_a_store(cluster: Cluster, disk: SmallDisk) -> None:
     cluster.start()
     terminal = cluster.terminal
     terminal.run("project", "create", "p")
-    kept = _file(cluster.home / "kept.bin", 20 * MIB)
-    terminal.run("upload", "-p", "p", "-m", "m", "--create", kept)
+    stored = _file(cluster.home / "kept.bin", 20 * MIB)
+    terminal.run("upload", "-p", "p", "-m", "m", "--create", stored)
     disk.fill()
     large = _file(cluster.home / "large.bin", 40 * MIB)
     process = terminal.start("upload", "-p", "p", "-m", "m", large)
     assert process.stderr is not None
     assert "waiting for the store, which is away or full" in process.stderr.readline()
     assert _files_of(cluster, "m") == ["kept.bin"], "what did not arrive is not there"
-    terminal.run("verify", "-p", "p", "-m", "m", kept)
+    terminal.run("verify", "-p", "p", "-m", "m", stored)
     disk.make_room()
     ended = end(process)
     assert ended.code == 0, ended.err
-    terminal.run("verify", "-p", "p", "-m", "m", kept, large)
+    terminal.run("verify", "-p", "p", "-m", "m", stored, large)
     terminal.run("verify", "-p", "p", "-m", "m", "--remote")

@@ -12,7 +12,7 @@
 # name = "topic"
 # type = "topic"
 # default = ""
-# description = "Where positions are taken from; by itself, it takes odometry, then GPS, then poses."
+# description = "The topic of the positions; by default odometry, then GPS, then poses."
 #
 # [[tool.kleinkram.parameters]]
 # name = "gps_step"
@@ -20,7 +20,7 @@
 # unit = "m"
 # default = 1.0
 # minimum = 0
-# description = "Moves between fixes that are shorter are taken for noise of the receiver."
+# description = "Shorter moves between fixes count as noise of the receiver."
 #
 # [[tool.kleinkram.parameters]]
 # name = "fastest"
@@ -28,14 +28,13 @@
 # unit = "m/s"
 # default = 100.0
 # minimum = 0
-# description = "Faster moves are jumps of the estimate: they are named, and not counted."
+# description = "Faster moves are jumps of the estimate: they are reported and not counted."
 # ///
 """Duration, distance, area and sensors of a mission, and its track as GeoJSON and as a picture.
 
-Positions are those of nav_msgs/Odometry, sensor_msgs/NavSatFix (WGS 84; without those that say that they are no fix),
-or geometry_msgs/PoseStamped. The distance is the sum of the moves from each position to the next; recordings that
-overlap in time are taken for views of the same drive, of which the longest counts. Transforms (/tf) are not read: which
-frame would be the robot is not theirs to say.
+Positions come from nav_msgs/Odometry, sensor_msgs/NavSatFix (WGS 84, without messages that have no fix), or
+geometry_msgs/PoseStamped. The distance is the sum of the moves between positions. Recordings that overlap in time count
+as one drive, with the longest distance. Transforms (/tf) are not read, because they do not name the robot's frame.
 """
 
 import csv
@@ -80,7 +79,7 @@ SENSORS = {
 
 
 class Point(NamedTuple):
-    """Log time in ns, and a place: metres in the topic's frame, or degrees of longitude, latitude, and metres."""
+    """Log time in ns, and a position: metres in the topic's frame, or longitude and latitude in degrees, and metres."""
 
     time_ns: int
     x: float
@@ -90,7 +89,7 @@ class Point(NamedTuple):
 
 @dataclass
 class Track:
-    """Where something was, by one topic: how far it went, and a bounded number of its points, evenly left out."""
+    """The positions of one topic: the distance, and a bounded number of evenly spaced points."""
 
     recording: str
     topic: str
@@ -108,7 +107,7 @@ class Track:
     _stride: int = 1
 
     def add(self, point: Point, shortest_m: float, fastest_m_s: float) -> None:
-        """Take up the next position."""
+        """Add the next position."""
         self.low = [min(pair) for pair in zip(self.low, point[1:], strict=True)]
         self.high = [max(pair) for pair in zip(self.high, point[1:], strict=True)]
         self._measure(point, shortest_m if self.kind == "gps" else 0.0, fastest_m_s)
@@ -137,7 +136,7 @@ class Track:
         return math.dist(earth_fixed(one), earth_fixed(other)) if self.kind == "gps" else math.dist(one[1:], other[1:])
 
     def line(self) -> list[Point]:
-        """Return the points that were kept, and the last."""
+        """Return the stored points, and the last one."""
         return [*self.points, *([self.last] if self.last and self.last != self.points[-1] else [])]
 
 
@@ -158,7 +157,7 @@ def earth_fixed(point: Point) -> tuple[float, float, float]:
 
 
 def position(kind: str, message: Message) -> Point | None:
-    """Return where a message says that something was, if it does."""
+    """Return the position in a message, if it has one."""
     value: Any = message.value  # of whatever type the recording itself defines
     if kind == "gps":
         if value.status.status <= NO_FIX:
@@ -173,7 +172,7 @@ def position(kind: str, message: Message) -> Point | None:
 
 @dataclass(frozen=True)
 class Seen:
-    """What one recording told."""
+    """The results of one recording."""
 
     name: str
     file: Path | None
@@ -190,7 +189,7 @@ class Seen:
 
 
 def opened(group: RecordingGroup, stack: ExitStack) -> Recording:
-    """Open a recording among the inputs, whatever number of files it has."""
+    """Open a recording of the inputs, which may have several files."""
     paths = [in_dir / path for path in (group.metadata_path, *group.members) if path is not None]
     if group.metadata_path is not None and "/" in group.metadata_path:
         return stack.enter_context(Recording.open(paths[0].parent))
@@ -200,7 +199,7 @@ def opened(group: RecordingGroup, stack: ExitStack) -> Recording:
 
 
 def look(group: RecordingGroup, share: tuple[float, float]) -> Seen | None:
-    """Read one recording; None where there is nothing in it."""
+    """Read one recording; None if it is empty."""
     name, (begin, width) = group.name, share
     chosen = str(parameters()["topic"])
     shortest_m, fastest_m_s = float(parameters()["gps_step"]), float(parameters()["fastest"])
@@ -235,7 +234,7 @@ def look(group: RecordingGroup, share: tuple[float, float]) -> Seen | None:
 
 
 def drives(recordings: Iterable[Seen]) -> Iterator[list[Seen]]:
-    """Yield the recordings that overlap in time together."""
+    """Yield groups of recordings that overlap in time."""
     together: list[Seen] = []
     for seen in sorted(recordings, key=lambda seen: seen.start_ns):
         if together and seen.start_ns > max(earlier.end_ns for earlier in together):
@@ -246,8 +245,8 @@ def drives(recordings: Iterable[Seen]) -> Iterator[list[Seen]]:
         yield together
 
 
-def say(seen: Seen) -> None:
-    """Say what is worth knowing of one recording."""
+def report_recording(seen: Seen) -> None:
+    """Report the metrics and findings of one recording."""
     best = seen.best()
     if best is None:
         report.finding("info", "track.none", f"{seen.name} has no positions that can be read", file=seen.file)
@@ -255,7 +254,7 @@ def say(seen: Seen) -> None:
         report.metric("distance", best.distance_m, unit="m", file=seen.file)
     for track in seen.tracks:
         if track.no_fix:
-            what = f"{track.no_fix} of {track.no_fix + track.count} messages say no place"
+            what = f"{track.no_fix} of {track.no_fix + track.count} messages have no fix"
             report.finding("info", "track.no_fix", what, file=seen.file, topic=track.topic)
         for time_ns, moved_m in track.jumps[:MOST_JUMPS]:
             what = f"jumps by {moved_m:.1f} m, which is not counted"
@@ -301,7 +300,7 @@ def write_geojson(path: Path, tracks: Iterable[Track]) -> None:
 
 
 def write_csv(path: Path, tracks: Iterable[Track]) -> None:
-    """Write tracks that have no place on earth as a table."""
+    """Write tracks without geographic coordinates as a table."""
     with path.open("w", newline="") as stream:
         table = csv.writer(stream)
         table.writerow(["recording", "topic", "frame", "time_ns", "x_m", "y_m", "z_m"])
@@ -310,7 +309,7 @@ def write_csv(path: Path, tracks: Iterable[Track]) -> None:
 
 
 def metres(tracks: Sequence[Track]) -> list[list[tuple[float, float]]]:
-    """Return the lines of tracks in metres: east and north of their first point for GPS, else as they are."""
+    """Return the lines of tracks in metres: relative to their first point for GPS, else unchanged."""
     if tracks[0].kind != "gps":
         return [[(point.x, point.y) for point in track.line()] for track in tracks]
     first = tracks[0].points[0]
@@ -320,7 +319,7 @@ def metres(tracks: Sequence[Track]) -> list[list[tuple[float, float]]]:
 
 
 def draw(tracks: Sequence[Track]) -> Path:
-    """Draw tracks as a PNG, or where matplotlib is not installed as an SVG, and return the file."""
+    """Draw tracks as a PNG, or as an SVG without matplotlib, and return the file."""
     lines, labels = metres(tracks), [f"{track.recording} {track.topic}" for track in tracks]
     names = ("east [m]", "north [m]") if tracks[0].kind == "gps" else ("x [m]", "y [m]")
     try:
@@ -343,7 +342,7 @@ def draw(tracks: Sequence[Track]) -> Path:
 
 
 def svg(lines: Sequence[Sequence[tuple[float, float]]], labels: Sequence[str], names: tuple[str, str]) -> str:
-    """Return lines as a picture of 640 by 640, with the size of what it shows written on its edges."""
+    """Return lines as a picture of 640 by 640, with its size in metres on the edges."""
     every = [point for line in lines for point in line]
     (west, east), (south, north) = ((min(axis), max(axis)) for axis in zip(*every, strict=True))
     scale = 560 / max(east - west, north - south, 0.001)
@@ -363,7 +362,7 @@ def svg(lines: Sequence[Sequence[tuple[float, float]]], labels: Sequence[str], n
 
 
 def write_tracks(recordings: Iterable[Seen]) -> dict[str, Any]:
-    """Write the tracks on earth, or where there are none those in the robot's own frame; return where they were."""
+    """Write the tracks of GPS, or else those in the robot's frame; return the area."""
     tracks = [track for seen in recordings for track in seen.tracks if track.kind == "gps" and track.count > 1]
     on_earth = bool(tracks)
     tracks = tracks or [best for seen in recordings if (best := seen.best())]
@@ -383,7 +382,7 @@ def write_tracks(recordings: Iterable[Seen]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Read all recordings of the mission, and say what they tell."""
+    """Read all recordings of the mission, and report the results."""
     recordings: list[Seen] = []
     paths = [path.relative_to(in_dir).as_posix() for path in inputs()]
     groups = [candidate for candidate in group(paths) if candidate.members]
@@ -398,7 +397,7 @@ def main() -> None:
             continue
         print(f"{seen.name}: {(seen.end_ns - seen.start_ns) / NS:.1f} s, {len(seen.tracks)} tracks", flush=True)
         recordings.append(seen)
-        say(seen)
+        report_recording(seen)
     if not recordings:
         report.finding("warning", "mission.empty", f"no recording of {context().mission.name} holds messages")
         return

@@ -8,6 +8,7 @@ from typing import TypeVar
 from pydantic import BaseModel, JsonValue, ValidationError
 
 from kleinkram.action import run_files
+from kleinkram.contract.problems import in_plain_words
 from kleinkram.contract.reports import (
     EVENTS_FILE,
     MAX_EVENT_BYTES,
@@ -18,7 +19,6 @@ from kleinkram.contract.reports import (
     PutBack,
     ReportEvent,
 )
-from kleinkram.contract.wording import in_plain_words
 
 T = TypeVar("T", bound=BaseModel)
 AnyPath = str | os.PathLike[str]

@@ -23,6 +23,7 @@ from pathlib import Path
 from kleinkram.action.run_files import IN_VARIABLE, OUT_VARIABLE
 from kleinkram.client.errors import InvalidInput
 from kleinkram.client.manifest import MANIFEST, read_manifest
+from kleinkram.contract.access import Right
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.files import BlobState, ContentState, FileRead
 from kleinkram.contract.metadata import Metadata
@@ -30,7 +31,6 @@ from kleinkram.contract.missions import MissionRead, MissionRef
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.reports import EVENTS_FILE, REPORT_FILE, Report, ReportEvent
-from kleinkram.contract.rights import Right
 from kleinkram.contract.runs import CONTEXT_FILE, ActionRef, Cause, RunContext
 
 _NOBODY = PersonRef(id=uuid.UUID(int=1), name="nobody")

@@ -12,8 +12,7 @@ from kleinkram.cli.units import parse_time
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
 from kleinkram.client.people import Place, find_grant
-from kleinkram.contract.grants import AccessRead, GrantRead
-from kleinkram.contract.rights import Right
+from kleinkram.contract.access import AccessRead, GrantRead, Right
 
 app = Noun("Who may do what with a project or a mission.")
 

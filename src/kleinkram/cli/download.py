@@ -18,7 +18,7 @@ from kleinkram.client.transfer import DownloadPlan, plan_download
 from kleinkram.client.transfer.download import CONNECTIONS
 from kleinkram.client.transfer.download import download as download_files
 from kleinkram.client.transfer.plan import is_excluded
-from kleinkram.contract.shares import is_link
+from kleinkram.contract.tokens import is_link
 
 
 @with_choice

@@ -13,7 +13,7 @@ from kleinkram.client import errors as local
 from kleinkram.client.errors import request_id_of
 from kleinkram.contract import errors as remote
 from kleinkram.contract.errors import KleinkramError
-from kleinkram.contract.wording import in_plain_words
+from kleinkram.contract.problems import in_plain_words
 from kleinkram.failures import code_of, failure_line
 from kleinkram.recordings.errors import RecordingError
 

@@ -31,7 +31,7 @@ from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.client.files import file_label
 from kleinkram.contract.files import FileLoss, FileRead, FileSort, ReadDepth
 from kleinkram.contract.problems import from_problem
-from kleinkram.contract.searching import FileLabelled
+from kleinkram.contract.search import FileLabelled
 
 _DEPTHS = {ReadDepth.summary: "its index", ReadDepth.scan: "every byte"}
 app = Noun("Files: what a mission holds.")

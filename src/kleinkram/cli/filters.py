@@ -18,7 +18,7 @@ from kleinkram.contract.missions import MissionFilter, MissionRead
 from kleinkram.contract.names import is_id, name_key
 from kleinkram.contract.projects import ProjectRead
 from kleinkram.contract.query import render, whole
-from kleinkram.contract.searching import FileQuery
+from kleinkram.contract.search import FileQuery
 
 Many = list[str] | None
 

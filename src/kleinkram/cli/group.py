@@ -9,7 +9,7 @@ from kleinkram.cli.commands import Noun
 from kleinkram.cli.options import AsJson, IfMatch, Limit, Until, Yes, confirm
 from kleinkram.cli.render import details, escape, line, moment, note, show_json, show_json_list, table
 from kleinkram.cli.units import parse_time
-from kleinkram.contract.groups import GroupRead
+from kleinkram.contract.access import GroupRead
 
 app = Noun("Groups of people: what is granted to one, all of it have.")
 

@@ -30,8 +30,8 @@ from kleinkram.client.config import (
 )
 from kleinkram.client.errors import EndpointTaken, InvalidInput, NoBrowser
 from kleinkram.client.sign_in import begin_browser, begin_device, end_token, see_server, wait_for_device, who_has
+from kleinkram.contract.accounts import SignedIn
 from kleinkram.contract.errors import KleinkramError
-from kleinkram.contract.signing_in import SignedIn
 
 _LOOPBACK = {"127.0.0.1", "::1", "localhost"}
 

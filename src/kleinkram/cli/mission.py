@@ -33,7 +33,7 @@ from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.files import BlobState, FileFilter, FileRead, RecordingRead, TopicRead
 from kleinkram.contract.missions import MissionFilter, MissionRead, MissionSort
 from kleinkram.contract.names import is_id
-from kleinkram.contract.topics import MissionTopic
+from kleinkram.contract.overviews import MissionTopic
 
 _DAMAGED = {BlobState.lost, BlobState.corrupt}
 

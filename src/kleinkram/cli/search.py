@@ -19,9 +19,9 @@ from kleinkram.cli.units import size
 from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.files import FileSort
+from kleinkram.contract.overviews import StatsRead, StatsRow
 from kleinkram.contract.query import render
-from kleinkram.contract.searching import FacetsRead, TopicFound
-from kleinkram.contract.stats import StatsRead, StatsRow
+from kleinkram.contract.search import FacetsRead, TopicFound
 
 
 class Shown(str, enum.Enum):

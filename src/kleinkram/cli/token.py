@@ -12,8 +12,8 @@ from kleinkram.cli.render import details, escape, line, note, show_json, show_js
 from kleinkram.cli.units import ending
 from kleinkram.client import Client
 from kleinkram.client.tokens import Reach, RunnerLimits
+from kleinkram.contract.access import Scope, TokenKind
 from kleinkram.contract.names import is_id
-from kleinkram.contract.rights import Scope, TokenKind
 from kleinkram.contract.tokens import TokenRead
 
 app = Noun("Tokens: what scripts, robots and runners sign in with.")

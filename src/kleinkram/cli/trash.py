@@ -9,7 +9,7 @@ from kleinkram.cli.commands import Noun
 from kleinkram.cli.options import AsJson
 from kleinkram.cli.render import escape, note, show_json, show_json_list, table
 from kleinkram.cli.units import size
-from kleinkram.contract.trash import TrashNoun
+from kleinkram.contract.projects import TrashNoun
 
 app = Noun("What was deleted, for 30 days.")
 

@@ -30,8 +30,7 @@ from kleinkram.client.errors import (
     remember_request,
 )
 from kleinkram.contract.errors import KleinkramError, NotAuthenticated
-from kleinkram.contract.problems import ProblemDocument, from_problem
-from kleinkram.contract.wording import first_problem
+from kleinkram.contract.problems import ProblemDocument, first_problem, from_problem
 
 T = TypeVar("T", bound=BaseModel)
 _log = logging.getLogger("kleinkram.http")

@@ -14,10 +14,10 @@ from pydantic import BaseModel, ValidationError
 
 from kleinkram.client._http import Api, query_of
 from kleinkram.client.errors import InvalidInput, ReadingMissing
+from kleinkram.contract.base import MAX_PAGE_SIZE, Page
 from kleinkram.contract.errors import AmbiguousName, NotFound
 from kleinkram.contract.names import is_id, name_key
-from kleinkram.contract.paging import MAX_PAGE_SIZE, Page
-from kleinkram.contract.wording import in_plain_words
+from kleinkram.contract.problems import in_plain_words
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -27,8 +27,8 @@ from kleinkram.client.errors import (
     NoSuchEndpoint,
     NotConfigured,
 )
-from kleinkram.contract.shares import SHARE_PAGE
-from kleinkram.contract.wording import first_problem
+from kleinkram.contract.problems import first_problem
+from kleinkram.contract.tokens import SHARE_PAGE
 
 APPLICATION = "kleinkram"
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO

@@ -17,9 +17,9 @@ from kleinkram.contract.files import (
     FileUpdate,
     TopicRead,
 )
+from kleinkram.contract.projects import Deleted
 from kleinkram.contract.runs import LineageRead
-from kleinkram.contract.searching import MAX_LABELLED, FileLabelled, FilesLabelled, LabelChange, TopicFound
-from kleinkram.contract.trash import Deleted
+from kleinkram.contract.search import MAX_LABELLED, FileLabelled, FilesLabelled, LabelChange, TopicFound
 
 
 class Files:

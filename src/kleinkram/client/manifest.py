@@ -10,7 +10,7 @@ from ruamel.yaml.error import YAMLError
 
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.actions import MAX_SCRIPT_CHARACTERS, ActionDefinition
-from kleinkram.contract.wording import first_problem
+from kleinkram.contract.problems import first_problem
 from kleinkram.recordings.yaml_depth import shallow_yaml
 
 if sys.version_info >= (3, 11):

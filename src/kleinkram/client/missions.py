@@ -19,9 +19,8 @@ from kleinkram.contract.missions import (
     MissionRead,
     MissionUpdate,
 )
-from kleinkram.contract.timelines import MissionTimeline, TimelineFile
-from kleinkram.contract.topics import MAX_MISSION_TOPICS, MissionTopics
-from kleinkram.contract.trash import Deleted
+from kleinkram.contract.overviews import MAX_MISSION_TOPICS, MissionTimeline, MissionTopics, TimelineFile
+from kleinkram.contract.projects import Deleted
 
 
 class Missions:

@@ -6,15 +6,25 @@ from collections.abc import Iterator
 
 from kleinkram.client._http import Api, query_of
 from kleinkram.client._nouns import Listing, Ref, checked, known_id, pages, resolve_one
+from kleinkram.contract.access import (
+    AccessRead,
+    GrantCreate,
+    Grantee,
+    GranteeKind,
+    GrantRead,
+    GroupCreate,
+    GroupRead,
+    GroupUpdate,
+    MemberRead,
+    MemberSet,
+    Right,
+)
 from kleinkram.contract.accounts import InvitationCreate, OneTimeLink
 from kleinkram.contract.errors import NotFound
-from kleinkram.contract.grants import AccessRead, GrantCreate, Grantee, GranteeKind, GrantRead
-from kleinkram.contract.groups import GroupCreate, GroupRead, GroupUpdate, MemberRead, MemberSet
 from kleinkram.contract.missions import MissionRead
 from kleinkram.contract.names import is_id
 from kleinkram.contract.people import Departure, PersonRead
 from kleinkram.contract.projects import ProjectRead
-from kleinkram.contract.rights import Right
 
 
 class People:

@@ -6,8 +6,7 @@ from kleinkram.client._http import Api, query_of
 from kleinkram.client._nouns import Listing, Ref, checked, count, known_id, pages, resolve_one
 from kleinkram.contract.metadata import MetadataFields
 from kleinkram.contract.missions import MissionTemplate
-from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
-from kleinkram.contract.trash import Deleted
+from kleinkram.contract.projects import Deleted, ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 
 
 class Projects:

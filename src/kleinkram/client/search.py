@@ -13,9 +13,9 @@ from kleinkram.client.projects import Projects
 from kleinkram.contract.amounts import read_size
 from kleinkram.contract.files import FileFilter, FileSort
 from kleinkram.contract.missions import MissionFilter
+from kleinkram.contract.overviews import Overview, StatsRead
 from kleinkram.contract.query import parse, whole
-from kleinkram.contract.searching import FacetsRead, FileQuery, SearchRead
-from kleinkram.contract.stats import Overview, StatsRead
+from kleinkram.contract.search import FacetsRead, FileQuery, SearchRead
 
 # What lists of files take: a filter, the text of a query, or None for everything.
 Condition = FileFilter | str | None

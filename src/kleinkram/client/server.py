@@ -10,7 +10,7 @@ from pydantic import RootModel
 from kleinkram.client._http import Api, query_of
 from kleinkram.client._nouns import Listing, Ref, known_id, pages, resolve_one
 from kleinkram.client.errors import TimedOut
-from kleinkram.contract.accounts import AccountRead, IdentityRead, OneTimeLink
+from kleinkram.contract.accounts import AccountRead, IdentityRead, MeRead, OneTimeLink, SessionRead
 from kleinkram.contract.admin import (
     AdminHealth,
     AdminJobs,
@@ -21,12 +21,10 @@ from kleinkram.contract.admin import (
     ScrubRequest,
     ScrubState,
 )
-from kleinkram.contract.audit import AuditFilter, AuditRead
-from kleinkram.contract.events import Change, Refetch
+from kleinkram.contract.audit import AuditFilter, AuditRead, Change, Refetch
 from kleinkram.contract.home import HomeRead, HomeStorage
 from kleinkram.contract.people import ServiceRead
-from kleinkram.contract.signing_in import MeRead, SessionRead
-from kleinkram.contract.trash import TrashNoun, TrashRead
+from kleinkram.contract.projects import TrashNoun, TrashRead
 
 
 class Service:

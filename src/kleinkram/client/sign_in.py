@@ -24,6 +24,7 @@ from kleinkram.client._http import Api
 from kleinkram.client.config import Endpoint, EndpointSource, normal_url
 from kleinkram.client.errors import ServerUnreachable
 from kleinkram.client.server import Me
+from kleinkram.contract.accounts import CliExchange, DeviceBegin, DeviceCode, DeviceExchange, MeRead, SignedIn
 from kleinkram.contract.errors import (
     NotAuthenticated,
     RateLimited,
@@ -32,7 +33,6 @@ from kleinkram.contract.errors import (
     SignInPending,
     SlowDown,
 )
-from kleinkram.contract.signing_in import CliExchange, DeviceBegin, DeviceCode, DeviceExchange, MeRead, SignedIn
 
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>Kleinkram</title></head>

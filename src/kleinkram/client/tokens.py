@@ -10,9 +10,8 @@ from kleinkram.client._http import Api, query_of
 from kleinkram.client._nouns import HasId, Listing, Ref, checked, known_id, pages, resolve_one
 from kleinkram.client.missions import Missions
 from kleinkram.client.projects import Projects
-from kleinkram.contract.rights import Scope, TokenKind
-from kleinkram.contract.shares import ShareCreate, SharedRead, ShareMade, ShareRead
-from kleinkram.contract.tokens import TokenCreate, TokenMade, TokenRead
+from kleinkram.contract.access import Scope, TokenKind
+from kleinkram.contract.tokens import ShareCreate, SharedRead, ShareMade, ShareRead, TokenCreate, TokenMade, TokenRead
 
 
 @dataclass(frozen=True)

@@ -14,13 +14,12 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, AliasChoices, BeforeValidator, ConfigDict, Field, model_validator
 from typing_extensions import Self
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.amounts import read_duration, read_size
-from kleinkram.contract.etags import ETag, etag_of
+from kleinkram.contract.base import ETag, Request, Response, etag_of
 from kleinkram.contract.names import Label, Name, Term, check_text
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
-from kleinkram.contract.rights import Right
-from kleinkram.contract.wire import Request, Response
 
 MAX_SCRIPT_CHARACTERS = 500_000
 MAX_PARAMETERS = 100
@@ -69,11 +68,7 @@ class Parameter(Request):
         return self
 
     def check(self, value: ParameterValue) -> ParameterValue:
-        """Return a value, converted to the type of this parameter.
-
-        Raises:
-            ValueError: it has another type, is none of the choices, or is out of range.
-        """
+        """Return a value, converted to the type of this parameter. Raises ValueError."""
         type_name, accepted = _PYTHON_TYPES[self.type]
         if not isinstance(value, accepted) or (isinstance(value, bool) and self.type is not ParameterType.boolean):
             raise ValueError(f"{self.name!r} is {type_name}, not {value!r}")
@@ -92,11 +87,7 @@ class Parameter(Request):
         return value
 
     def read(self, text: str) -> ParameterValue:
-        """Parse a value, as on a command line.
-
-        Raises:
-            ValueError: it is not valid for this parameter.
-        """
+        """Parse a value, as on a command line. Raises ValueError."""
         type_name, _ = _PYTHON_TYPES[self.type]
         try:
             if self.type is ParameterType.boolean:
@@ -216,8 +207,7 @@ class ActionDefinition(Request):
     def fill_in(self, values_by_name: ParameterValues) -> ParameterValues:
         """Return the values of all parameters: those passed, checked, and the defaults of the others.
 
-        Raises:
-            ParametersWrong: some are unknown, missing or invalid.
+        Raises ParametersWrong.
         """
         known = {parameter.name: parameter for parameter in self.parameters}
         choices = ", ".join(known) or "none at all"

@@ -4,8 +4,8 @@ import datetime
 import uuid
 from typing import Any
 
+from kleinkram.contract.base import Response
 from kleinkram.contract.home import StoreUse
-from kleinkram.contract.wire import Response
 
 
 class StateAmount(Response):

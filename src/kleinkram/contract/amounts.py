@@ -36,11 +36,7 @@ _ZONE = re.compile(r"[-+]\d{2}(:?\d{2})?$")
 
 
 def read_size(text: str) -> Fraction:
-    """Return the bytes of `200MB`, `8MiB`, `1.5G`, `1500`; units are decimal unless they say `i`.
-
-    Raises:
-        ValueError: it is none of these.
-    """
+    """Return the bytes of `200MB`, `8MiB`, `1.5G`, `1500`; units are decimal unless they say `i`. Raises ValueError."""
     found = _NUMBER.fullmatch(text.strip())
     unit = found["unit"].lower() if found else ""
     stem = unit.removesuffix("b")
@@ -53,11 +49,7 @@ def read_size(text: str) -> Fraction:
 
 
 def read_duration(text: str) -> Fraction:
-    """Return the nanoseconds of `10m`, `1.5h`, `200ms`.
-
-    Raises:
-        ValueError: it is none of these.
-    """
+    """Return the nanoseconds of `10m`, `1.5h`, `200ms`. Raises ValueError."""
     found = _NUMBER.fullmatch(text.strip())
     if found is None or found["unit"] not in DURATIONS:
         raise ValueError("say a number with d, h, m, s, ms, us or ns")
@@ -67,8 +59,7 @@ def read_duration(text: str) -> Fraction:
 def bounds(operator: str, amount: Fraction) -> tuple[int | None, int | None]:
     """Return the smallest and the largest whole number that a comparison with `amount` lets through.
 
-    Raises:
-        ValueError: nothing can be so small or so large.
+    Raises ValueError.
     """
     lowest, highest = math.ceil(amount), math.floor(amount)
     least = {">": highest + 1, ">=": lowest, ":": lowest, "=": lowest}.get(operator)
@@ -92,8 +83,7 @@ def say_bound(operator: str, number: int, units: Mapping[str, int]) -> str:
 def read_time(text: str) -> datetime.datetime:
     """Return the time of `2026`, `2026-05`, `2026-05-01` (their beginning) or `2026-05-01T10:00Z`; UTC unless it says.
 
-    Raises:
-        ValueError: it is none of these.
+    Raises ValueError.
     """
     try:
         return _read_time(text.strip())
@@ -113,11 +103,7 @@ def say_time(at: datetime.datetime) -> str:
 
 
 def read_month(text: str) -> str:
-    """Return a month such as `2026-05`.
-
-    Raises:
-        ValueError: it is none.
-    """
+    """Return a month such as `2026-05`. Raises ValueError."""
     if _MONTH.fullmatch(text) is None:
         raise ValueError("say a month as 2026-05")
     return text
@@ -139,3 +125,47 @@ def _said(number: int, units: Mapping[str, int]) -> str:
     if number == 0:
         return f"0{smallest}"
     return min((f"{number // size}{unit}" for unit, size in units.items() if number % size == 0), key=len)
+
+
+_MIN_NS, _MAX_NS = -(2**63), 2**63 - 1
+_EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.timezone.utc)
+_DATE = re.compile(r"\d{4}-\d{2}-\d{2}", re.ASCII)
+_TIME = re.compile(
+    r"(?P<day>\d{4}-\d{2}-\d{2})[Tt ](?P<clock>\d{2}:\d{2}(:\d{2})?)(\.(?P<fraction>\d{1,6}))?"
+    r" ?(?P<zone>[Zz]|[-+]\d{2}(:?\d{2})?)?",
+    re.ASCII,
+)
+
+
+def iso_text(text: str) -> str | None:
+    """Return an ISO date as it is and a date with time in UTC, so that text compares as time; None if it is neither.
+
+    A time without zone is taken as UTC. Source: ISO 8601-1:2019, extended format.
+    """
+    try:
+        if _DATE.fullmatch(text):
+            return datetime.date.fromisoformat(text).isoformat()
+        if found := _TIME.fullmatch(text):
+            return _in_utc(found).isoformat()
+    except (ValueError, OverflowError):  # the 30th of February; a zone that leaves the year 9999
+        return None
+    return None
+
+
+def _in_utc(found: re.Match[str]) -> datetime.datetime:
+    clock = found["clock"] if found.group(3) else found["clock"] + ":00"
+    zone = (found["zone"] or "Z").upper().replace("Z", "+00:00")
+    if len(zone) == 3:
+        zone += ":00"
+    if ":" not in zone:
+        zone = f"{zone[:3]}:{zone[3:]}"
+    fraction = (found["fraction"] or "").ljust(6, "0")
+    parsed = datetime.datetime.fromisoformat(f"{found['day']}T{clock}.{fraction}{zone}")
+    return parsed.astimezone(datetime.timezone.utc)
+
+
+def nanoseconds(at: datetime.datetime) -> int:
+    """Return a time as nanoseconds since 1970 UTC, held within what a bigint takes; without zone it is UTC."""
+    aware = at if at.tzinfo else at.replace(tzinfo=datetime.timezone.utc)
+    microseconds = (aware - _EPOCH) // datetime.timedelta(microseconds=1)
+    return min(max(microseconds * 1000, _MIN_NS), _MAX_NS)

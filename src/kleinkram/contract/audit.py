@@ -1,12 +1,13 @@
-"""The record of what happened."""
+"""The audit log, and the stream of change events."""
 
 import datetime
+import enum
 import uuid
 
+from kleinkram.contract.base import Request, Response
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import Ids, Term
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.wire import Request, Response
 
 
 class CredentialRef(Response):
@@ -65,3 +66,35 @@ class AuditFilter(Request):
     since: datetime.datetime | None = None
     until: datetime.datetime | None = None
     as_admin: bool | None = None
+
+
+class ChangeKind(str, enum.Enum):
+    """What became of something: it is there now, it is another, or it is not there any more."""
+
+    created = "created"
+    changed = "changed"
+    removed = "removed"
+
+
+class Change(Response):
+    """The event `change`. `id` is null where several of the noun changed at once, in that mission or project."""
+
+    noun: str
+    change: ChangeKind
+    id: uuid.UUID | None
+    project_id: uuid.UUID | None
+    mission_id: uuid.UUID | None
+
+
+class RefetchReason(str, enum.Enum):
+    """Why all that was fetched may be old: events were missed, came too fast, or one's rights are others now."""
+
+    missed = "missed"
+    behind = "behind"
+    rights = "rights"
+
+
+class Refetch(Response):
+    """The event `refetch`: all that was fetched may be old."""
+
+    reason: RefetchReason

@@ -22,7 +22,7 @@ from dataclasses import asdict, dataclass
 from string import Formatter
 from typing import ClassVar
 
-from kleinkram.contract.wire import Response
+from kleinkram.contract.base import Response
 
 
 class ErrorCode(str, enum.Enum):

@@ -7,12 +7,22 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from kleinkram.contract.etags import ETag, etag_of
+from kleinkram.contract.base import ETag, Request, Response, etag_of
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.names import FilePath, Label, Term, Terms
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.topics import Density
-from kleinkram.contract.wire import Request, Response
+
+
+class Density(Response):
+    """How many messages lie where in time.
+
+    `counts[k]` are the messages from `start_ns + k * bin_ns` on, that time included, up to the next bin. `bin_ns` is a
+    power of two, and `start_ns` a multiple of it. Stamps that cannot be true are in no bin.
+    """
+
+    start_ns: int
+    bin_ns: int
+    counts: list[int]
 
 
 class BlobState(str, enum.Enum):

@@ -4,9 +4,9 @@ import datetime
 import enum
 import uuid
 
+from kleinkram.contract.base import Response
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.projects import ProjectRef
-from kleinkram.contract.wire import Response
 
 
 class RecentMission(Response):

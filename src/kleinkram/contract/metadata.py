@@ -8,8 +8,8 @@ from typing import Annotated
 from pydantic import AfterValidator, Field, JsonValue, model_validator
 from typing_extensions import Self
 
+from kleinkram.contract.base import Request
 from kleinkram.contract.names import check_text
-from kleinkram.contract.wire import Request
 
 MAX_YAML_CHARACTERS = 200_000
 MAX_DEPTH = 20
@@ -55,8 +55,7 @@ Metadata = dict[str, JsonValue]
 def check_values(given: Metadata) -> Metadata:
     """Return metadata as it is, or say why it cannot be kept: what a form sends is bounded as a document is.
 
-    Raises:
-        ValueError: it is nested too deep, has too many values or characters, or a text that no database keeps.
+    Raises ValueError.
     """
     values = characters = 0
     waiting: list[tuple[int, JsonValue]] = [(1, given)]

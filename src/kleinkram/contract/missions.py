@@ -8,14 +8,13 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field, model_validator
 from typing_extensions import Self
 
+from kleinkram.contract.access import Right
+from kleinkram.contract.base import ETag, Request, Response, etag_of
 from kleinkram.contract.errors import FieldProblem
-from kleinkram.contract.etags import ETag, etag_of
 from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, GivenMetadata, Metadata, MetadataFields
 from kleinkram.contract.names import Name, Term, Terms, check_text
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
-from kleinkram.contract.rights import Right
-from kleinkram.contract.wire import Request, Response
 
 Notes = Annotated[str, AfterValidator(check_text), Field(max_length=100_000)]
 MetadataYaml = Annotated[str, Field(max_length=MAX_YAML_CHARACTERS)]

@@ -38,11 +38,7 @@ def _refuse_unprintable(text: str) -> None:
 
 
 def check_name(name: str) -> str:
-    """Return `name` in NFC, or say why it cannot be the name of a project or mission.
-
-    Raises:
-        ValueError: empty, too long, with control characters, path separators or wildcards, or shaped like an id.
-    """
+    """Return `name` in NFC, or say why it cannot be the name of a project or mission. Raises ValueError."""
     name = unicodedata.normalize("NFC", name)
     _refuse_unprintable(name)
     if not name or name != name.strip():
@@ -61,10 +57,7 @@ def check_name(name: str) -> str:
 def check_file_path(path: str) -> str:
     """Return `path` in NFC, or say why it cannot be a file's path inside its mission.
 
-    A path is relative, with `/` between its parts, and stays inside the mission.
-
-    Raises:
-        ValueError: absolute, leaving the mission, too long, or holding control characters or backslashes.
+    A path is relative, with `/` between its parts, and stays inside the mission. Raises ValueError.
     """
     path = unicodedata.normalize("NFC", path)
     _refuse_unprintable(path)
@@ -86,11 +79,7 @@ def check_file_path(path: str) -> str:
 
 
 def check_label(label: str) -> str:
-    """Return `label` in NFC, or say why it cannot be one.
-
-    Raises:
-        ValueError: empty, too long, or with spaces around it, commas or control characters.
-    """
+    """Return `label` in NFC, or say why it cannot be one. Raises ValueError."""
     label = unicodedata.normalize("NFC", label)
     _refuse_unprintable(label)
     if not label or label != label.strip() or "," in label:
@@ -101,11 +90,7 @@ def check_label(label: str) -> str:
 
 
 def check_text(text: str) -> str:
-    """Return free text as it is, or say why it cannot be kept.
-
-    Raises:
-        ValueError: it holds NUL, or half of a character, which no database keeps.
-    """
+    """Return free text as it is, or say why it cannot be kept. Raises ValueError."""
     for position, character in enumerate(text):
         if character == "\x00" or "\ud800" <= character <= "\udfff":
             raise ValueError(f"holds the character U+{ord(character):04X} at position {position}, which cannot be kept")

@@ -1,9 +1,10 @@
-"""Errors as problem documents (RFC 9457) and back."""
+"""Errors as problem documents (RFC 9457) and back, and messages for fields that fail validation."""
 
 from dataclasses import fields
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+from pydantic_core import ErrorDetails
 
 from kleinkram.contract.errors import ERRORS, ErrorCode, InternalError, KleinkramError
 
@@ -49,3 +50,70 @@ def from_problem(problem: ProblemDocument) -> KleinkramError:
     except ValidationError:
         return InternalError(request_id=problem.request_id or "unknown")
     return error
+
+
+# What pydantic calls a failure -> what is wanted instead, with its own numbers.
+_WORDS = {
+    "missing": "it is needed, and was not given",
+    "extra_forbidden": "there is no such field",
+    "enum": "it is one of {expected}",
+    "literal_error": "it is one of {expected}",
+    "string_too_long": "it has more than {max_length} characters",
+    "string_too_short": "it is too short",
+    "too_long": "there are more than {max_length}",
+    "too_short": "there are fewer than {min_length}",
+    "greater_than_equal": "it must be at least {ge}",
+    "greater_than": "it must be more than {gt}",
+    "less_than_equal": "it must be at most {le}",
+    "less_than": "it must be less than {lt}",
+    "finite_number": "it must be a finite number, neither NaN nor infinite",
+    "string_pattern_mismatch": "it must match {pattern}",
+    "none_required": "it cannot be given",
+    "json_invalid": "it is not valid JSON",
+    "url_scheme": "it must be an address that begins with {expected_schemes}",
+}
+# The beginning of what pydantic calls a failure of a kind.
+_KINDS = {
+    "string": "it must be text",
+    "int": "it must be a whole number",
+    "float": "it must be a number",
+    "bool": "it must be true or false",
+    "uuid": "it must be an id",
+    "datetime": "it must be a time",
+    "timezone": "it must be a time with a zone",
+    "time_delta": "it must be a duration",
+    "time": "it must be a time",
+    "date": "it must be a date",
+    "list": "it must be a list",
+    "dict": "it must be a mapping of names to values",
+    "model": "it must be a mapping of names to values",
+    "path": "it must be a path",
+    "url": "it must be an address",
+    "ip_": "it must be an IP address or a network of them",
+    "bytes": "it must be bytes",
+    "union": "it is of none of the kinds that are allowed",
+}
+
+
+def in_plain_words(error: ValidationError) -> str:
+    """Return what is wrong with the first of several wrong fields, as a sentence."""
+    return message_of(error.errors(include_url=False)[0])
+
+
+def first_problem(error: ValidationError, whole: str = "") -> str:
+    """Return the first wrong field and what is wrong with it, as `fields.0.name: it must be text`.
+
+    `whole` names what was read as a whole, for failures that are of no field.
+    """
+    where = ".".join(str(part) for part in error.errors(include_url=False)[0]["loc"]) or whole
+    return f"{where}: {in_plain_words(error)}" if where else in_plain_words(error)
+
+
+def message_of(problem: ErrorDetails) -> str:
+    """Return the message for one of the problems that pydantic lists; the messages of our own validators are kept."""
+    kind = problem["type"]
+    if kind in {"value_error", "assertion_error"}:
+        return problem["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
+    if kind in _WORDS:
+        return _WORDS[kind].format(**problem.get("ctx", {}))
+    return next((words for begins, words in _KINDS.items() if kind.startswith(begins)), "it is not usable")

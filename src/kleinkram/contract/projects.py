@@ -1,4 +1,4 @@
-"""Projects: the top of project > mission > file."""
+"""Projects: the top of project > mission > file. And the trash."""
 
 import datetime
 import enum
@@ -8,12 +8,11 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field, model_validator
 from typing_extensions import Self
 
-from kleinkram.contract.etags import ETag, etag_of
+from kleinkram.contract.access import Right
+from kleinkram.contract.base import ETag, Request, Response, etag_of
 from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, MetadataFields
 from kleinkram.contract.names import Name, check_text
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.rights import Right
-from kleinkram.contract.wire import Request, Response
 
 Description = Annotated[str, AfterValidator(check_text), Field(max_length=10_000)]
 # An SPDX identifier such as CC-BY-4.0, or the licence's own words.
@@ -107,3 +106,42 @@ class ProjectSort(str, enum.Enum):
     name_desc = "-name"
     created = "created"
     created_desc = "-created"
+
+
+class TrashNoun(str, enum.Enum):
+    """What can lie in the trash."""
+
+    project = "project"
+    mission = "mission"
+    file = "file"
+
+
+class TrashRead(Response):
+    """Something deleted. `place` is what held it: the project of a mission, project and mission of a file.
+
+    A mission that was deleted with its project is not listed by itself; it comes back with the project.
+    """
+
+    noun: TrashNoun
+    id: uuid.UUID
+    name: str
+    place: str
+    size_bytes: int
+    file_count: int
+    deleted_at: datetime.datetime
+    deleted_by: PersonRef
+    swept_after: datetime.datetime
+
+
+class Deleted(Response):
+    """What a deletion moved to the trash (or, as a dry run, would move).
+
+    Of a single file: how many runs read it, and which files of its mission came of that, which stay; 100 at most.
+    """
+
+    missions: int
+    files: int
+    size_bytes: int
+    dry_run: bool
+    read_by_runs: int = 0
+    made_from_it: list[str] = []

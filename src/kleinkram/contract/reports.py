@@ -9,9 +9,9 @@ from typing import Annotated
 from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 from typing_extensions import Self
 
+from kleinkram.contract.base import Request
 from kleinkram.contract.metadata import GivenMetadata
 from kleinkram.contract.names import FilePath, check_text
-from kleinkram.contract.wire import Request
 
 MAX_FINDINGS = 10_000
 MAX_METRICS = 10_000

@@ -11,12 +11,12 @@ from typing import Annotated
 from pydantic import Field
 
 from kleinkram.contract.actions import Network, ParameterValues, Resources
+from kleinkram.contract.base import Request, Response
 from kleinkram.contract.names import Label
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.reports import Progress, Report
 from kleinkram.contract.runs import ActionRef, EndReason, RunState, Usage, UsageSample
 from kleinkram.contract.uploads import Crc64, Sha256, UploadFile
-from kleinkram.contract.wire import Request, Response
 
 # The length of a lease, by the database's clock; every heartbeat renews it.
 LEASE_S = 60

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from typing_extensions import Self
 
 from kleinkram.contract.actions import ActionDefinition, Network, ParameterValues
+from kleinkram.contract.base import Request, Response
 from kleinkram.contract.files import FileRead, RecordingRead, TopicRead
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import MissionRead, MissionRef
@@ -16,7 +17,6 @@ from kleinkram.contract.names import Ids, Term
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.problems import ProblemDocument
 from kleinkram.contract.reports import Finding, Metric, Preview, Progress, Severity
-from kleinkram.contract.wire import Request, Response
 
 CONTEXT_FILE = "mission.json"
 MAX_LAUNCHED = 1000

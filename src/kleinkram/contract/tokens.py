@@ -1,17 +1,58 @@
-"""Tokens: what scripts, robots and runners carry instead of a person's sign-in."""
+"""Secrets that open something without a sign-in: tokens of scripts, robots and runners, and share links."""
 
 import datetime
+import enum
+import re
+import string
 import uuid
+import zlib
 from typing import Annotated
 
 from pydantic import Field, model_validator
 from typing_extensions import Self
 
-from kleinkram.contract.expiry import Expiry
+from kleinkram.contract.access import Scope, TokenKind
+from kleinkram.contract.base import Expiry, Request, Response
+from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.names import Label
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.rights import Scope, TokenKind
-from kleinkram.contract.wire import Request, Response
+
+_DIGITS = string.digits + string.ascii_uppercase + string.ascii_lowercase
+CHECKSUM_CHARACTERS = 6
+RANDOM_CHARACTERS = 43
+# What a scanner looks for; `is_whole` then says whether the find is one.
+PATTERN = r"klein_(?:pat|robot|runner|run|link)_[A-Za-z0-9_-]{43}[0-9A-Za-z]{6}"
+_PATTERN = re.compile(PATTERN, re.ASCII)
+
+
+class SecretKind(str, enum.Enum):
+    """What a secret opens: what a person, a robot, a runner or a run may do, or what a link shows."""
+
+    personal = "pat"
+    robot = "robot"
+    runner = "runner"
+    run = "run"
+    link = "link"
+
+
+def with_checksum(text: str) -> str:
+    """Return `text` (ASCII) with its checksum behind it."""
+    rest, digits = zlib.crc32(text.encode("ascii")), ""
+    for _ in range(CHECKSUM_CHARACTERS):
+        rest, digit = divmod(rest, len(_DIGITS))
+        digits = _DIGITS[digit] + digits
+    return text + digits
+
+
+def is_whole(secret: str) -> bool:
+    """Say whether a secret is one of ours to the last character; it may still have ended, or never have been given."""
+    return _PATTERN.fullmatch(secret) is not None and with_checksum(secret[:-CHECKSUM_CHARACTERS]) == secret
+
+
+def is_mangled(secret: str) -> bool:
+    """Say whether a secret was meant to be one of ours, but was cut or mistyped."""
+    return secret.startswith(tuple(f"klein_{kind.value}_" for kind in SecretKind)) and not is_whole(secret)
+
 
 DEFAULT_SCOPES = {
     TokenKind.personal: (Scope.write,),
@@ -111,3 +152,60 @@ class TokenMade(Response):
 
     token: TokenRead
     secret: Annotated[str, Field(repr=False)]
+
+
+# The page of the server's that a link opens; the secret follows behind a `#`, where no log sees it.
+SHARE_PAGE = "/s"
+MAX_SHARED_FILES = 2_000
+
+
+def is_link(text: str) -> bool:
+    """Say whether a text is the address of a link."""
+    return text.startswith(("http://", "https://")) and f"{SHARE_PAGE}#" in text
+
+
+class ShareCreate(Request):
+    """A link to make: to files of the mission, or with `file_ids` null to all that is in it now and later."""
+
+    name: Label
+    file_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=MAX_SHARED_FILES)] | None = None
+    expires_at: Expiry
+
+
+class ShareRead(Response):
+    """A link without its secret; `prefix` is how that begins.
+
+    `file_count` is null for a link to a whole mission. Downloads are addresses given out, a file each, and their bytes.
+    """
+
+    id: uuid.UUID
+    name: str
+    mission: MissionRef
+    file_count: int | None
+    prefix: str
+    created_by: PersonRef
+    created_at: datetime.datetime
+    expires_at: datetime.datetime
+    revoked_at: datetime.datetime | None
+    last_used_at: datetime.datetime | None
+    download_count: int
+    download_bytes: int
+
+
+class ShareMade(Response):
+    """A new link with its secret, which nobody can show again. `url` holds the secret, too."""
+
+    share: ShareRead
+    url: Annotated[str, Field(repr=False)]
+    secret: Annotated[str, Field(repr=False)]
+
+
+class SharedRead(Response):
+    """What a link shows, as seen by whoever has it: `file_count` and `size_bytes` of what it shows now."""
+
+    name: str
+    mission: MissionRef
+    is_whole: bool
+    file_count: int
+    size_bytes: int
+    expires_at: datetime.datetime

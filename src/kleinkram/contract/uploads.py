@@ -5,13 +5,14 @@ import enum
 import uuid
 from typing import Annotated, Literal
 
+import anycrc
 from pydantic import Field, model_validator
 from typing_extensions import Self
 
+from kleinkram.contract.base import Request, Response
 from kleinkram.contract.files import FileRead
 from kleinkram.contract.names import FilePath
 from kleinkram.contract.problems import ProblemDocument
-from kleinkram.contract.wire import Request, Response
 
 # The least that S3 takes. A part that did not arrive whole is sent again, which is dear on a slow link.
 MIN_PART_BYTES = 5 * 1024 * 1024
@@ -225,3 +226,16 @@ class UploadOutcomes(Response):
     """One outcome an upload, in the order asked."""
 
     items: list[UploadOutcome]
+
+
+_MODEL = anycrc.Model("CRC64-NVME")
+
+
+def crc64nvme(data: bytes | memoryview, value: int = 0) -> int:
+    """Return the CRC-64/NVME of `data`, continuing from `value`."""
+    return int(_MODEL.calc(data, value))
+
+
+def combine_crc64nvme(first: int, second: int, second_bytes: int) -> int:
+    """Return the CRC-64/NVME of two byte strings one after the other; `second_bytes` is the size of the second."""
+    return int(_MODEL.combine(first, second, second_bytes))

@@ -6,12 +6,25 @@ untrusted: whatever their bytes, the answer is a summary. A server reads them in
 Names are imported when they are first used, so that `klein --help` does not pay for reading recordings.
 """
 
+# mypy: implicit-reexport
+# ruff: noqa: F401
+
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from kleinkram.recordings.combine_summaries import combine
-    from kleinkram.recordings.errors import FailureKind, RecordingError, SourceError, SummaryFailed
+    from kleinkram.recordings.errors import (
+        FailureKind,
+        NoSuchTopic,
+        NotARecording,
+        RecordingError,
+        SeveralRecordings,
+        SourceError,
+        SummaryFailed,
+        TooCostly,
+        TooDisordered,
+    )
     from kleinkram.recordings.formats.registry import sniff
     from kleinkram.recordings.formats.rosbag2.metadata import (
         MemberFacts,
@@ -36,6 +49,7 @@ if TYPE_CHECKING:
         timed_out,
         to_dict,
     )
+    from kleinkram.recordings.messages import Channel, Message, RawMessage, Schema, Topic
     from kleinkram.recordings.model import (
         Content,
         Depth,
@@ -46,145 +60,37 @@ if TYPE_CHECKING:
         RecordingSummary,
         TopicSummary,
     )
-    from kleinkram.recordings.recording import (
-        Channel,
-        Message,
-        NoSuchTopic,
-        NotARecording,
-        RawMessage,
-        Recording,
-        Schema,
-        SeveralRecordings,
-        TooCostly,
-        TooDisordered,
-        Topic,
-    )
+    from kleinkram.recordings.recording import Recording
     from kleinkram.recordings.recording_groups import RecordingGroup, RecordingGroupKind, group, is_recording_name
     from kleinkram.recordings.sources import (
         CountingSource,
+        FileReader,
         FileSource,
+        PipeReader,
         SequentialReader,
         Source,
-        file_reader,
-        pipe_reader,
         source_reader,
     )
     from kleinkram.recordings.summary import scan, summarise
 
-__all__ = [
-    "CHILD_COMMAND",
-    "CHILD_ENVIRONMENT",
-    "Channel",
-    "Content",
-    "CountingSource",
-    "Depth",
-    "Fact",
-    "FailureKind",
-    "FileRequest",
-    "FileSource",
-    "Lost",
-    "MemberFacts",
-    "Message",
-    "NoSuchTopic",
-    "NotARecording",
-    "Problem",
-    "RawMessage",
-    "Recording",
-    "RecordingError",
-    "RecordingFormat",
-    "RecordingGroup",
-    "RecordingGroupKind",
-    "RecordingSummary",
-    "Rosbag2Metadata",
-    "Schema",
-    "SequentialReader",
-    "SeveralRecordings",
-    "Source",
-    "SourceError",
-    "StreamRequest",
-    "SummaryFailed",
-    "TooCostly",
-    "TooDisordered",
-    "Topic",
-    "TopicFacts",
-    "TopicSummary",
-    "UrlRequest",
-    "combine",
-    "compare_metadata",
-    "file_reader",
-    "from_dict",
-    "group",
-    "is_recording_name",
-    "metadata_request_bytes",
-    "parse_rosbag2_metadata",
-    "pipe_reader",
-    "read_answer",
-    "read_metadata_answer",
-    "request_bytes",
-    "scan",
-    "sniff",
-    "source_reader",
-    "stream_request_bytes",
-    "summarise",
-    "summarise_isolated",
-    "timed_out",
-    "to_dict",
-]
-
 _HOMES = {
-    "recording": (
-        "Channel",
-        "Message",
-        "NoSuchTopic",
-        "NotARecording",
-        "RawMessage",
-        "Recording",
-        "Schema",
-        "SeveralRecordings",
-        "TooCostly",
-        "TooDisordered",
-        "Topic",
-    ),
-    "combine_summaries": ("combine",),
-    "errors": ("FailureKind", "RecordingError", "SourceError", "SummaryFailed"),
-    "sources": (
-        "CountingSource",
-        "FileSource",
-        "SequentialReader",
-        "Source",
-        "file_reader",
-        "pipe_reader",
-        "source_reader",
-    ),
-    "recording_groups": ("RecordingGroupKind", "RecordingGroup", "group", "is_recording_name"),
-    "isolation": (
-        "CHILD_COMMAND",
-        "CHILD_ENVIRONMENT",
-        "FileRequest",
-        "StreamRequest",
-        "UrlRequest",
-        "from_dict",
-        "to_dict",
-        "metadata_request_bytes",
-        "read_answer",
-        "read_metadata_answer",
-        "request_bytes",
-        "stream_request_bytes",
-        "summarise_isolated",
-        "timed_out",
-    ),
-    "model": ("Content", "Depth", "Fact", "Lost", "Problem", "RecordingFormat", "RecordingSummary", "TopicSummary"),
-    "formats.rosbag2.metadata": (
-        "MemberFacts",
-        "Rosbag2Metadata",
-        "TopicFacts",
-        "compare_metadata",
-        "parse_rosbag2_metadata",
-    ),
-    "formats.registry": ("sniff",),
-    "summary": ("scan", "summarise"),
+    "combine_summaries": "combine",
+    "errors": "FailureKind NoSuchTopic NotARecording RecordingError SeveralRecordings SourceError SummaryFailed "
+    "TooCostly TooDisordered",
+    "formats.registry": "sniff",
+    "formats.rosbag2.metadata": "MemberFacts Rosbag2Metadata TopicFacts compare_metadata parse_rosbag2_metadata",
+    "isolation": "CHILD_COMMAND CHILD_ENVIRONMENT FileRequest StreamRequest UrlRequest from_dict to_dict "
+    "metadata_request_bytes read_answer read_metadata_answer request_bytes stream_request_bytes summarise_isolated "
+    "timed_out",
+    "messages": "Channel Message RawMessage Schema Topic",
+    "model": "Content Depth Fact Lost Problem RecordingFormat RecordingSummary TopicSummary",
+    "recording": "Recording",
+    "recording_groups": "RecordingGroup RecordingGroupKind group is_recording_name",
+    "sources": "CountingSource FileSource SequentialReader Source FileReader PipeReader source_reader",
+    "summary": "scan summarise",
 }
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
+__all__ = sorted(_HOME_OF)
 
 
 def __getattr__(name: str) -> object:

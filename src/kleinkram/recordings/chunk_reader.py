@@ -13,11 +13,12 @@ from array import array
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
 
-from kleinkram.recordings.chunk_table import ChunkTable, Int64Table, Row, StoredChunk
+from kleinkram.recordings.chunk_table import ChunkHead, ChunkTable, Int64Table, Row
 from kleinkram.recordings.compression import Buffer, decompress, decompress_beginning, unreadable_chunk
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import Malformed
@@ -42,6 +43,9 @@ _AHEAD_ON_DISK = 8 * 2**20
 _LEAST_WORKERS = 2
 _GROUP_BYTES = 4 * 2**20
 _HEAD_BYTES = 4096
+_MOST_OF_RUN = 8192
+_MAX_RANGES = 200_000
+_NO_TIME = (2**64 - 1, 0)
 _log_time = itemgetter(1)
 
 
@@ -49,14 +53,11 @@ _log_time = itemgetter(1)
 class ChunkFormat:
     """How one format writes chunks and messages.
 
-    Attributes:
-        open_chunk: reads a chunk's record up to its stored bytes.
-        parse_messages: (content of a chunk, wanted channels, selection) -> their messages in the order they are.
-        salvage: where messages are in parts of a file, such as a chunk that is damaged.
-        read_message_index: what the message index behind a chunk lists.
+    `parse_messages` returns the messages of some channels in a chunk's content, in file order; `salvage` finds messages
+    in parts of a file, such as a damaged chunk.
     """
 
-    open_chunk: Callable[[ByteStream], StoredChunk]
+    open_chunk: Callable[[ByteStream], ChunkHead]
     parse_messages: Callable[[Buffer, Mapping[int, Channel], Selection], Block]
     salvage: Salvage
     read_message_index: ReadMessageIndex
@@ -64,12 +65,7 @@ class ChunkFormat:
 
 @dataclass(frozen=True)
 class ChunkedFile:
-    """A file, its table of chunks, and its channels.
-
-    Attributes:
-        is_part: it is part of a damaged chunk, of which no more can be saved.
-        check: whether the table may be believed; None: it was not made of the file's own index.
-    """
+    """A file made of chunks. `is_part`: of a damaged chunk. `check`: of the table; None: a scan made it."""
 
     source: Source
     format: ChunkFormat
@@ -135,9 +131,7 @@ class _ChunkReader:
             )
 
     def _with_missed(self, row: Row, run: MessageRun) -> MessageRun:
-        """Return the messages of a chunk. If the index turned out wrong meanwhile, add those of the chunks that were
-        not selected for that reason.
-        """
+        """Return the messages of a chunk, with those of chunks that a wrong index had left unselected."""
         check = self._file.check
         if check is None or self._is_selection_sure:
             return run
@@ -168,17 +162,14 @@ class _ChunkReader:
             row = self._file.table.rows[number]
             joins = together and not alone and number == previous + 1 and row.start - group[0].start < _GROUP_BYTES
             if group and not joins:
-                yield self._task(group, size)
+                yield ReadAheadTask(size, partial(self._load_group, group))
                 alone = False
                 group, size = [], 0
             group.append(row)
             size += min(row.length + row.uncompressed_bytes, 2 * MAX_CHUNK_BYTES)
             previous = number
         if group:
-            yield self._task(group, size)
-
-    def _task(self, group: list[Row], size: int) -> ReadAheadTask[list[Loaded]]:
-        return ReadAheadTask(size, lambda: self._load_group(group))
+            yield ReadAheadTask(size, partial(self._load_group, group))
 
     def _load_group(self, group: list[Row]) -> list[Loaded]:
         first = group[0]
@@ -189,37 +180,33 @@ class _ChunkReader:
         return [self._take(row, data[row.start - first.start :][: row.length]) for row in group]
 
     def _load(self, row: Row) -> Loaded:
-        if row.kind == PlaceKind.records:
-            if row.length > MAX_MESSAGE:
-                return Malformed(
-                    f"byte {row.start}", f"a message of {row.length} bytes; at most {MAX_MESSAGE} are read"
-                )
-        elif row.length > MAX_CHUNK_BYTES and row.kind == PlaceKind.chunk:
+        start, end = row.start, row.start + row.length
+        if row.kind == PlaceKind.records and row.length > MAX_MESSAGE:
+            return Malformed(f"byte {start}", f"a message of {row.length} bytes; at most {MAX_MESSAGE} are read")
+        if row.kind == PlaceKind.chunk and row.length > MAX_CHUNK_BYTES:
             return unreadable_chunk("", stored=row.length, uncompressed=0) or b""
-        return self._take(row, _read(self._file.source, row.start, row.length))
+        read = self._file.source.read
+        if row.length <= MAX_READ:
+            return self._take(row, read(start, row.length))
+        return self._take(row, b"".join(read(at, min(MAX_READ, end - at)) for at in range(start, end, MAX_READ)))
 
     def _take(self, row: Row, data: Buffer) -> Loaded:
         """Return the content of a row: records as they are, a chunk decompressed."""
-        return data if row.kind == PlaceKind.records else self._unpack(row, data)
-
-    def _unpack(self, row: Row, data: Buffer) -> Loaded:
+        if row.kind == PlaceKind.records:
+            return data
         try:
-            stream = open_bytes(bytes(data[:_HEAD_BYTES]), row.start)
-            head = self._file.format.open_chunk(stream)
-            if row.kind == PlaceKind.chunk and (
-                why := unreadable_chunk(head.compression, stored=row.length, uncompressed=head.uncompressed_bytes)
-            ):
-                return why
-            start = stream.position - row.start
-            stored = memoryview(data)[start : start + head.stored_bytes]
+            head = self._file.format.open_chunk(open_bytes(bytes(data[:_HEAD_BYTES]), row.start))
+            stored = memoryview(data)[head.data_start : head.record_bytes]
             if row.kind == PlaceKind.cut:
                 most_bytes = min(head.uncompressed_bytes, MAX_CHUNK_BYTES)
                 return decompress_beginning(head.compression, bytes(stored), most_bytes)
+            if why := unreadable_chunk(head.compression, stored=row.length, uncompressed=head.uncompressed_bytes):
+                return why
             content = decompress(head.compression, stored, head.uncompressed_bytes)
-            if head.crc and zlib.crc32(content) != head.crc:
-                return Malformed(f"byte {row.start}", "its checksum is wrong")
         except Malformed as error:
             return error
+        if head.crc and zlib.crc32(content) != head.crc:
+            return Malformed(f"byte {row.start}", "its checksum is wrong")
         return content
 
     def open(self, row: Row, loaded: Loaded) -> MessageRun:
@@ -249,11 +236,12 @@ class _ChunkReader:
             gaps = [FileGap(row.start, row.end)] if is_there else self._unlisted()
         size = sum(gap.end - gap.start for gap in gaps)
         saved = file.format.salvage(file.source, gaps, file.channels) if 0 < size <= self._salvage_left else None
+        where = f"{'messages' if row.kind == PlaceKind.records else 'chunk'} at byte {row.start}"
         if saved is None or not saved.table.rows:
-            self._note(row, damage)
+            file.problem_log.add("damaged", where, f"left out: {damage.message}")
             return MessageRun([], 0)
         self._salvage_left -= size
-        self._note_part(row, damage)
+        file.problem_log.add("damaged", where, f"only what could be saved of it is read: {damage.message}")
         inside = ChunkedFile(saved.part, file.format, saved.table, file.channels, file.problem_log, is_part=True)
         return MessageRun([], 0, self._compared(row, merge(pieces_of(inside, self._selection, ()))))
 
@@ -269,70 +257,37 @@ class _ChunkReader:
 
     def _compared(self, row: Row, blocks: Iterator[Block]) -> Iterator[Block]:
         for block in blocks:
-            self._compare_start(row, block)
+            self._compare_times(row, block)
             yield block
 
     def _parse(self, row: Row, content: Buffer) -> Block:
-        """Return the selected messages by time.
-
-        Raises:
-            Malformed: a record is damaged.
-        """
+        """Return the selected messages by time."""
         parse, messages = self._file.format.parse_messages, Block()
         readable_ranges = self._file.table.readable_ranges.get(row.start, ((0, len(content)),))
         for start, end in readable_ranges:
             messages += parse(content[start:end], self._channels, self._selection)
         messages.sort(key=_log_time)
-        self._compare_start(row, messages)
+        self._compare_times(row, messages)
         return messages
 
-    def _compare_start(self, row: Row, messages: Block) -> None:
+    def _compare_times(self, row: Row, messages: Block) -> None:
         """Report a chunk with messages outside the times in the index: it may have been opened too late for them."""
         if not messages:
             return
+        wrong = []
         if messages[-1].log_time_ns > row.last_ns:
-            message = "it holds later messages than the index says"
-            self._file.problem_log.add("index-damaged", f"chunk at byte {row.start}", message)
-            self._doubt_index()
+            wrong.append("it holds later messages than the index says")
         if messages[0].log_time_ns < row.first_ns:
-            self._doubt_index()
-            message = (
-                "it holds earlier messages than the index says; those that came too late to be in order are left out"
-            )
+            late = "those that came too late to be in order are left out"
+            wrong.append(f"it holds earlier messages than the index says; {late}")
+        for message in wrong:
             self._file.problem_log.add("index-damaged", f"chunk at byte {row.start}", message)
-
-    def _doubt_index(self) -> None:
-        if self._file.check is not None:
+        if wrong and self._file.check is not None:
             self._file.check.doubt()
-
-    def _note_part(self, row: Row, error: Malformed) -> None:
-        message = f"only what could be saved of it is read: {error.message}"
-        self._file.problem_log.add("damaged", f"chunk at byte {row.start}", message)
-
-    def _note(self, row: Row, error: Malformed) -> None:
-        what = "messages" if row.kind == PlaceKind.records else "chunk"
-        self._file.problem_log.add("damaged", f"{what} at byte {row.start}", f"left out: {error.message}")
-
-
-def _read(source: Source, offset: int, length: int) -> bytes:
-    if length <= MAX_READ:
-        return source.read(offset, length)
-    return b"".join(
-        source.read(at, min(MAX_READ, offset + length - at)) for at in range(offset, offset + length, MAX_READ)
-    )
-
-
-_MOST_OF_RUN = 8192
-_MAX_RANGES = 200_000
-_NO_TIME = (2**64 - 1, 0)
 
 
 class ChunkTableBuilder:
-    """Makes a table of chunks from the places of messages that a scan finds.
-
-    Attributes:
-        counts: messages by channel; those of several channels of one topic count for one of them.
-    """
+    """Makes a table of chunks from the places of messages that a scan finds, and counts messages by channel."""
 
     def __init__(self, table: ChunkTable, problem_log: ProblemLog) -> None:
         self.counts: dict[int, int] = {}
@@ -380,9 +335,6 @@ class ChunkTableBuilder:
                 self.table.readable_ranges[start] = readable_ranges
         for number, count in self._counts_here.items():
             self.counts[number] = self.counts.get(number, 0) + count
-        self._begin()
-
-    def _begin(self) -> None:
         self._place, self._messages = None, 0
         self._channels, self._counts_here = set(), {}
         self._first_ns, self._last_ns = _NO_TIME
@@ -403,9 +355,6 @@ class ChunkTableBuilder:
             return True
         self.problem_log.add("too-damaged", f"byte {place.start}", "left out: the file has too many places to remember")
         return False
-
-
-_HEAD_WINDOW = 4096
 
 
 class FileGap(NamedTuple):
@@ -453,16 +402,12 @@ class SalvagedMessages:
 
 
 Salvage = Callable[[Source, Iterable[FileGap], Mapping[int, Channel]], SalvagedMessages]
-OpenChunk = Callable[[ByteStream], StoredChunk]
+OpenChunk = Callable[[ByteStream], ChunkHead]
 
 
 def end_of_chunk(source: Source, row: Row, open_chunk: OpenChunk) -> int | None:
-    """Return where the chunk of a row ends; None if there is no chunk, or it does not fit into the row.
-
-    Raises:
-        SourceError: as `Source.read`.
-    """
-    stream = open_range(source, row.start, row.end, window=_HEAD_WINDOW)
+    """Return where the chunk of a row ends; None if there is no chunk, or it does not fit into the row."""
+    stream = open_range(source, row.start, row.end, window=_HEAD_BYTES)
     try:
         head = open_chunk(stream)
     except Malformed:
@@ -472,13 +417,7 @@ def end_of_chunk(source: Source, row: Row, open_chunk: OpenChunk) -> int | None:
 
 
 def unlisted(source: Source, rows: Int64Table[Row], open_chunk: OpenChunk) -> Int64Table[FileGap]:
-    """Return the ranges of a file that belong to no chunk at the places that the index lists.
-
-    `rows`: in the order of their places. Reads the head of each chunk.
-
-    Raises:
-        SourceError: as `Source.read`.
-    """
+    """Return the ranges of a file outside of the chunks that are where the index lists them; reads the head of each."""
     gaps, at = Int64Table(FileGap, len(FileGap._fields)), 0
     for row in rows:
         end = end_of_chunk(source, row, open_chunk) if row.start >= at else None

@@ -70,11 +70,7 @@ class Int64Table(Generic[RowT]):
         return (self[number] for number in range(len(self)))
 
     def append(self, row: RowT) -> None:
-        """Add a row.
-
-        Raises:
-            Malformed: a number that no file can hold, or more than `MAX_CHUNKS` rows.
-        """
+        """Add a row."""
         if len(self) >= MAX_CHUNKS:
             raise Malformed("index", f"more than {MAX_CHUNKS} chunks", certain=False)
         size = len(self._cells)
@@ -119,21 +115,32 @@ def smallest_to_come(values: array[int]) -> Iterator[int | None]:
         yield None
 
 
-class StoredChunk(NamedTuple):
-    """The fields of a chunk before its stored bytes. `crc`: of the uncompressed bytes; 0: none."""
+class ChunkHead(NamedTuple):
+    """The fields of a chunk record before its stored bytes, which begin `data_start` bytes into the record.
+
+    `compression`: empty for none. `crc`: of the uncompressed bytes; 0: none. `times`: first and last log time; None
+    where the format does not say. `is_unfinished`: its lengths were never filled in.
+    """
 
     compression: str
     uncompressed_bytes: int
     crc: int
+    data_start: int
     stored_bytes: int
+    times: tuple[int, int] | None = None
+    is_unfinished: bool = False
+
+    @property
+    def record_bytes(self) -> int:
+        """Bytes of the whole record."""
+        return self.data_start + self.stored_bytes
 
 
 class Row(NamedTuple):
-    """A chunk, or records outside of chunks: [start, start + length). Times are inclusive; `uncompressed_bytes` may be
-    a guess.
+    """A chunk, or records outside of chunks: [start, start + length), with inclusive times.
 
-    `end`: behind its message indexes. `kind`: as in `MessagePlace`. `stored_bytes`, `messages`: `UNKNOWN` where the
-    index does not say.
+    `end`: behind its message indexes. `kind`: as in `MessagePlace`. `uncompressed_bytes` may be a guess; `stored_bytes`
+    and `messages` are `UNKNOWN` where the index does not say.
     """
 
     start: int
@@ -150,11 +157,7 @@ class Row(NamedTuple):
 
 @dataclass
 class ChunkTable:
-    """The chunks of one file, in the order of the file.
-
-    Attributes:
-        readable_ranges: of damaged chunks, by their start: the ranges of the content that can be read.
-    """
+    """The chunks of one file, in file order. `readable_ranges`: of the content of damaged chunks, by their start."""
 
     rows: Int64Table[Row] = field(default_factory=lambda: Int64Table(Row, len(Row._fields)))
     readable_ranges: dict[int, ReadableRanges] = field(default_factory=dict)
@@ -165,17 +168,13 @@ class ChunkTable:
         return frozenset().union(*self.sets.members)
 
     def span(self, without: Container[int] = ()) -> tuple[int | None, int | None]:
-        """Return the first and last time of all chunks, except empty ones and those that start at the places in
-        `without`.
-        """
+        """Return first and last time of all chunks, except empty ones and those that start at places in `without`."""
         rows = [row for row in self.rows if row.uncompressed_bytes and row.start not in without]
         first_ns = min((row.first_ns for row in rows), default=None)
         return first_ns, max((row.last_ns for row in rows), default=None)
 
     def select(self, selection: Selection, channel_ids: frozenset[int]) -> array[int]:
-        """Return the numbers of the rows that may hold messages of these channels in the selected time, by first time,
-        then by place.
-        """
+        """Return the numbers of the rows that may hold selected messages of these channels, by first time and place."""
         hits = [
             number == ANY_CHANNEL or bool(members & channel_ids) for number, members in enumerate(self.sets.members)
         ]

@@ -25,7 +25,7 @@ from kleinkram.recordings.model import (
     counted,
 )
 from kleinkram.recordings.timeline import LEAST_JUMP_NS, StampRun, bulk, join, within
-from kleinkram.recordings.topic_statistics import bounded, find_quality_warnings, rate_hz
+from kleinkram.recordings.topic_statistics import bounded, find_quality_warnings, island_times
 
 _WORST_FIRST = (
     Content.error,
@@ -51,23 +51,27 @@ def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) ->
     `content` is `error` or `pending` if a member is; else `recovered` where something can be read and something not;
     else that of the members. `reason` is that of the worst, after its name, if there are `names`. `format` is that of
     the first member that can be read.
-
-    Raises:
-        ValueError: there is no summary.
     """
     if not summaries:
         raise ValueError("a recording has at least one member")
     if len(summaries) == 1:
         return summaries[0]
     island = bulk(run for summary in summaries if (run := _span(summary)) is not None)
-    topics = _combine_topics(summaries, island)
+    by_name: dict[str, list[TopicSummary]] = defaultdict(list)
+    for topic in (topic for summary in summaries for topic in summary.topics):
+        by_name[topic.name].append(topic)
+    topics = tuple(_combine_topic(by_name[name], island) for name in sorted(by_name))
     jumps = _jumps_between(summaries, names)
     first = next((summary for summary in summaries if summary.content in _READABLE), summaries[0])
     return RecordingSummary(
         format=first.format,
         content=_content({summary.content for summary in summaries}),
         reason=_reason(summaries, names),
-        message_count=_total(_readable_count(summary) for summary in summaries),
+        message_count=_total(
+            # Nothing of a broken file can be read: its unknown count is 0.
+            summary.message_count or 0 if summary.content in (Content.broken, Content.opaque) else summary.message_count
+            for summary in summaries
+        ),
         start_ns=island.first_ns if island else None,
         end_ns=island.last_ns if island else None,
         compression=tuple(sorted({name for summary in summaries for name in summary.compression})),
@@ -95,12 +99,6 @@ def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) ->
         lost=_lost(summaries),
         facts=tuple(dict.fromkeys(fact for summary in summaries for fact in summary.facts))[:_MOST_FACTS],
     )
-
-
-def _readable_count(summary: RecordingSummary) -> int | None:
-    """Return the messages of a file; 0 if nothing of it can be read."""
-    unreadable = summary.content in (Content.broken, Content.opaque)
-    return summary.message_count or 0 if unreadable else summary.message_count
 
 
 def _changed_types(summaries: Sequence[RecordingSummary]) -> list[Problem]:
@@ -178,39 +176,22 @@ def _span(summary: RecordingSummary) -> StampRun | None:
     return StampRun(summary.start_ns, summary.end_ns, counted, 0)
 
 
-def _combine_topics(summaries: Sequence[RecordingSummary], island: StampRun | None) -> tuple[TopicSummary, ...]:
-    by_name: dict[str, list[TopicSummary]] = defaultdict(list)
-    for summary in summaries:
-        for topic in summary.topics:
-            by_name[topic.name].append(topic)
-    return tuple(_combine_topic(by_name[name], island) for name in sorted(by_name))
-
-
 def _combine_topic(parts: list[TopicSummary], island: StampRun | None) -> TopicSummary:
-    runs = join(run for part in parts if (run := _run(part)) is not None)
-    run = within(runs, island)
+    runs = [
+        StampRun(part.first_ns, part.last_ns, part.count - part.suspect_count, part.longest_gap_ns or 0, part.density)
+        for part in parts
+        if part.first_ns is not None and part.last_ns is not None and part.count is not None
+    ]
+    run = within(join(runs), island)
     count = _total(part.count for part in parts)
     return replace(
         parts[0],
         count=count,
-        first_ns=run.first_ns if run else None,
-        last_ns=run.last_ns if run else None,
-        rate_hz=rate_hz(run.count, run.first_ns, run.last_ns) if run else None,
-        longest_gap_ns=run.longest_gap_ns if run and run.count > 1 else None,
-        head_gap_ns=run.first_ns - island.first_ns if run and island else None,
-        tail_gap_ns=island.last_ns - run.last_ns if run and island else None,
+        **island_times(run, island),
         out_of_order_count=_total(part.out_of_order_count for part in parts),
         stored_bytes=_total(part.stored_bytes for part in parts),
         suspect_count=0 if count is None else count - (run.count if run else 0),
         density=run.density if run else None,
-    )
-
-
-def _run(topic: TopicSummary) -> StampRun | None:
-    if topic.first_ns is None or topic.last_ns is None or topic.count is None:
-        return None
-    return StampRun(
-        topic.first_ns, topic.last_ns, topic.count - topic.suspect_count, topic.longest_gap_ns or 0, topic.density
     )
 
 
@@ -232,22 +213,20 @@ def combine_folder(
         problem = Problem("metadata-damaged", METADATA_NAME, "it is not the metadata of a rosbag2 recording")
         summary = combine(summaries, names)
         return replace(summary, problems=bounded([problem, *summary.problems]))
-    members = [_facts(name, summary) for name, summary in zip(names, summaries, strict=True)]
+    members = [
+        MemberFacts(name, one.message_count, one.start_ns, one.end_ns, one.format)
+        for name, one in zip(names, summaries, strict=True)
+    ]
     if not summaries:
         return _without_data(metadata)
     summary = combine(summaries, names)
-    problems = compare_metadata(metadata, members, [_topic_facts(topic) for topic in summary.topics])
-    summary = _with_compression(metadata, summary)
+    topics = [TopicFacts(one.name, one.message_type, one.message_encoding, one.count) for one in summary.topics]
+    problems = compare_metadata(metadata, members, topics)
+    if metadata.compression_mode == "message":
+        name = f"message-{metadata.compression}" if metadata.compression else MESSAGE_ZSTD
+        summary = replace(summary, compression=tuple(sorted({name, *summary.compression} - {"none"})))
     summary = _with_loss(metadata, members, summary, problems)
     return replace(summary, problems=bounded([*problems, *summary.problems]))
-
-
-def _facts(name: str, summary: RecordingSummary) -> MemberFacts:
-    return MemberFacts(name, summary.message_count, summary.start_ns, summary.end_ns, summary.format)
-
-
-def _topic_facts(topic: TopicSummary) -> TopicFacts:
-    return TopicFacts(topic.name, topic.message_type, topic.message_encoding, topic.count)
 
 
 def _without_data(metadata: Rosbag2Metadata) -> RecordingSummary:
@@ -261,13 +240,6 @@ def _without_data(metadata: Rosbag2Metadata) -> RecordingSummary:
         problems=bounded(compare_metadata(metadata, ())),
         lost=Lost(0, 0, metadata.message_count),
     )
-
-
-def _with_compression(metadata: Rosbag2Metadata, summary: RecordingSummary) -> RecordingSummary:
-    if metadata.compression_mode != "message":
-        return summary
-    name = f"message-{metadata.compression}" if metadata.compression else MESSAGE_ZSTD
-    return replace(summary, compression=tuple(sorted({name, *summary.compression} - {"none"})))
 
 
 def _with_loss(

@@ -6,12 +6,13 @@ import bz2
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from typing import Protocol
 
 import lz4.frame
 import zstandard
 
-from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES, MAX_ZSTD_WINDOW, WINDOW
 from kleinkram.recordings.streams import ByteStream, Refill
 
@@ -41,29 +42,33 @@ def unreadable_chunk(name: str, *, stored: int, uncompressed: int) -> Malformed 
 
 
 def open_decompressed(name: str, read: ReadUpTo, uncompressed_bytes: int) -> ByteStream:
-    """Decompress what `read` returns; `name` as in MCAP or a bag.
-
-    Raises:
-        Malformed: at once for another name; while reading for bad data, or more bytes than were claimed.
-    """
+    """Decompress what `read` returns; `name` as in MCAP or a bag."""
+    refill: Refill
     if name in ("", "none"):
-        return ByteStream(_bounded(lambda: read(WINDOW), uncompressed_bytes))
-    if name == "bz2":
-        return ByteStream(_bounded(_in_windows(name, read, bz2.BZ2Decompressor(), OSError), uncompressed_bytes))
-    if name == "zstd":
-        return ByteStream(_bounded(_zstd(read), uncompressed_bytes))
-    if name == "lz4":
-        decompressor = lz4.frame.LZ4FrameDecompressor()
-        return ByteStream(_bounded(_in_windows(name, read, decompressor, RuntimeError), uncompressed_bytes))
-    raise unknown_compression(name)
+        refill = partial(read, WINDOW)
+    elif name == "bz2":
+        refill = _in_windows(name, read, bz2.BZ2Decompressor(), OSError)
+    elif name == "zstd":
+        refill = _zstd(read)
+    elif name == "lz4":
+        refill = _in_windows(name, read, lz4.frame.LZ4FrameDecompressor(), RuntimeError)
+    else:
+        raise unknown_compression(name)
+    total = 0
+
+    def refill_bounded() -> bytes:
+        nonlocal total
+        piece = refill()
+        total += len(piece)
+        if total > uncompressed_bytes:
+            raise Malformed("chunk", f"more than the {uncompressed_bytes} bytes that it claims to hold")
+        return piece
+
+    return ByteStream(refill_bounded)
 
 
 def decompress(name: str, stored: Buffer, uncompressed_bytes: int) -> bytes:
-    """Decompress a whole chunk; `name` as in MCAP or a bag.
-
-    Raises:
-        Malformed: another name, bad data, or not exactly `uncompressed_bytes`.
-    """
+    """Decompress a whole chunk; `name` as in MCAP or a bag."""
     if name in ("", "none"):
         raw = bytes(stored)
     elif name == "zstd":
@@ -83,24 +88,17 @@ def decompress_beginning(name: str, stored: bytes, uncompressed_bytes: int) -> b
     """Decompress a chunk whose end is missing, as far as possible, up to `uncompressed_bytes`."""
     if name in ("", "none"):
         return stored[:uncompressed_bytes]
-    pieces = [stored]
-    try:
-        return _beginning_of(open_decompressed(name, lambda _: pieces.pop() if pieces else b"", uncompressed_bytes))
-    except Malformed:
-        return b""
+    pieces: list[bytes] = []
+    with suppress(Malformed):
+        stream = open_decompressed(name, _read_once(stored), uncompressed_bytes)
+        pieces.extend(iter(stream.take_some, b""))
+    return b"".join(pieces)
 
 
 def without_zero_tail(name: str, stored: bytes) -> bytes | None:
     """Return compressed data without trailing zeros; None unless there are so many that sectors must be lost."""
     without_zeros = stored.rstrip(b"\0")
     return without_zeros if name not in ("", "none") and len(stored) - len(without_zeros) >= _LEAST_ZEROS else None
-
-
-def _beginning_of(stream: ByteStream) -> bytes:
-    pieces: list[bytes] = []
-    with suppress(Malformed):
-        pieces.extend(iter(stream.take_some, b""))
-    return b"".join(pieces)
 
 
 def _zstd_at_once(stored: Buffer, uncompressed_bytes: int) -> bytes:
@@ -111,9 +109,13 @@ def _zstd_at_once(stored: Buffer, uncompressed_bytes: int) -> bytes:
     except zstandard.ZstdError:
         pass  # what is wrong with it is said below, if it is not that a frame without content follows
     # Of unknown size, or of several frames: piece by piece, so that no claim is believed.
-    pieces = [bytes(stored)]
-    stream = open_decompressed("zstd", lambda _: pieces.pop() if pieces else b"", uncompressed_bytes)
+    stream = open_decompressed("zstd", _read_once(bytes(stored)), uncompressed_bytes)
     return b"".join(iter(stream.take_some, b""))
+
+
+def _read_once(data: bytes) -> ReadUpTo:
+    pieces = [data]
+    return lambda _: pieces.pop() if pieces else b""
 
 
 def _lz4_at_once(stored: Buffer, uncompressed_bytes: int) -> tuple[bytes, bool]:
@@ -137,20 +139,6 @@ def _bz2_at_once(stored: Buffer, uncompressed_bytes: int) -> tuple[bytes, bool]:
 
 
 _AT_ONCE = {"lz4": _lz4_at_once, "bz2": _bz2_at_once}
-
-
-def _bounded(refill: Refill, most: int) -> Refill:
-    total = 0
-
-    def refill_bounded() -> bytes:
-        nonlocal total
-        piece = refill()
-        total += len(piece)
-        if total > most:
-            raise Malformed("chunk", f"more than the {most} bytes that it claims to hold")
-        return piece
-
-    return refill_bounded
 
 
 class _ZstdInput:
@@ -185,7 +173,7 @@ def _zstd(read: ReadUpTo) -> Refill:
             bytearray(reading.window + WINDOW)
             raise Malformed("chunk", f"its zstd data is damaged ({error})") from error
         if not piece and not reading.frames.at_end_of_frame:
-            raise Malformed("chunk", "its zstd data breaks off")
+            raise Cut("chunk", "its zstd data breaks off")
         return piece
 
     return refill
@@ -195,19 +183,12 @@ class _Decompressor(Protocol):
     """The common interface of the lz4 and bz2 decompressors."""
 
     @property
-    def eof(self) -> bool:
-        """Whether the end of the data was reached."""
-
+    def eof(self) -> bool: ...
     @property
-    def needs_input(self) -> bool:
-        """Whether nothing more comes out of what it was given."""
-
+    def needs_input(self) -> bool: ...
     @property
-    def unused_data(self) -> bytes | None:
-        """What followed the end."""
-
-    def decompress(self, data: bytes, max_length: int = -1) -> bytes:
-        """Return what comes out, at most so many bytes."""
+    def unused_data(self) -> bytes | None: ...
+    def decompress(self, data: bytes, max_length: int = -1) -> bytes: ...
 
 
 def _in_windows(name: str, read: ReadUpTo, decompressor: _Decompressor, damage: type[Exception]) -> Refill:
@@ -251,9 +232,9 @@ class ZstdFrames:
         at = 0
         while at < len(data):
             if self._skip:
-                passed = min(self._skip, len(data) - at)
-                self._skip -= passed
-                at += passed
+                skipped = min(self._skip, len(data) - at)
+                self._skip -= skipped
+                at += skipped
                 continue
             piece = data[at : at + self._head_bytes - len(self._head)]
             self._head += piece
@@ -293,24 +274,16 @@ _of_thread = threading.local()
 
 
 def unpack_message(stored: bytes, most_bytes: int) -> bytes:
-    """Decompress a message that rosbag2 compressed by itself (zstd).
-
-    Raises:
-        Malformed: it is damaged, or holds more than `most_bytes`.
-    """
+    """Decompress a message that rosbag2 compressed by itself (zstd)."""
     try:
         claimed = zstandard.get_frame_parameters(stored).content_size
         if claimed in (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR):
             raise Malformed("message", "its zstd frame does not say how large it is", certain=False)
         if claimed > most_bytes:
             raise Malformed("message", f"{claimed} bytes are claimed; at most {most_bytes} are read", certain=False)
-        return _decompressor().decompress(stored)
+        known: zstandard.ZstdDecompressor | None = getattr(_of_thread, "decompressor", None)
+        if known is None:
+            known = _of_thread.decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_ZSTD_WINDOW)
+        return known.decompress(stored)
     except zstandard.ZstdError as error:
         raise Malformed("message", f"its zstd data is damaged ({error})") from error
-
-
-def _decompressor() -> zstandard.ZstdDecompressor:
-    known: zstandard.ZstdDecompressor | None = getattr(_of_thread, "decompressor", None)
-    if known is None:
-        known = _of_thread.decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_ZSTD_WINDOW)
-    return known

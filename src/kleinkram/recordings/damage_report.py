@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import FREE_UNPACKED, MAX_DAMAGE, MAX_EXPANSION, MAX_PROBLEMS
-from kleinkram.recordings.model import Lost, Problem, counted
+from kleinkram.recordings.model import Content, Lost, Problem, counted
 
 _FREE_WASTED_BYTES = 256 * 2**20
 _WASTED_SHARE = 4
@@ -18,11 +18,9 @@ class DamageReport:
     """What a scan could not read.
 
     Attributes:
-        damage: what is wrong, in the order of the file; empty for a whole file. At most `MAX_DAMAGE`.
-        index_faults: what the file's index says that is not so.
-        messages: lost ones, as far as the indexes behind damaged chunks say.
-        messages_are_known: those account for all that is lost.
-        unverified: messages that were saved out of a chunk whose checksum is missing with its end.
+        damage: what is wrong, in file order; at most `MAX_DAMAGE`.
+        messages: lost ones, as far as the indexes behind damaged chunks say; all of them if `messages_are_known`.
+        unverified: messages saved from a chunk whose checksum is missing with its end.
         unpacked_bytes: that came out of compressed chunks.
         wasted_bytes: of records that were read, led nowhere, and were searched through.
     """
@@ -38,11 +36,7 @@ class DamageReport:
     unpacked_bytes: int = 0
 
     def unpack(self, uncompressed: int, *, end: int) -> None:
-        """Count the uncompressed size of a chunk that ends at a place in the file.
-
-        Raises:
-            Malformed: with it, the file would unpack to more than any recording does.
-        """
+        """Count the uncompressed size of a chunk that ends at a place in the file."""
         if not self.may_unpack(uncompressed, end=end):
             most = _most_unpacked(end)
             message = (
@@ -58,10 +52,9 @@ class DamageReport:
         return True
 
     def is_search_budget_spent(self, position: int) -> bool:
-        """Return whether more bytes were searched without result, up to a place in the file, than real damage explains.
+        """Return whether more bytes before `position` were searched without result than real damage explains.
 
-        Behind a chunk that turns out to be none, the search begins inside it: a file of nothing but heads of chunks
-        would be read as often as it has heads.
+        The search behind a chunk that is none begins inside it: a file of heads of chunks would be read once for each.
         """
         return self.wasted_bytes > _FREE_WASTED_BYTES + _WASTED_SHARE * position
 
@@ -88,6 +81,12 @@ class DamageReport:
         return listed + [
             Problem("index-damaged", fault.where, fault.message) for fault in self.index_faults[: MAX_PROBLEMS + 1]
         ]
+
+    def content(self, *, holds_anything: bool) -> Content:
+        """Return the content of a file that is not whole."""
+        if holds_anything:
+            return Content.recovered
+        return Content.broken if not self.damage or any(fault.certain for fault in self.damage) else Content.opaque
 
     def total(self, *, claimed: int | None, readable: int) -> Lost:
         """Return the loss, which may be zero. `claimed`: messages that the file should hold; None: unknown."""

@@ -78,10 +78,7 @@ def add_up(densities: Iterable[MessageDensity], *, most: int = MAX_BINS) -> Mess
 
 
 def on_axis(density: MessageDensity, *, start_ns: int, bin_ns: int, bins: int) -> list[int]:
-    """Return the counts in the given bins, without what is outside of them.
-
-    `bin_ns` is a power of two, not smaller than that of the density, and `start_ns` a multiple of it.
-    """
+    """Return the counts in bins of `bin_ns`, a power of two not below the density's; `start_ns`: a multiple of it."""
     bits = bin_ns.bit_length() - 1
     begin, end = density.start_ns >> bits, _last_ns(density) >> bits
     counts = [0] * (end - begin + 1)

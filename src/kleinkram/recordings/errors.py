@@ -27,12 +27,7 @@ class FailureKind(str, Enum):
 
 
 class SummaryFailed(RecordingError):
-    """The child process gave no summary: it ran out of memory or time, crashed, or could not read.
-
-    Attributes:
-        kind: which of these.
-        signal: the signal that ended the child, or None.
-    """
+    """The child process gave no summary. `signal`: the signal that ended it, or None."""
 
     def __init__(self, message: str, *, kind: FailureKind, signal: int | None = None) -> None:
         super().__init__(message)
@@ -41,11 +36,10 @@ class SummaryFailed(RecordingError):
 
 
 class Malformed(RecordingError):
-    """The bytes contradict their format at a known place. Internal to `recordings`.
+    """The bytes contradict their format at a known place. Whatever parses bytes may raise it; no caller outside sees
+    it.
 
-    Attributes:
-        where: the place in words, such as "byte 4117".
-        certain: the structure itself says the file is damaged, rather than only that we cannot follow it.
+    `where`: in words, such as "byte 4117". `certain`: the file is damaged, rather than of a kind that is not read.
     """
 
     def __init__(self, where: str, message: str, *, certain: bool = True) -> None:
@@ -72,11 +66,7 @@ _SHOWN = 20
 
 
 class NotARecording(RecordingError):
-    """A file or folder without messages, or of a format without a reader.
-
-    Attributes:
-        name: of the file or folder.
-    """
+    """A file or folder without messages, or of a format without a reader."""
 
     def __init__(self, name: str, reason: str) -> None:
         super().__init__(f"{name}: {reason}")
@@ -84,11 +74,7 @@ class NotARecording(RecordingError):
 
 
 class SeveralRecordings(RecordingError):
-    """A folder holds several recordings; open one of them.
-
-    Attributes:
-        names: of the recordings.
-    """
+    """A folder holds several recordings, `names`; open one of them."""
 
     def __init__(self, folder: str, names: list[str]) -> None:
         shown = ", ".join(names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "")
@@ -97,12 +83,7 @@ class SeveralRecordings(RecordingError):
 
 
 class TooCostly(RecordingError):
-    """A file without a usable index would have to be read whole, and is larger than allowed.
-
-    Attributes:
-        name: of the file.
-        size_bytes: what reading it would cost.
-    """
+    """A file without a usable index would have to be read whole, and is larger than allowed."""
 
     def __init__(self, name: str, size_bytes: int, why: str) -> None:
         super().__init__(
@@ -114,15 +95,14 @@ class TooCostly(RecordingError):
 
 
 class NoSuchTopic(RecordingError):
-    """The recording has no topic of that name.
-
-    Attributes:
-        topic: the name.
-        topics: those that it has.
-    """
+    """The recording, which has `topics`, has no topic of that name."""
 
     def __init__(self, topic: str, topics: list[str]) -> None:
         shown = ", ".join(topics[:_SHOWN]) + (", ..." if len(topics) > _SHOWN else "")
         super().__init__(f"there is no topic {topic}; the recording has {shown or 'none'}")
         self.topic = topic
         self.topics = topics
+
+
+class TooDisordered(RecordingError):
+    """Too many parts of the recording overlap in time to be merged in bounded memory."""

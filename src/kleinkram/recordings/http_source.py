@@ -15,6 +15,7 @@ import time
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from http.client import HTTPException, HTTPResponse
 from urllib.parse import SplitResult, urlsplit
 
@@ -40,13 +41,13 @@ class HttpConnections:
         weakref.finalize(self, _close_all, self._idle)
 
     def send(self, url: SplitResult, headers: dict[str, str]) -> Exchange:
-        """Send a GET without waiting for the response.
-
-        Raises:
-            OSError: no connection, or it was lost.
-        """
+        """Send a GET without waiting for the response; `OSError` without a connection."""
         place = (url.scheme, url.hostname or "", url.port)
-        connection = self._take(place) or self._open(place)
+        connection = self._take(place)
+        if connection is None:
+            connection = self._new(*place)
+            connection.connect()
+            connection.sock.settimeout(READ_TIMEOUT_S)
         target = url.path or "/"
         try:
             connection.request("GET", f"{target}?{url.query}" if url.query else target, headers=headers)
@@ -60,22 +61,12 @@ class HttpConnections:
         with self._lock:
             _close_all(self._idle)
 
-    def _open(self, place: _Place) -> http.client.HTTPConnection:
-        scheme, host, port = place
-        connection: http.client.HTTPConnection
-        if scheme == "https":
-            connection = http.client.HTTPSConnection(host, port, timeout=CONNECT_TIMEOUT_S, context=self._context())
-        else:
-            connection = http.client.HTTPConnection(host, port, timeout=CONNECT_TIMEOUT_S)
-        connection.connect()
-        connection.sock.settimeout(READ_TIMEOUT_S)
-        return connection
-
-    def _context(self) -> ssl.SSLContext:
+    def _new(self, scheme: str, host: str, port: int | None) -> http.client.HTTPConnection:
+        if scheme != "https":
+            return http.client.HTTPConnection(host, port, timeout=CONNECT_TIMEOUT_S)
         with self._lock:
-            if self._tls is None:
-                self._tls = ssl.create_default_context()
-            return self._tls
+            self._tls = self._tls or ssl.create_default_context()
+        return http.client.HTTPSConnection(host, port, timeout=CONNECT_TIMEOUT_S, context=self._tls)
 
     def _take(self, place: _Place) -> http.client.HTTPConnection | None:
         while True:
@@ -84,7 +75,9 @@ class HttpConnections:
                 if at is None:
                     return None
                 _, connection = self._idle.pop(at)
-            if not _was_dropped(connection):
+            waiting = select.poll()
+            waiting.register(connection.sock, select.POLLIN)
+            if not waiting.poll(0):  # else the server has closed it, or sent what nobody requested
                 return connection
             connection.close()
 
@@ -97,13 +90,9 @@ class HttpConnections:
 
 
 class Exchange:
-    """A request whose response was not read yet; as a context, the response.
+    """A request whose response was not read yet; as a context, the response. `OSError` or `HTTPException` on entering.
 
-    The connection is kept for others if all of the answer was read.
-
-    Raises (on entering):
-        OSError: the connection was lost.
-        http.client.HTTPException: the answer is not HTTP.
+    The connection is kept for others if all of the response was read.
     """
 
     def __init__(self, connection: http.client.HTTPConnection, keep: Callable[[], None]) -> None:
@@ -139,13 +128,6 @@ def _close_all(idle: list[tuple[_Place, http.client.HTTPConnection]]) -> None:
         connection.close()
 
 
-def _was_dropped(connection: http.client.HTTPConnection) -> bool:
-    """Return whether an idle connection was closed by the server, or has unexpected data."""
-    waiting = select.poll()
-    waiting.register(connection.sock, select.POLLIN)
-    return bool(waiting.poll(0))
-
-
 ATTEMPTS = 4
 FIRST_PAUSE_S = 0.1
 
@@ -153,13 +135,9 @@ FIRST_PAUSE_S = 0.1
 class HttpSource:
     """The bytes behind a URL that answers `Range` requests.
 
-    `renew` is asked for another URL of the same bytes when one is refused (403), as one whose time is over is; it may
-    be called by any of the threads that read, by one at a time. `check` is called once, when the server behind the URL
-    fails (500): what is read may be damaged. `renew` is asked again before reading gives up, and may raise that it is.
-
-    Attributes:
-        bytes_read: bytes returned so far.
-        reads: calls so far (retries not counted).
+    `renew` returns another URL of the same bytes when one is refused (403), as an expired one is; any reading thread
+    may call it, one at a time. `check` is called once if the server behind the URL fails (500): what is read may be
+    damaged. Before reading gives up then, `renew` is called again, and may raise.
     """
 
     parallel_reads = PARALLEL_READS
@@ -195,23 +173,40 @@ class HttpSource:
         check_range(self, offset, length)
         if length == 0:
             return b""
-        data = self._fetch_stubbornly(offset, length)
-        self._count(length)
-        return data
+        for attempt in range(1, ATTEMPTS + 1):
+            url = self._url
+            try:
+                return self._receive(self._send(url, offset, length), offset, length)
+            except _Refused as error:
+                if attempt == ATTEMPTS or not self._has_other(url):
+                    raise SourceError(f"{self.name}: {error}") from error
+            except _Retryable as error:
+                if error.is_failure:
+                    with self._lock:
+                        check, self._check = self._check, None
+                    if check is not None:
+                        check()
+                if attempt == ATTEMPTS:
+                    if error.is_failure and self._renew is not None:
+                        self._renew()
+                    raise SourceError(f"{self.name}: {error} (tried {ATTEMPTS} times)") from error
+                time.sleep(FIRST_PAUSE_S * 2 ** (attempt - 1))
+        raise AssertionError("the last attempt returns or raises")
 
     def read_short(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
         """Yield the bytes of each (offset, length), in order; the next requests are sent meanwhile.
 
         All in the calling thread: what has come waits in the connections, so each range had better be short.
-
-        Raises:
-            SourceError: as `read`.
         """
         under_way: deque[tuple[int, int, Exchange | None]] = deque()
         try:
             for offset, length in ranges:
                 check_range(self, offset, length)
-                under_way.append((offset, length, self._ask_ahead(offset, length)))
+                exchange = None
+                if length:
+                    with suppress(_Retryable):
+                        exchange = self._send(self._url, offset, length)
+                under_way.append((offset, length, exchange))
                 if len(under_way) == PARALLEL_READS:
                     yield self._take_answer(*under_way.popleft())
             while under_way:
@@ -221,48 +216,11 @@ class HttpSource:
                 if exchange:
                     exchange.abandon()
 
-    def _ask_ahead(self, offset: int, length: int) -> Exchange | None:
-        if length == 0:
-            return None
-        try:
-            return self._connections.send(urlsplit(self._url), _headers(offset, length))
-        except (HTTPException, OSError):
-            return None
-
     def _take_answer(self, offset: int, length: int, exchange: Exchange | None) -> bytes:
         if exchange is not None:
-            try:
-                data = self._receive(exchange, offset, length)
-            except (_Retryable, _Refused):
-                pass
-            else:
-                self._count(length)
-                return data
+            with suppress(_Retryable, _Refused):
+                return self._receive(exchange, offset, length)
         return self.read(offset, length)
-
-    def _fetch_stubbornly(self, offset: int, length: int, attempt: int = 1) -> bytes:
-        url = self._url
-        try:
-            return self._fetch(url, offset, length)
-        except _Refused as error:
-            if attempt == ATTEMPTS or not self._has_other(url):
-                raise SourceError(f"{self.name}: {error}") from error
-            return self._fetch_stubbornly(offset, length, attempt + 1)
-        except _Retryable as error:
-            if error.is_failure:
-                self._ask_for_check()
-            if attempt == ATTEMPTS:
-                if error.is_failure and self._renew is not None:
-                    self._renew()
-                raise SourceError(f"{self.name}: {error} (tried {ATTEMPTS} times)") from error
-        time.sleep(FIRST_PAUSE_S * 2 ** (attempt - 1))
-        return self._fetch_stubbornly(offset, length, attempt + 1)
-
-    def _ask_for_check(self) -> None:
-        with self._lock:
-            check, self._check = self._check, None
-        if check is not None:
-            check()
 
     def _has_other(self, refused: str) -> bool:
         """Renew a refused URL; return whether there is another one."""
@@ -273,12 +231,12 @@ class HttpSource:
                 self._url = self._renew()
             return self._url != refused
 
-    def _fetch(self, url: str, offset: int, length: int) -> bytes:
+    def _send(self, url: str, offset: int, length: int) -> Exchange:
+        headers = {"Range": f"bytes={offset}-{offset + length - 1}", "Accept-Encoding": "identity"}
         try:
-            exchange = self._connections.send(urlsplit(url), _headers(offset, length))
+            return self._connections.send(urlsplit(url), headers)
         except (HTTPException, OSError) as error:
             raise self._no_answer(error) from error
-        return self._receive(exchange, offset, length)
 
     def _receive(self, exchange: Exchange, offset: int, length: int) -> bytes:
         try:
@@ -289,15 +247,13 @@ class HttpSource:
             raise self._no_answer(error) from error
         if len(data) != length:
             raise _Retryable(f"{self._host} sent {len(data)} of {length} bytes at byte {offset}")
+        with self._lock:
+            self.bytes_read += length
+            self.reads += 1
         return data
 
     def _no_answer(self, error: Exception) -> _Retryable:
         return _Retryable(f"no answer from {self._host}: {type(error).__name__}")
-
-    def _count(self, length: int) -> None:
-        with self._lock:
-            self.bytes_read += length
-            self.reads += 1
 
     def _check_answer(self, answer: HTTPResponse, offset: int, length: int) -> None:
         status = answer.status
@@ -313,10 +269,6 @@ class HttpSource:
         got = answer.headers.get("Content-Range", "")
         if got != expected:
             raise SourceError(f"{self.name}: {self._host} answered '{got}' where '{expected}' was asked for")
-
-
-def _headers(offset: int, length: int) -> dict[str, str]:
-    return {"Range": f"bytes={offset}-{offset + length - 1}", "Accept-Encoding": "identity"}
 
 
 class _Retryable(Exception):

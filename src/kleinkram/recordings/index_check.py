@@ -144,8 +144,8 @@ def compare_with_scan(
 ) -> None:
     """Compare an index with the chunks of a scan; sorts both tables.
 
-    A chunk that could not be read whole has `UNKNOWN` messages. Where a file is damaged, a chunk that only one of the
-    tables holds is no fault of the index.
+    A chunk that could not be read whole has `UNKNOWN` messages. In a damaged file, a chunk in only one of the tables is
+    no fault of the index.
     """
     claims.sort()
     actual.sort()
@@ -193,10 +193,8 @@ ReadMessageIndex = Callable[[Source, Row], ChunkMessages | None]
 class IndexCheck:
     """The comparison of a file's chunk index with its message indexes.
 
-    Attributes:
-        is_done: all of it was compared, or it does not come from the file.
-        is_doubted: something in it was seen to be wrong.
-        span: earliest and latest log time of all chunks; None while not all of a doubted index was compared.
+    `is_done`: all of it was compared. `is_doubted`: something in it is wrong. `span`: earliest and latest log time of
+    all chunks, once all of a doubted index was compared.
     """
 
     source: Source
@@ -213,30 +211,18 @@ class IndexCheck:
         self.is_doubted = True
 
     def before_selecting(self) -> None:
-        """Compare what is cheap to compare, before chunks are selected.
-
-        Raises:
-            SourceError: as `Source.read`.
-        """
+        """Compare what is cheap to compare, before chunks are selected."""
         if isinstance(self.source, FileSource) and self.source.parallel_reads == 1:
             self._compare_some(MAX_COMPARED_NEAR)
         self.settle()
 
     def when_nothing_fits(self) -> None:
-        """Compare some chunks, because none seems to fit a selection.
-
-        Raises:
-            SourceError: as `Source.read`.
-        """
+        """Compare some chunks, because none seems to fit a selection."""
         self._compare_some(MAX_COMPARED_FAR)
         self.settle()
 
     def settle(self) -> None:
-        """Compare all chunks, if the index is in doubt and was not compared yet.
-
-        Raises:
-            SourceError: as `Source.read`.
-        """
+        """Compare all chunks, if the index is in doubt and was not compared yet."""
         if self.is_doubted and not self.is_done:
             self._compare(range(len(self.table.rows)), is_all=True)
 
@@ -256,7 +242,9 @@ class IndexCheck:
             if corrected != row:
                 rows.replace(number, corrected)
                 self.is_doubted = True
-            if row.uncompressed_bytes and (times := _times_of(row, messages)):
+            is_listed = messages is not None and messages.messages
+            times = (messages.first_ns, messages.last_ns) if messages and is_listed else (row.first_ns, row.last_ns)
+            if row.uncompressed_bytes and times[0] <= times[1]:
                 first_ns, last_ns = min(first_ns, times[0]), max(last_ns, times[1])
         if is_all:
             self.is_done = True
@@ -292,13 +280,6 @@ class IndexCheck:
             first_ns, last_ns = min(first_ns, row.first_ns), max(last_ns, row.last_ns)
         channels = ANY_CHANNEL if listed is None else sets.number(listed | messages.channels)
         return row._replace(first_ns=first_ns, last_ns=last_ns, channels=channels)
-
-
-def _times_of(row: Row, messages: ChunkMessages | None) -> tuple[int, int] | None:
-    """Return the times of a chunk by its message index, or else by the index; None if contradictory."""
-    if messages is not None and messages.messages:
-        return messages.first_ns, messages.last_ns
-    return (row.first_ns, row.last_ns) if row.first_ns <= row.last_ns else None
 
 
 def contradicts_itself(table: ChunkTable, span: tuple[int | None, int | None]) -> bool:

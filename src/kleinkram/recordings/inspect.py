@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -23,6 +23,11 @@ from kleinkram.recordings.recording_groups import (
 )
 from kleinkram.recordings.sources import FileReader, FileSource
 from kleinkram.recordings.summary import scan, summarise
+
+_TOPIC_FIELDS = (
+    *("message_encoding", "count", "first_ns", "last_ns", "rate_hz"),
+    *("longest_gap_ns", "head_gap_ns", "tail_gap_ns"),
+)
 
 
 class ScanProgress(Protocol):
@@ -82,7 +87,10 @@ def inspect_paths(
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
     inspections: list[Inspection] = []
     for path in all_paths:
-        inspections += _inspect_folder(path, inspector) if path.is_dir() else [_inspect_one_file(path, inspector)]
+        if path.is_dir():
+            inspections += inspector.folder(path)
+        else:
+            inspections.append(inspector.metadata(path) if path.name == METADATA_NAME else inspector.file(path))
     return inspections
 
 
@@ -105,14 +113,7 @@ def to_plain(inspection: Inspection) -> dict[str, object]:
             {
                 "name": topic.name,
                 "type": topic.message_type,
-                "message_encoding": topic.message_encoding,
-                "count": topic.count,
-                "first_ns": topic.first_ns,
-                "last_ns": topic.last_ns,
-                "rate_hz": topic.rate_hz,
-                "longest_gap_ns": topic.longest_gap_ns,
-                "head_gap_ns": topic.head_gap_ns,
-                "tail_gap_ns": topic.tail_gap_ns,
+                **{name: getattr(topic, name) for name in _TOPIC_FIELDS},
                 "out_of_order": topic.out_of_order_count,
             }
             for topic in summary.topics
@@ -123,96 +124,77 @@ def to_plain(inspection: Inspection) -> dict[str, object]:
     }
 
 
+@dataclass(frozen=True)
 class _FileInspector:
-    """Summarises or scans files."""
+    """Summarises or scans files; a failure becomes the content `error`."""
 
-    def __init__(self, depth: Depth, progress: ScanProgress | None) -> None:
-        self._depth = depth
-        self._watch = progress
+    depth: Depth
+    progress: ScanProgress | None
 
-    def into(self, path: Path) -> RecordingSummary:
-        """Summarise or scan a file; a failure becomes the content `error`."""
+    def file(self, path: Path) -> Inspection:
+        return Inspection(str(path), InspectionKind.file, (str(path),), self.summary(path))
+
+    def summary(self, path: Path) -> RecordingSummary:
         try:
-            return self._read(path)
+            if self.depth is Depth.summary:
+                with FileSource(path) as source:
+                    return summarise(source)
+            with FileReader(path) as reader:
+                if self.progress is None:
+                    return scan(reader)
+                self.progress.began(str(path), reader.size_bytes)
+                try:
+                    return scan(_ProgressReader(reader, self.progress))
+                finally:
+                    self.progress.ended()
         except SourceError as error:
             return _unreadable(str(error))
 
-    def _read(self, path: Path) -> RecordingSummary:
-        if self._depth is Depth.summary:
-            with FileSource(path) as source:
-                return summarise(source)
-        with FileReader(path) as reader:
-            if self._watch is None:
-                return scan(reader)
-            self._watch.began(str(path), reader.size_bytes)
-            try:
-                return scan(_ProgressReader(reader, self._watch))
-            finally:
-                self._watch.ended()
+    def metadata(self, path: Path) -> Inspection:
+        try:
+            own = recording_of_metadata(path)
+        except SourceError as error:
+            return Inspection(str(path), InspectionKind.file, (str(path),), _unreadable(str(error)))
+        return self.file(path) if own is None else self.group(path.parent, own[1], own[0])
+
+    def folder(self, folder: Path) -> Iterator[Inspection]:
+        recordings = read_folder(folder)
+        for item in recordings.unreadable_folders:
+            summary = _unreadable(f"{item.path}: cannot be read: {item.reason}")
+            yield Inspection(str(item.path), InspectionKind.folder, (), summary)
+        for name, error in recordings.unreadable_files.items():
+            path = str(folder / name)
+            yield Inspection(path, InspectionKind.file, (path,), _unreadable(str(error)))
+        for group in recordings.groups:
+            yield self.group(folder, group, recordings)
+
+    def group(self, folder: Path, group: RecordingGroup, beside: FolderRecordings) -> Inspection:
+        if group.kind is RecordingGroupKind.single:
+            return self.file(folder / group.members[0])
+        members = tuple(str(folder / name) for name in group.members)
+        names = [Path(member).name for member in members]
+        summaries = [self.summary(Path(member)) for member in members]
+        if group.kind is RecordingGroupKind.rosbag2:
+            summary = combine_folder(beside.metadata_of(group), names, summaries)
+        else:
+            summary = combine(summaries, names)
+        return Inspection(str(folder / group.name), InspectionKind.recording, members, summary)
 
 
 class _ProgressReader:
     """A reader that reports its progress."""
 
     def __init__(self, reader: FileReader, progress: ScanProgress) -> None:
-        self.name = reader.name
-        self.size_bytes = reader.size_bytes
-        self.path = reader.path
+        self.name, self.size_bytes, self.path = reader.name, reader.size_bytes, reader.path
         self._reader = reader
-        self._watch = progress
+        self._progress = progress
 
     def read(self, length: int) -> bytes:
         """Return the next bytes; b"" at the end."""
         data = self._reader.read(length)
-        self._watch.moved(len(data))
+        self._progress.moved(len(data))
         return data
 
 
 def _unreadable(reason: str) -> RecordingSummary:
     return RecordingSummary(RecordingFormat.unknown, Content.error, reason)
-
-
-def _inspect_one_file(path: Path, inspector: _FileInspector) -> Inspection:
-    if path.name != METADATA_NAME:
-        return _inspect_file(path, inspector)
-    try:
-        group_of_metadata = recording_of_metadata(path)
-    except SourceError as error:
-        return Inspection(str(path), InspectionKind.file, (str(path),), _unreadable(str(error)))
-    return (
-        _inspect_file(path, inspector)
-        if group_of_metadata is None
-        else _inspect_group(path.parent, group_of_metadata[1], group_of_metadata[0], inspector)
-    )
-
-
-def _inspect_file(path: Path, inspector: _FileInspector) -> Inspection:
-    return Inspection(str(path), InspectionKind.file, (str(path),), inspector.into(path))
-
-
-def _inspect_folder(folder: Path, inspector: _FileInspector) -> list[Inspection]:
-    recordings = read_folder(folder)
-    unlisted = [
-        Inspection(
-            str(item.path), InspectionKind.folder, (), _unreadable(f"{item.path}: cannot be read: {item.reason}")
-        )
-        for item in recordings.unreadable_folders
-    ]
-    unread = [
-        Inspection(str(folder / name), InspectionKind.file, (str(folder / name),), _unreadable(str(error)))
-        for name, error in recordings.unreadable_files.items()
-    ]
-    return [*unlisted, *unread, *(_inspect_group(folder, item, recordings, inspector) for item in recordings.groups)]
-
-
-def _inspect_group(
-    folder: Path, group: RecordingGroup, beside: FolderRecordings, inspector: _FileInspector
-) -> Inspection:
-    if group.kind is RecordingGroupKind.single:
-        return _inspect_file(folder / group.members[0], inspector)
-    members = tuple(str(folder / name) for name in group.members)
-    names = [Path(member).name for member in members]
-    summaries = [inspector.into(Path(member)) for member in members]
-    is_folder = group.kind is RecordingGroupKind.rosbag2
-    summary = combine_folder(beside.metadata_of(group), names, summaries) if is_folder else combine(summaries, names)
-    return Inspection(str(folder / group.name), InspectionKind.recording, members, summary)

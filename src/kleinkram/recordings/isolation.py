@@ -4,21 +4,34 @@
 writes `request_bytes(...)` and a newline to its stdin, and hands the line that comes back to `read_answer` (after a
 `metadata_request_bytes(...)` to `read_metadata_answer`); then the child takes the next request. Its end, rather than a
 line, is an answer too.
+
+The child is this module run as a program: a line of JSON on stdin for each request, a line on stdout, nothing else.
+Behind the line of a `StreamRequest` follow its bytes; all of them are taken before the answer. The child bounds itself
+before it looks at a byte: address space, processor time, no core file.
 """
 
 from __future__ import annotations
 
 import json
+import math
+import resource
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping
+import threading
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
-from kleinkram.recordings.errors import FailureKind, SummaryFailed
-from kleinkram.recordings.formats.rosbag2.metadata import Rosbag2Metadata, StatedFile, StatedTopic
-from kleinkram.recordings.limits import MAX_SCAN_BYTES
+from kleinkram.recordings.errors import FailureKind, SourceError, SummaryFailed
+from kleinkram.recordings.formats.rosbag2.metadata import (
+    Rosbag2Metadata,
+    StatedFile,
+    StatedTopic,
+    parse_rosbag2_metadata,
+)
+from kleinkram.recordings.limits import MAX_SCAN_BYTES, WINDOW
 from kleinkram.recordings.model import (
     Content,
     Depth,
@@ -30,8 +43,9 @@ from kleinkram.recordings.model import (
     RecordingSummary,
     TopicSummary,
 )
+from kleinkram.recordings.sources import FileSource, PipeReader, Source, source_reader
 
-CHILD_COMMAND: tuple[str, ...] = (sys.executable, "-I", "-m", "kleinkram.recordings.child")
+CHILD_COMMAND: tuple[str, ...] = (sys.executable, "-I", "-m", "kleinkram.recordings.isolation")
 """`-I`: the child takes no module from the working directory, and nothing from the environment."""
 
 CHILD_ENVIRONMENT: dict[str, str] = {"LC_ALL": "C.UTF-8", "MALLOC_ARENA_MAX": "1"}
@@ -39,12 +53,14 @@ CHILD_ENVIRONMENT: dict[str, str] = {"LC_ALL": "C.UTF-8", "MALLOC_ARENA_MAX": "1
 
 DEFAULT_MEMORY_BYTES = 512 * 2**20
 DEFAULT_TIMEOUT_S = 120
+STACK_BYTES = 512 * 1024
 _SENTENCES = {
     FailureKind.memory: "it needs more memory to be read than is allowed",
     FailureKind.time: "it takes longer to be read than is allowed",
     FailureKind.crash: "reading it failed",
     FailureKind.source: "its bytes cannot be read",
 }
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -58,8 +74,8 @@ class FileRequest:
 class UrlRequest:
     """Read the bytes behind a URL that answers ranges. `name` is the file's own, for messages and extension.
 
-    `logs`: of a database whose recorder was killed, URL and size of what lies beside it, by suffix ("-wal",
-    "-journal"). Then the database is read whole, whatever depth and size were asked for.
+    `logs`: URL and size of what lies beside a database whose recorder was killed, by suffix ("-wal", "-journal"). Then
+    the database is read whole, at any depth and size.
     """
 
     url: str
@@ -107,32 +123,16 @@ def metadata_request_bytes(
 
 
 def read_answer(stdout: bytes, stderr: bytes, returncode: int) -> RecordingSummary:
-    """Return the summary in the child's answer.
-
-    Raises:
-        SummaryFailed: there is none; says why.
-    """
-    answer = _answer(stdout, stderr, returncode)
-    try:
-        return from_dict(answer["summary"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise _not_understood() from error
+    """Return the summary in the child's answer; `SummaryFailed` if there is none."""
+    return _read_answer("summary", from_dict, stdout, stderr, returncode)
 
 
 def read_metadata_answer(stdout: bytes, stderr: bytes, returncode: int) -> Rosbag2Metadata | None:
-    """Return the metadata in the child's answer.
-
-    Raises:
-        SummaryFailed: it was not read; says why.
-    """
-    answer = _answer(stdout, stderr, returncode)
-    try:
-        return None if answer["metadata"] is None else metadata_from_dict(answer["metadata"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise _not_understood() from error
+    """Return the metadata in the child's answer; `SummaryFailed` if there is none."""
+    return _read_answer("metadata", lambda plain: plain and metadata_from_dict(plain), stdout, stderr, returncode)
 
 
-def _answer(stdout: bytes, stderr: bytes, returncode: int) -> dict[str, Any]:
+def _read_answer(key: str, parse: Callable[[Any], T], stdout: bytes, stderr: bytes, returncode: int) -> T:
     if returncode == -signal.SIGXCPU:
         raise _failure(FailureKind.time, "", signal.SIGXCPU)
     if returncode < 0:
@@ -145,9 +145,9 @@ def _answer(stdout: bytes, stderr: bytes, returncode: int) -> dict[str, Any]:
         answer: dict[str, Any] = json.loads(stdout)
         if "failed" in answer:
             raise _failure(FailureKind(answer["failed"]), answer.get("message", ""))
-    except (ValueError, TypeError, AttributeError) as error:
-        raise _not_understood() from error
-    return answer
+        return parse(answer[key])
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise _failure(FailureKind.crash, "its answer cannot be understood") from error
 
 
 def timed_out() -> SummaryFailed:
@@ -186,10 +186,6 @@ def _failure(kind: FailureKind, detail: str, ended_by: int | None = None) -> Sum
     return SummaryFailed(f"{sentence}: {detail}" if detail else sentence, kind=kind, signal=ended_by)
 
 
-def _not_understood() -> SummaryFailed:
-    return _failure(FailureKind.crash, "its answer cannot be understood")
-
-
 def to_dict(summary: RecordingSummary) -> dict[str, Any]:
     """Return a summary as what `json.dumps` takes; enums as their values, times as integers."""
     plain = asdict(summary)
@@ -202,37 +198,92 @@ def to_dict(summary: RecordingSummary) -> dict[str, Any]:
 
 
 def from_dict(plain: Mapping[str, Any]) -> RecordingSummary:
-    """Return the summary that `to_dict` was given.
-
-    Raises:
-        KeyError, TypeError, ValueError: it is not one.
-    """
-    values = dict(plain)
-    values["format"] = RecordingFormat(values["format"])
-    values["content"] = Content(values["content"])
-    values["compression"] = tuple(values["compression"])
-    values["topics"] = tuple(_topic(topic) for topic in values["topics"])
-    values["problems"] = tuple(Problem(**problem) for problem in values["problems"])
-    values["depth"] = Depth(values["depth"])
-    values["lost"] = Lost(**values["lost"]) if values["lost"] is not None else None
-    values["facts"] = tuple(Fact(**fact) for fact in values["facts"])
-    return RecordingSummary(**values)
-
-
-def _topic(plain: Mapping[str, Any]) -> TopicSummary:
-    density = plain["density"]
-    counted = MessageDensity(**{**density, "counts": tuple(density["counts"])}) if density is not None else None
-    return TopicSummary(**{**plain, "density": counted})
+    """Return the summary that `to_dict` was given; `KeyError`, `TypeError` or `ValueError` if it is none."""
+    topics = []
+    for topic in plain["topics"]:
+        density = topic["density"]
+        if density is not None:
+            density = MessageDensity(**{**density, "counts": tuple(density["counts"])})
+        topics.append(TopicSummary(**{**topic, "density": density}))
+    parsed = {
+        "format": RecordingFormat(plain["format"]),
+        "content": Content(plain["content"]),
+        "compression": tuple(plain["compression"]),
+        "topics": tuple(topics),
+        "problems": tuple(Problem(**problem) for problem in plain["problems"]),
+        "depth": Depth(plain["depth"]),
+        "lost": Lost(**plain["lost"]) if plain["lost"] is not None else None,
+        "facts": tuple(Fact(**fact) for fact in plain["facts"]),
+    }
+    return RecordingSummary(**{**plain, **parsed})
 
 
 def metadata_from_dict(plain: Mapping[str, Any]) -> Rosbag2Metadata:
-    """Return what `dataclasses.asdict` was given, after a round trip through JSON.
-
-    Raises:
-        KeyError, TypeError: it is none.
-    """
+    """Return what `dataclasses.asdict` was given, after JSON; `KeyError` or `TypeError` if it is none."""
     values = dict(plain)
     values["files"] = tuple(values["files"])
     values["topics"] = tuple(StatedTopic(**topic) for topic in values["topics"])
     values["file_entries"] = tuple(StatedFile(**entry) for entry in values["file_entries"])
     return Rosbag2Metadata(**values)
+
+
+def main() -> int:
+    """Answer each request on stdin; 0 if each had an answer, also where the answer is a failure."""
+    import kleinkram.recordings.summary  # noqa: F401  # all readers, before the memory is bounded
+
+    for line in sys.stdin.buffer:
+        request = json.loads(line)
+        memory_bytes = request["memory_bytes"]
+        resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
+        _, most_s = resource.getrlimit(resource.RLIMIT_CPU)
+        resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(time.process_time()) + request["cpu_s"], most_s))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        # The stack of a thread counts as address space from its start.
+        threading.stack_size(STACK_BYTES)
+        sys.stdout.write(json.dumps(_answer(request)) + "\n")
+        sys.stdout.flush()
+    return 0
+
+
+def _answer(request: dict[str, Any]) -> dict[str, object]:
+    try:
+        if "metadata" in request:
+            metadata = parse_rosbag2_metadata(request["metadata"])
+            return {"metadata": metadata and asdict(metadata)}
+        return {"summary": to_dict(_summarise(request))}
+    except SourceError as error:
+        return {"failed": "source", "message": str(error)}
+    except MemoryError:
+        return {"failed": "memory"}
+
+
+def _summarise(request: dict[str, Any]) -> RecordingSummary:
+    from kleinkram.recordings.summary import scan, scan_with_logs, summarise  # only in the child
+
+    if "stream_bytes" in request:
+        reader = PipeReader(sys.stdin.buffer, request["stream_bytes"], request["name"])
+        try:
+            return scan(reader)
+        finally:
+            while reader.read(WINDOW):
+                pass
+    if "path" in request:
+        source: Source = FileSource(request["path"])
+    else:
+        from kleinkram.recordings.http_source import HttpSource
+
+        name = request["name"]
+        source = HttpSource(request["url"], size_bytes=request["size_bytes"], name=name)
+        logs = {
+            suffix: HttpSource(url, size_bytes=size_bytes, name=f"{name}{suffix}")
+            for suffix, (url, size_bytes) in request["logs"].items()
+        }
+        if logs:
+            return scan_with_logs(source, logs)
+    if request["depth"] == Depth.scan.value:
+        return scan(source_reader(source))
+    return summarise(source, most_bytes=request["most_bytes"])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

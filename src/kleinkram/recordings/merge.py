@@ -16,7 +16,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from operator import attrgetter
 from typing import Generic, NamedTuple, TypeVar
 
-from kleinkram.recordings.errors import RecordingError
+from kleinkram.recordings.errors import TooDisordered
 from kleinkram.recordings.messages import END_OF_TIME_NS, Block
 from kleinkram.recordings.streams import keep_freed_memory
 
@@ -29,16 +29,8 @@ OVERHEAD_BYTES = 250
 _log_time = attrgetter("log_time_ns")
 
 
-class TooDisordered(RecordingError):
-    """Too many parts of the recording overlap in time to be merged in bounded memory."""
-
-
 class MessageRun:
-    """Messages of one piece by time; `more` yields later ones.
-
-    Attributes:
-        buffered_bytes: about the memory that the messages in memory take.
-    """
+    """Messages of one piece by time; `more` yields later ones. `buffered_bytes`: about their memory."""
 
     def __init__(self, messages: Block, buffered_bytes: int, more: Iterator[Block] | None = None) -> None:
         self._messages = messages
@@ -93,12 +85,9 @@ class MessageRun:
 
 
 class MessagePiece(NamedTuple):
-    """A source of messages from `first_ns` on.
+    """A source of messages from `first_ns` on; `order` of the files decides between equal times.
 
-    Attributes:
-        order: place in the order of the files; decides between equal times.
-        open: reads it.
-        read_again: reads the same messages once more; None for what holds little at a time by itself.
+    `read_again` reads the same messages once more; None for a piece that holds little at a time by itself.
     """
 
     first_ns: int
@@ -108,14 +97,10 @@ class MessagePiece(NamedTuple):
 
 
 def merge(pieces: Iterable[MessagePiece], on_late_messages: Callable[[int], None] | None = None) -> Iterator[Block]:
-    """Yield the messages of pieces, given by `first_ns`, as blocks that follow each other in time.
+    """Yield the messages of pieces, sorted by `first_ns`, as blocks that follow each other in time.
 
-    A piece may hold messages that are earlier than its `first_ns`: those that come too late to be in order are left
-    out, and `on_late_messages` is reported how many so far.
-
-    Raises:
-        TooDisordered: more pieces overlap than even shares of them can be held.
-        SourceError: as the pieces raise it.
+    Messages that are earlier than the `first_ns` of their piece and come too late are left out: `on_late_messages`
+    receives their number so far. `TooDisordered` if more pieces overlap than even shares of them can be held.
     """
     merging = _Merging(on_late_messages)
     waiting = iter(pieces)
@@ -221,7 +206,7 @@ class ReadAheadTask(NamedTuple, Generic[T]):
 def read_ahead(tasks: Iterator[ReadAheadTask[T]], *, workers: int, most_bytes: int) -> Iterator[T]:
     """Yield the results of tasks, in order; an exception is raised in its turn.
 
-    Closed early, it returns at once: jobs that have begun go on to their end, and nobody hears of them.
+    Closed early, it returns at once: tasks that have begun run to their end, without effect.
     """
     first = next(tasks, None)
     if first is None:

@@ -1,7 +1,7 @@
 """Counts the messages that a scan finds, by topic.
 
-A message names its channel by a number, and the definition of that channel may have been lost and are again only
-at the end of the file. So what a number has no topic for yet waits under the number.
+A message names its channel by a number, whose definition may follow only at the end of the file. Messages of a number
+without topic wait under the number.
 """
 
 from __future__ import annotations
@@ -53,12 +53,7 @@ class Batch(dict[int, "array[int]"]):
 
 @dataclass
 class Lateness:
-    """Messages of one topic whose log and publish times are more than a second apart.
-
-    Attributes:
-        largest_ns: log time minus publish time, where that is farthest from 0.
-        sample: of the same difference.
-    """
+    """Messages of one topic whose log and publish times are over a second apart (log minus publish time)."""
 
     count: int = 0
     largest_ns: int = 0
@@ -72,12 +67,7 @@ class Lateness:
 
 
 class MessageCounter:
-    """All messages that a scan found.
-
-    Attributes:
-        messages: how many.
-        lateness: of the topics whose log and publish times are far apart.
-    """
+    """All messages that a scan found; `lateness`: of topics whose log and publish times are far apart."""
 
     def __init__(self, *, with_publish_times: bool = True) -> None:
         self._with_publish_times = with_publish_times
@@ -151,10 +141,7 @@ ReadableRanges = tuple[tuple[int, int], ...]
 class MessagePlace(NamedTuple):
     """Bytes of a file that hold messages: [start, start + length).
 
-    Attributes:
-        kind: see `PlaceKind`.
-        uncompressed: bytes of the content.
-        readable_ranges: the parts [start, end) of the content that can be followed; None: all of it.
+    `uncompressed`: bytes of the content. `readable_ranges`: parts [start, end) of it that can be read; None: all of it.
     """
 
     kind: PlaceKind

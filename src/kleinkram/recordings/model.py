@@ -65,12 +65,7 @@ class Lost:
 
 @dataclass(frozen=True)
 class Fact:
-    """A fact from a file, such as the number of poses of a trajectory.
-
-    Attributes:
-        name: short and stable, for programs.
-        unit: of a number; empty without one.
-    """
+    """A fact from a file, such as the number of poses of a trajectory. `name`: stable; `unit`: of a number."""
 
     name: str
     value: str | int | float
@@ -79,13 +74,7 @@ class Fact:
 
 @dataclass(frozen=True)
 class Problem:
-    """Something a person should know about a file that can still be read.
-
-    Attributes:
-        code: short and stable, for programs.
-        where: a topic, a place in the file, or the file's name.
-        message: a sentence for people.
-    """
+    """A warning about a file that can be read. `code`: stable; `where`: topic, place or file; `message`: a sentence."""
 
     code: str
     where: str

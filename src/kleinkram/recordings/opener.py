@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +24,7 @@ from kleinkram.recordings.formats.rosbag2.metadata import (
     parse_rosbag2_metadata,
 )
 from kleinkram.recordings.model import RecordingSummary
-from kleinkram.recordings.recording_groups import METADATA_NAME, RecordingGroup, read_folder, recording_of_metadata
+from kleinkram.recordings.recording_groups import METADATA_NAME, read_folder, recording_of_metadata
 from kleinkram.recordings.sources import FileSource, Source, SourceReader
 from kleinkram.recordings.summary import scan, summarise
 
@@ -49,14 +49,7 @@ Openable = str | os.PathLike[str] | Source | HasSources | Sequence[Source]
 
 @dataclass(frozen=True)
 class Opened:
-    """The opened files of a recording.
-
-    Attributes:
-        files: names of the data files, in the order of recording.
-        members: the same files.
-        summarise: returns what `klein inspect` says of the recording.
-        stack: what is to be closed with them.
-    """
+    """The opened files of a recording, in the order of recording. `summarise`: as `klein inspect`."""
 
     name: str
     files: tuple[str, ...]
@@ -66,15 +59,7 @@ class Opened:
 
 
 def open_members(what: Openable, problem_log: ProblemLog, *, most_bytes: int | None = None) -> Opened:
-    """Open the files of a recording; `most_bytes` as in `Recording.open`.
-
-    Raises:
-        FileNotFoundError: there is no such file or folder.
-        NotARecording: there are no messages in it that we read.
-        SeveralRecordings: the folder holds several.
-        TooCostly: a file has no index that can be used, and more than `most_bytes`.
-        SourceError: the bytes cannot be read.
-    """
+    """Open the files of a recording; arguments and errors as of `Recording.open`."""
     stack = ExitStack()  # members add to it later, too
     with ExitStack() as on_failure:
         on_failure.callback(stack.close)
@@ -85,7 +70,9 @@ def open_members(what: Openable, problem_log: ProblemLog, *, most_bytes: int | N
         if not data:
             raise NotARecording(name, _why_nothing(metadata))
         names = tuple(file.base_name for file in data)
-        context = OpenContext(problem_log, stack, most_bytes, _message_compression(metadata), logs)
+        is_packed = metadata is not None and metadata.compression_mode == "message"
+        compression = metadata.compression if metadata is not None and is_packed else ""
+        context = OpenContext(problem_log, stack, most_bytes, compression, logs)
         members = tuple(_open_file(file, context) for file in data)
         on_failure.pop_all()
 
@@ -105,22 +92,15 @@ def _summary_of(file: RecordingFile, member: Member) -> RecordingSummary:
 
 
 def _summarise(file: RecordingFile) -> RecordingSummary:
-    """Summarise a file as `klein inspect` does, without fetching copies again.
-
-    Raises:
-        SourceError: the bytes cannot be read.
-    """
-    inner = file.unpacked
-    if inner is not None:
-        return scan(SourceReader(inner.source, path=inner.path))
-    if file.database is not None:
-        with FileSource(file.database) as source:
-            source.name = file.base_name
-            return summarise(source, most_bytes=None)
-    if file.path is not None:
-        with FileSource(file.path) as source:
-            return summarise(source, most_bytes=MAX_SCANNED_FOR_PROBLEMS)
-    return summarise(file.source, most_bytes=MAX_SCANNED_FOR_PROBLEMS)
+    """Summarise a file as `klein inspect` does, without fetching copies again."""
+    if file.unpacked is not None:
+        return scan(SourceReader(file.unpacked.source, path=file.unpacked.path))
+    path = file.database or file.path
+    if path is None:
+        return summarise(file.source, most_bytes=MAX_SCANNED_FOR_PROBLEMS)
+    with FileSource(path) as source:
+        source.name = file.base_name
+        return summarise(source, most_bytes=None if file.database else MAX_SCANNED_FOR_PROBLEMS)
 
 
 def _open_file(file: RecordingFile, context: OpenContext) -> Member:
@@ -130,10 +110,6 @@ def _open_file(file: RecordingFile, context: OpenContext) -> Member:
     if file_format.open is None:
         raise NotARecording(file.source.name, file_format.refusal)
     return file_format.open(file, context)
-
-
-def _message_compression(metadata: Rosbag2Metadata | None) -> str:
-    return metadata.compression if metadata is not None and metadata.compression_mode == "message" else ""
 
 
 def _files_of(what: Openable, stack: ExitStack) -> tuple[str, list[RecordingFile]]:
@@ -151,24 +127,19 @@ def _files_of(what: Openable, stack: ExitStack) -> tuple[str, list[RecordingFile
 
 
 def _paths_of(path: Path) -> list[Path]:
-    if path.is_file() and path.name == METADATA_NAME:
-        own = recording_of_metadata(path)
-        if own is None:
-            return [path]
-        return _paths_in(path.parent, own[1])
-    if not path.is_dir():
-        if not path.exists():
-            raise FileNotFoundError(f"{path}: there is no such file or folder")
+    if path.is_dir():
+        groups, folder = read_folder(path).groups, path
+        if not groups:
+            raise NotARecording(str(path), _why_nothing(None))
+        if len(groups) > 1:
+            raise SeveralRecordings(str(path), [str(path / group.name) for group in groups])
+        group = groups[0]
+    elif path.is_file() and path.name == METADATA_NAME and (own := recording_of_metadata(path)) is not None:
+        folder, group = path.parent, own[1]
+    elif path.exists():
         return [path]
-    groups = read_folder(path).groups
-    if not groups:
-        raise NotARecording(str(path), _why_nothing(None))
-    if len(groups) > 1:
-        raise SeveralRecordings(str(path), [str(path / group.name) for group in groups])
-    return _paths_in(path, groups[0])
-
-
-def _paths_in(folder: Path, group: RecordingGroup) -> list[Path]:
+    else:
+        raise FileNotFoundError(f"{path}: there is no such file or folder")
     metadata = [group.metadata_path] if group.metadata_path else []
     return [folder / name for name in [*metadata, *group.members]]
 
@@ -179,21 +150,18 @@ def _why_nothing(metadata: Rosbag2Metadata | None) -> str:
     return combine_folder(metadata, (), ()).reason or ""
 
 
-def _metadata_of(files: Iterable[RecordingFile], problem_log: ProblemLog) -> Rosbag2Metadata | None:
+def _metadata_of(files: Sequence[RecordingFile], problem_log: ProblemLog) -> Rosbag2Metadata | None:
     """Read the metadata.yaml among the files, and compare its file names."""
-    names = {file.base_name for file in files}
-    for file in files:
-        if file.base_name != METADATA_NAME:
-            continue
-        source = file.source
-        text = source.read(0, min(source.size_bytes, MAX_TEXT)).decode("utf-8", "replace")
-        metadata = parse_rosbag2_metadata(text) if source.size_bytes <= MAX_TEXT else None
-        if metadata is not None and metadata.is_other:
-            return None
-        if metadata is None:
-            problem_log.add("metadata-damaged", source.name, "it is not the metadata of a rosbag2 recording")
-            return None
-        for problem in compare_names(metadata, names - {METADATA_NAME}):
-            problem_log.add(problem.code, problem.where, problem.message)
-        return metadata
-    return None
+    source = next((file.source for file in files if file.base_name == METADATA_NAME), None)
+    if source is None:
+        return None
+    text = source.read(0, min(source.size_bytes, MAX_TEXT)).decode("utf-8", "replace")
+    metadata = parse_rosbag2_metadata(text) if source.size_bytes <= MAX_TEXT else None
+    if metadata is None:
+        problem_log.add("metadata-damaged", source.name, "it is not the metadata of a rosbag2 recording")
+        return None
+    if metadata.is_other:
+        return None
+    for problem in compare_names(metadata, {file.base_name for file in files} - {METADATA_NAME}):
+        problem_log.add(problem.code, problem.where, problem.message)
+    return metadata

@@ -7,7 +7,7 @@ iteration is by itself. Not to be shared between threads.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from fnmatch import fnmatchcase
 from html import escape
 from os import PathLike
@@ -18,11 +18,19 @@ from typing import TYPE_CHECKING
 from kleinkram.recordings.chunk_reader import MAX_MESSAGE
 from kleinkram.recordings.compression import unpack_message
 from kleinkram.recordings.damage_report import ProblemLog
-from kleinkram.recordings.decoded_messages import DecodeProblemLogger, decode_blocks, decoder_of, list_topics, timed
-from kleinkram.recordings.decoding import Decoder, Undecodable, arrow_batches, to_arrow, to_pandas
-from kleinkram.recordings.errors import Malformed, NoSuchTopic, NotARecording, SeveralRecordings, SourceError, TooCostly
-from kleinkram.recordings.formats.base import Member
-from kleinkram.recordings.merge import TooDisordered, merge
+from kleinkram.recordings.decoding import (
+    DecodeError,
+    Decoder,
+    Undecodable,
+    arrow_batches,
+    decoder_for,
+    to_arrow,
+    to_pandas,
+)
+from kleinkram.recordings.errors import Malformed, NoSuchTopic, SourceError
+from kleinkram.recordings.formats.base import MemberContents
+from kleinkram.recordings.formats.ulog import as_ros1_definition
+from kleinkram.recordings.merge import merge
 from kleinkram.recordings.messages import (
     END_OF_TIME_NS,
     Block,
@@ -41,20 +49,6 @@ from kleinkram.recordings.opener import Openable, Opened, open_members
 if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
-
-__all__ = [
-    "Channel",
-    "Message",
-    "NoSuchTopic",
-    "NotARecording",
-    "RawMessage",
-    "Recording",
-    "Schema",
-    "SeveralRecordings",
-    "TooCostly",
-    "TooDisordered",
-    "Topic",
-]
 
 Topics = str | Sequence[str]
 """Names of topics, or globs of them (`*`, `?`)."""
@@ -81,7 +75,7 @@ class Recording:
         self._problem_log = problem_log
         contents = [member.contents for member in opened.members]
         counts = [content.message_count for content in contents]
-        self.topics: tuple[Topic, ...] = list_topics(contents)
+        self.topics: tuple[Topic, ...] = _list_topics(contents)
         self.message_count = None if None in counts else sum(count for count in counts if count is not None)
 
     @classmethod
@@ -111,11 +105,7 @@ class Recording:
         return recording
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle the path or sources; unpickling opens them again.
-
-        Raises:
-            TypeError: it was not made by `open`.
-        """
+        """Pickle the path or sources; unpickling opens them again."""
         if self._opened_from is None:
             raise TypeError("a recording that was not made by Recording.open cannot be pickled")
         return _open_again, self._opened_from
@@ -143,12 +133,9 @@ class Recording:
     def problems(self) -> tuple[Problem, ...]:
         """All problems that `klein inspect` reports, and those met while messages were read.
 
-        The first time, this reads what a summary reads and reading messages does not: message indexes of an MCAP,
-        index data of a bag, all rows of a database. Once closed, a recording that was not opened by path names only
-        what is known by then.
-
-        Raises:
-            SourceError: the bytes cannot be read.
+        The first time, this reads what a summary reads and reading messages does not: message indexes of an MCAP, index
+        data of a bag, all rows of a database. Once closed, a recording that was not opened by path has only the
+        problems known then.
         """
         if self._of_summary is None:
             try:
@@ -184,7 +171,7 @@ class Recording:
         A message whose schema cannot be decoded has its bytes as value (the topic's `undecodable` says why); so has
         one that does not fit its schema, which is then named in `problems`.
         """
-        return decode_blocks(self._blocks(self._select(topics, start, end)), self._problem_log)
+        return _decode_blocks(self._blocks(self._select(topics, start, end)), self._problem_log)
 
     def to_arrow(
         self,
@@ -213,7 +200,7 @@ class Recording:
             SourceError: the bytes cannot be read.
         """
         decoder, messages = self._of_topic(topic, start, end)
-        return to_arrow(decoder, messages, fields=fields, notice=DecodeProblemLogger(topic, self._problem_log))
+        return to_arrow(decoder, messages, fields=fields, notice=_DecodeProblemLogger(topic, self._problem_log))
 
     def to_pandas(
         self,
@@ -225,7 +212,7 @@ class Recording:
     ) -> pd.DataFrame:
         """Return what `to_arrow` returns, as a pandas frame with the log times (UTC, to the ns) as its index."""
         decoder, messages = self._of_topic(topic, start, end)
-        frame = to_pandas(decoder, messages, fields=fields, notice=DecodeProblemLogger(topic, self._problem_log))
+        frame = to_pandas(decoder, messages, fields=fields, notice=_DecodeProblemLogger(topic, self._problem_log))
         import pandas  # is there: `to_pandas` has just used it
 
         frame.index = pandas.DatetimeIndex(
@@ -243,14 +230,10 @@ class Recording:
     ) -> Iterator[pa.RecordBatch]:
         """Yield the rows of `to_arrow` in batches, for topics that are larger than the memory."""
         decoder, messages = self._of_topic(topic, start, end)
-        return arrow_batches(decoder, messages, fields=fields, notice=DecodeProblemLogger(topic, self._problem_log))
+        return arrow_batches(decoder, messages, fields=fields, notice=_DecodeProblemLogger(topic, self._problem_log))
 
     def topic(self, name: str) -> Topic:
-        """Return the topic of this name.
-
-        Raises:
-            NoSuchTopic: there is none.
-        """
+        """Return the topic of this name; `NoSuchTopic` if there is none."""
         for topic in self.topics:
             if topic.name == name:
                 return topic
@@ -275,8 +258,8 @@ class Recording:
         topic = self.topic(name)
         schema = topic.schema
         selection = Selection(frozenset((name,)), *_span(start, end))
-        decoder = decoder_of(topic.message_encoding, schema)
-        return decoder, timed(self._blocks(selection), schema, topic.message_encoding, self._problem_log)
+        decoder = _decoder_of(topic.message_encoding, schema)
+        return decoder, _timed(self._blocks(selection), schema, topic.message_encoding, self._problem_log)
 
     def _select(self, topics: Topics | None, start: Time | None, end: Time | None) -> Selection:
         if topics is None:
@@ -295,7 +278,8 @@ class Recording:
         """Yield the messages as lists that follow each other in time."""
         pieces = [member.pieces(selection, (number,)) for number, member in enumerate(self._members)]
         blocks = merge(heapq.merge(*pieces, key=lambda piece: piece.first_ns), self._problem_log.note_late)
-        if any(channel.message_compression for member in self._members for channel in _channels(member)):
+        channels = (channel for member in self._members for channel in member.contents.channels.values())
+        if any(channel.message_compression for channel in channels):
             return (self._uncompressed(block) for block in blocks)
         return blocks
 
@@ -321,5 +305,90 @@ def _span(start: Time | None, end: Time | None) -> tuple[int, int]:
     return (0 if start is None else to_ns(start)), (END_OF_TIME_NS if end is None else to_ns(end))
 
 
-def _channels(member: Member) -> list[Channel]:
-    return list(member.contents.channels.values())
+def _decode_blocks(blocks: Iterable[Block], problem_log: ProblemLog) -> Iterator[Message]:
+    """Yield decoded messages; one that cannot be decoded has its bytes as value."""
+    decoders: dict[int, tuple[Channel, Decoder | None]] = {}
+    new = tuple.__new__
+    for block in blocks:
+        for topic, log_ns, publish_ns, sequence, data, channel in block:
+            known = decoders.get(id(channel))
+            if known is None:
+                decoder = _decoder_of(channel.message_encoding, channel.schema)
+                known = decoders[id(channel)] = (channel, decoder if isinstance(decoder, Decoder) else None)
+            value: object = data
+            if known[1] is not None:
+                try:
+                    value = known[1].decode(data)
+                except DecodeError as error:
+                    problem_log.add("message-undecodable", topic, f"a message stays bytes: {error}")
+            yield new(Message, (topic, log_ns, publish_ns, sequence, value, channel))
+
+
+def _decoder_of(message_encoding: str, schema: Schema) -> Decoder | Undecodable:
+    """Return the decoder of a message encoding and schema, or why there is none."""
+    if (message_encoding, schema.encoding) == ("ulog", "ulog"):
+        return decoder_for("ros1", schema.name, "ros1msg", as_ros1_definition(schema.name, schema.data))
+    return decoder_for(message_encoding, schema.name, schema.encoding, schema.data)
+
+
+def _timed(
+    blocks: Iterable[Block], schema: Schema, encoding: str, problem_log: ProblemLog
+) -> Iterator[tuple[int, int, bytes]]:
+    """Yield log time, publish time and bytes of the messages of one layout; others are left out and reported."""
+    fitting: dict[int, bool] = {}
+    for block in blocks:
+        for topic, log_ns, publish_ns, _sequence, data, channel in block:
+            fits = fitting.get(id(channel))
+            if fits is None:
+                fits = fitting[id(channel)] = _have_one_layout(
+                    channel.schema, schema, channel.message_encoding, encoding
+                )
+            if fits:
+                yield log_ns, publish_ns, data
+            else:
+                message = f"messages of type {channel.schema.name} are left out of the table of {schema.name}"
+                problem_log.add("topic-types-differ", topic, message)
+
+
+def _have_one_layout(one: Schema, other: Schema, one_encoding: str, other_encoding: str) -> bool:
+    if one_encoding != other_encoding or one.name != other.name:
+        return False
+    if one == other:
+        return True
+    decoders = [_decoder_of(one_encoding, schema) for schema in (one, other)]
+    layouts = [decoder.layout for decoder in decoders if isinstance(decoder, Decoder)]
+    return len(layouts) == 2 and layouts[0] == layouts[1]
+
+
+class _DecodeProblemLogger:
+    """Reports messages that a table could not decode."""
+
+    def __init__(self, topic: str, problem_log: ProblemLog) -> None:
+        self._topic = topic
+        self._problem_log = problem_log
+
+    def __call__(self, log_time_ns: int, error: DecodeError) -> None:
+        """Note a message whose row has no fields."""
+        self._problem_log.add(
+            "message-undecodable", self._topic, f"at {log_time_ns} ns: {error}; what could not be decoded is null"
+        )
+
+
+def _list_topics(contents: Iterable[MemberContents]) -> tuple[Topic, ...]:
+    """Return the topics by name, with the counts over all files; None if one file does not know its count."""
+    first: dict[str, Channel] = {}
+    counts: dict[str, int | None] = {}
+    for content in contents:
+        for number, channel in content.channels.items():
+            topic = channel.topic
+            first.setdefault(topic, channel)
+            so_far = counts.setdefault(topic, 0)
+            here = None if content.counts is None else content.counts.get(number, 0)
+            counts[topic] = None if so_far is None or here is None else so_far + here
+    topics = []
+    for name, channel in sorted(first.items()):
+        decoder = _decoder_of(channel.message_encoding, channel.schema)
+        undecodable = decoder.reason if isinstance(decoder, Undecodable) else None
+        schema = channel.schema
+        topics.append(Topic(name, schema.name, schema, channel.message_encoding, counts[name], undecodable))
+    return tuple(topics)

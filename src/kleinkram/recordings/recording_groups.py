@@ -94,30 +94,22 @@ def group(paths: Iterable[str], stated: Mapping[str, Rosbag2Metadata] | None = N
             metadata[folder] = path
     groups: list[RecordingGroup] = []
     for folder in folders.keys() | metadata.keys():
-        folder_metadata = (stated or {}).get(metadata.get(folder, ""))
-        groups += _group_folder(folder, folders[folder], metadata.get(folder), folder_metadata)
+        members, metadata_path = folders[folder], metadata.get(folder)
+        folder_metadata = (stated or {}).get(metadata_path or "")
+        if metadata_path is not None and not (folder_metadata is not None and folder_metadata.is_other):
+            own = _members(folder, members, folder_metadata)
+            if own or (folder_metadata is not None and folder_metadata.files):
+                kind = RecordingGroupKind.rosbag2
+                groups.append(RecordingGroup(folder or ".", kind, tuple(own), metadata_path))
+                members = sorted(set(members) - set(own))
+        groups += _group_by_name(members)
     return sorted(groups, key=lambda recording: (recording.name, recording.kind.value))
-
-
-def _group_folder(
-    folder: str, paths: list[str], metadata_path: str | None, metadata: Rosbag2Metadata | None
-) -> list[RecordingGroup]:
-    if metadata_path is None or (metadata is not None and metadata.is_other):
-        return _group_by_name(paths)
-    own = _members(folder, paths, metadata)
-    if not own and (metadata is None or not metadata.files):
-        return _group_by_name(paths)
-    recording, owned = RecordingGroup(folder or ".", RecordingGroupKind.rosbag2, tuple(own), metadata_path), set(own)
-    return [recording, *_group_by_name([path for path in paths if path not in owned])]
 
 
 class _DataFile(NamedTuple):
     """A rosbag2 data file, with the parts of its name.
 
-    Attributes:
-        stem: path without number, time and suffix: that of all files of one recording.
-        number: its place among them; 0 where the name has none.
-        time: when it was begun, where the name says so; sorts as text.
+    `stem`: without number, time and suffix, that of all files of one recording. `number`: 0 where the name has none.
     """
 
     path: str
@@ -134,13 +126,10 @@ def _parse_name(path: str) -> _DataFile | None:
     plain = _ROSBAG2.fullmatch(path)
     if plain is None:
         return None
-    if plain["number"] and _ends_in_time(f"{plain['stem']}_{plain['number']}"):
-        return _DataFile(path, f"{plain['stem']}_{plain['number']}", 0, "", plain["suffix"])
+    numbered = f"{plain['stem']}_{plain['number']}"
+    if plain["number"] and any(match.end() == len(numbered) for match in _TIME_AT_END.finditer(numbered)):
+        return _DataFile(path, numbered, 0, "", plain["suffix"])
     return _DataFile(path, plain["stem"], int(plain["number"] or 0), "", plain["suffix"])
-
-
-def _ends_in_time(name: str) -> bool:
-    return any(match.end() == len(name) for match in _TIME_AT_END.finditer(name))
 
 
 def _members(folder: str, paths: list[str], metadata: Rosbag2Metadata | None) -> list[str]:
@@ -151,9 +140,10 @@ def _members(folder: str, paths: list[str], metadata: Rosbag2Metadata | None) ->
             by_stem[file.stem].append(file)
     named = {PurePosixPath(path).name: number for number, path in enumerate(metadata.files)} if metadata else {}
     here = sorted((named[name], path) for path in paths if (name := PurePosixPath(path).name) in named)
-    stem = _stem_of_folder(folder, set(by_stem))
     if not here:
-        return [file.path for file in _in_order(by_stem[stem])] if stem is not None else []
+        named_alike = f"{folder}/{PurePosixPath(folder).name}"
+        stem = next(iter(by_stem)) if len(by_stem) == 1 else named_alike
+        return [file.path for file in _in_order(by_stem.get(stem, ()))]
     expected = [path for _, path in here]
     are_expected = set(expected)
     stems = sorted({file.stem for path in expected if (file := _parse_name(path)) is not None})
@@ -165,53 +155,31 @@ def _in_order(files: Iterable[_DataFile]) -> list[_DataFile]:
     return sorted(files, key=lambda file: (file.number, file.time, file.path))
 
 
-def _stem_of_folder(folder: str, stems: set[str]) -> str | None:
-    """Return the stem of the data files of the folder's metadata.yaml."""
-    if len(stems) == 1:
-        return next(iter(stems))
-    named_alike = f"{folder}/{PurePosixPath(folder).name}"
-    return named_alike if named_alike in stems else None
-
-
-def _group_by_name(paths: Iterable[str]) -> list[RecordingGroup]:
-    sets: dict[tuple[str, str], list[_DataFile]] = defaultdict(list)
-    timed: dict[tuple[str, str], list[_Timed]] = defaultdict(list)
-    others: list[str] = []
-    for path in paths:
-        file = _parse_name(path)
-        if file is None:
-            others.append(path)
-        elif file.time:
-            timed[file.stem, file.suffix].append((file.time, file.number, path))
-        else:
-            sets[file.stem, file.suffix].append(file)
-    splits = [
-        recording for (stem, suffix), members in sets.items() for recording in _group_split(stem + suffix, members)
-    ]
-    return [*_group_bags(others), *splits, *_group_timed(timed.values())]
-
-
-def _group_split(name: str, files: Iterable[_DataFile]) -> list[RecordingGroup]:
-    files = _in_order(files)
-    if len(files) > 1 and files[0].number == 0:
-        return [RecordingGroup(name, RecordingGroupKind.split_set, tuple(file.path for file in files))]
-    return [_single(file.path) for file in files]
-
-
 # When a file was begun, its number in the recording, and its path.
 _Timed = tuple[str, int, str]
 
 
-def _group_bags(paths: list[str]) -> list[RecordingGroup]:
-    sets: dict[str, list[_Timed]] = defaultdict(list)
+def _group_by_name(paths: Iterable[str]) -> list[RecordingGroup]:
+    sets: dict[str, list[_DataFile]] = defaultdict(list)
+    timed: dict[str, list[_Timed]] = defaultdict(list)
     groups: list[RecordingGroup] = []
     for path in paths:
-        match = _BAG.fullmatch(path)
-        if match is None:
-            groups.append(_single(path))
+        file, bag = _parse_name(path), _BAG.fullmatch(path)
+        if file is not None and file.time:
+            timed[file.stem + file.suffix].append((file.time, file.number, path))
+        elif file is not None:
+            sets[file.stem + file.suffix].append(file)
+        elif bag is not None:
+            timed[bag["prefix"]].append((bag["time"], int(bag["number"]), path))
         else:
-            sets[match["prefix"]].append((match["time"], int(match["number"]), path))
-    return groups + _group_timed(sets.values())
+            groups.append(_single(path))
+    for name, files in sets.items():
+        files = _in_order(files)
+        if len(files) > 1 and files[0].number == 0:
+            groups.append(RecordingGroup(name, RecordingGroupKind.split_set, tuple(file.path for file in files)))
+        else:
+            groups += [_single(file.path) for file in files]
+    return groups + _group_timed(timed.values())
 
 
 def _group_timed(sets: Iterable[list[_Timed]]) -> list[RecordingGroup]:
@@ -246,13 +214,8 @@ class UnreadableFolder:
 class FolderRecordings:
     """The recordings in a folder and below it; paths are relative to the folder.
 
-    Attributes:
-        groups: the files of each recording.
-        metadata: what each metadata.yaml says; without those that are damaged.
-        unreadable_files: what is no readable file though its name is that of one, and why: links to nothing, a
-            metadata.yaml without permission. Without that, recordings are grouped by the names of their files. Data
-            files are not opened here.
-        unreadable_folders: folders that cannot be listed.
+    `metadata`: without those that are damaged. `unreadable_files`: links to nothing, and a metadata.yaml without
+    permission; data files are not opened.
     """
 
     groups: tuple[RecordingGroup, ...]
@@ -300,11 +263,7 @@ def _why_no_file(path: Path) -> str | None:
 
 
 def recording_of_metadata(path: Path) -> tuple[FolderRecordings, RecordingGroup] | None:
-    """Return the recording of a metadata.yaml; None if it belongs to none.
-
-    Raises:
-        SourceError: it cannot be read.
-    """
+    """Return the recording of a metadata.yaml; None if it belongs to none."""
     names = [file.name for file in path.parent.iterdir() if _why_no_file(file) is None]
     recordings = _group_names(path.parent, names)
     if error := recordings.unreadable_files.get(path.name):
@@ -319,18 +278,14 @@ def _group_names(folder: Path, names: list[str]) -> FolderRecordings:
     for name in names:
         if name.rpartition("/")[2] != METADATA_NAME:
             continue
+        path = folder / name
         try:
-            if (stated := _read_metadata(folder / name)) is not None:
-                metadata[name] = stated
-        except SourceError as error:
-            unreadable[name] = error
+            with path.open(encoding="utf-8", errors="replace") as file:
+                stated = parse_rosbag2_metadata(file.read(MAX_TEXT + 1))
+        except OSError as error:
+            unreadable[name] = SourceError(f"{path}: cannot be read: {error.strerror}")
+            continue
+        if stated is not None:
+            metadata[name] = stated
     groups = group((name for name in names if name not in unreadable), metadata)
     return FolderRecordings(tuple(groups), metadata, unreadable, ())
-
-
-def _read_metadata(path: Path) -> Rosbag2Metadata | None:
-    try:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            return parse_rosbag2_metadata(file.read(MAX_TEXT + 1))
-    except OSError as error:
-        raise SourceError(f"{path}: cannot be read: {error.strerror}") from error

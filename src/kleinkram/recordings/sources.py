@@ -11,7 +11,6 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import BinaryIO, Protocol
 
 from kleinkram.recordings.errors import SourceError
@@ -30,19 +29,11 @@ class Source(Protocol):
         """The size of the file; fixed while it is read."""
 
     def read(self, offset: int, length: int) -> bytes:
-        """Return exactly `length` bytes from `offset`.
-
-        Raises:
-            SourceError: they cannot be had, or `length` is above `MAX_READ`.
-        """
+        """Return exactly `length` bytes from `offset`."""
 
 
 def check_range(source: Source, offset: int, length: int) -> None:
-    """Check a range.
-
-    Raises:
-        SourceError: outside the file, or more than `MAX_READ` at a time.
-    """
+    """Check a range."""
     if length < 0 or length > MAX_READ:
         raise SourceError(f"{source.name}: {length} bytes asked for at once; at most {MAX_READ} may be")
     if offset < 0 or offset + length > source.size_bytes:
@@ -50,11 +41,7 @@ def check_range(source: Source, offset: int, length: int) -> None:
 
 
 class FileSource:
-    """A local file. Close it, or use it in a `with`.
-
-    Raises:
-        SourceError: the file cannot be opened.
-    """
+    """A local file. Close it, or use it in a `with`. `SourceError` if it cannot be opened."""
 
     parallel_reads = 1
 
@@ -97,19 +84,12 @@ class FileSource:
     def __enter__(self) -> FileSource:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
 class CountingSource:
-    """A source that counts what is read.
-
-    Attributes:
-        bytes_read: bytes returned so far.
-        reads: calls so far.
-    """
+    """A source that counts bytes and reads."""
 
     def __init__(self, source: Source) -> None:
         self._source = source
@@ -141,10 +121,7 @@ class CountingSource:
 def read_short_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
     """Yield the bytes of each (offset, length), in order; over a network, the next ranges are requested meanwhile.
 
-    A source that gains from it has a method `read_short`. For ranges of some kB; see `read_ranges` for longer ones.
-
-    Raises:
-        SourceError: as `Source.read`.
+    A source that gains from it has a method `read_short`. For ranges of some kB.
     """
     read_short: Callable[[Iterable[tuple[int, int]]], Iterator[bytes]] | None = getattr(source, "read_short", None)
     if read_short is not None:
@@ -157,18 +134,11 @@ def read_short_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iter
 def read_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
     """Yield the bytes of each (offset, length), in order; over a network, the next ranges are read meanwhile.
 
-    A source that gains from it says so by an attribute `parallel_reads`. At most that many ranges are held.
-
-    Raises:
-        SourceError: as `Source.read`.
+    A source that gains from it has an attribute `parallel_reads`; at most that many ranges are held.
     """
-    workers: int = getattr(source, "parallel_reads", 1)
-    if workers == 1:
-        for offset, length in ranges:
-            yield source.read(offset, length)
-        return
     from concurrent.futures import Future, ThreadPoolExecutor  # slow to import, and only for a network
 
+    workers: int = getattr(source, "parallel_reads", 1)
     pool = ThreadPoolExecutor(workers, thread_name_prefix="ranges")
     try:
         under_way: deque[Future[bytes]] = deque()
@@ -179,7 +149,7 @@ def read_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[b
         while under_way:
             yield under_way.popleft().result()
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)  # not waited for: as in `do_ahead`
+        pool.shutdown(wait=False, cancel_futures=True)  # not waited for: as in `merge.read_ahead`
 
 
 class SequentialReader(Protocol):
@@ -198,11 +168,7 @@ class SequentialReader(Protocol):
         """Where the same bytes are on this machine, for formats that need more than one pass; None: nowhere."""
 
     def read(self, length: int) -> bytes:
-        """Return the next bytes, at least one and at most `length`; b"" behind the last of `size_bytes`.
-
-        Raises:
-            SourceError: they cannot be had, or end before `size_bytes`.
-        """
+        """Return the next bytes, at least one and at most `length`; b"" behind the last of `size_bytes`."""
 
 
 class SourceReader:
@@ -214,19 +180,18 @@ class SourceReader:
         self.path = path
         self._source = source
         self._is_near = getattr(source, "parallel_reads", 1) == 1
-        self._blocks = self._read(source)
+        starts = range(0, source.size_bytes, READ_AHEAD)
+        self._blocks = read_ranges(source, ((start, min(READ_AHEAD, self.size_bytes - start)) for start in starts))
         self._block = b""
         self._at = 0
 
-    @staticmethod
-    def _read(source: Source) -> Iterator[bytes]:
-        size, step = source.size_bytes, min(READ_AHEAD, MAX_READ)
-        return read_ranges(source, ((start, min(step, size - start)) for start in range(0, size, step)))
-
     def read(self, length: int) -> bytes:
         """Return the next bytes; b"" at the end."""
-        if self._is_near:
-            return self._read_near(min(length, MAX_READ, self.size_bytes - self._at))
+        if self._is_near:  # no more than requested, so that it is still in the processor's cache when it is used
+            length = min(length, MAX_READ, self.size_bytes - self._at)
+            piece = self._source.read(self._at, length) if length else b""
+            self._at += length
+            return piece
         if self._at == len(self._block):
             self._block, self._at = next(self._blocks, b""), 0
         whole = self._at == 0 and length >= len(self._block)
@@ -234,19 +199,9 @@ class SourceReader:
         self._at += len(piece)
         return piece
 
-    def _read_near(self, length: int) -> bytes:
-        """Read no more than requested, so that it is still in the processor's cache when it is used."""
-        piece = self._source.read(self._at, length) if length else b""
-        self._at += length
-        return piece
-
 
 class FileReader(SourceReader):
-    """Reads a local file. Close it, or use it in a `with`.
-
-    Raises:
-        SourceError: the file cannot be opened.
-    """
+    """Reads a local file. Close it, or use it in a `with`. `SourceError` if it cannot be opened."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._file = FileSource(path)
@@ -259,18 +214,16 @@ class FileReader(SourceReader):
     def __enter__(self) -> FileReader:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
 class PipeReader:
-    """Reads the next `size_bytes` bytes of a stream."""
+    """Reads exactly `size_bytes` bytes of a stream. `name`: of the file, for messages and its extension."""
 
     path = None
 
-    def __init__(self, stream: BinaryIO, *, size_bytes: int, name: str) -> None:
+    def __init__(self, stream: BinaryIO, size_bytes: int, name: str) -> None:
         self.name = name
         self.size_bytes = size_bytes
         self._stream = stream
@@ -310,32 +263,13 @@ class _Rewound:
 
 
 def peek(reader: SequentialReader, length: int) -> tuple[bytes, SequentialReader]:
-    """Return the first bytes, at most `length`, and a reader that still begins with them. Do not use `reader`
-    afterwards.
-    """
-    pieces: list[bytes] = []
-    have, length = 0, min(length, reader.size_bytes)
-    while have < length and (piece := reader.read(length - have)):
-        pieces.append(piece)
-        have += len(piece)
-    head = b"".join(pieces)
+    """Return the first bytes, at most `length`, and a reader that still begins with them, to be used instead."""
+    head, length = b"", min(length, reader.size_bytes)
+    while len(head) < length and (piece := reader.read(length - len(head))):
+        head += piece
     return head, _Rewound(head, reader)
 
 
 def source_reader(source: Source) -> SequentialReader:
     """Read a source sequentially."""
     return SourceReader(source, path=source.path if isinstance(source, FileSource) else None)
-
-
-def file_reader(path: str | os.PathLike[str]) -> FileReader:
-    """Read a local file sequentially; use it in a `with`.
-
-    Raises:
-        SourceError: the file cannot be opened.
-    """
-    return FileReader(path)
-
-
-def pipe_reader(stream: BinaryIO, size_bytes: int, name: str) -> SequentialReader:
-    """Read exactly `size_bytes` bytes of a stream. `name`: of the file, for messages and its extension."""
-    return PipeReader(stream, size_bytes=size_bytes, name=name)

@@ -1,7 +1,7 @@
 """Buffered sequential reading, with an optional running CRC-32.
 
-Holds one window, plus what `take` was asked for. Never trusts a length further than the end that it was given.
-`LookaheadStream` does the same for a scan: it can look at what comes before it passes over it, but never go back.
+Holds one window, and what `take` returns. Never trusts a length further than the end of the range. `LookaheadStream`
+does the same for a scan: it looks at bytes before it skips them, but never goes back.
 """
 
 from __future__ import annotations
@@ -20,11 +20,7 @@ Refill = Callable[[], bytes]
 
 
 class ByteStream:
-    """Reads or skips bytes in order.
-
-    Attributes:
-        position: of the next byte, counted from `start`.
-    """
+    """Reads or skips bytes in order. `position`: of the next byte, counted from `start`."""
 
     def __init__(self, refill: Refill, *, start: int = 0, jump: Callable[[int], None] | None = None) -> None:
         self._refill = refill
@@ -32,28 +28,19 @@ class ByteStream:
         self._window = b""
         self._at = 0
         self.position = start
-        self._crcs: list[int] = []
+        self._crc: int | None = None
 
     @property
     def crc(self) -> int:
-        """CRC-32 of what was read or skipped since the latest `start_crc`; 0 if none runs."""
-        return self._crcs[-1] if self._crcs else 0
+        """CRC-32 of what was read or skipped since `start_crc`; 0 if none runs."""
+        return self._crc or 0
 
     def start_crc(self) -> None:
-        """Start a CRC-32, in addition to running ones."""
-        self._crcs.append(0)
-
-    def stop_crc(self) -> int:
-        """Stop the latest CRC-32, and return it."""
-        return self._crcs.pop()
+        """Start a CRC-32."""
+        self._crc = 0
 
     def take(self, length: int) -> bytes:
-        """Return the next `length` bytes.
-
-        Raises:
-            Cut: there are fewer.
-            Malformed: more than `MAX_TAKE`.
-        """
+        """Return the next `length` bytes."""
         if length > MAX_TAKE:
             raise Malformed(
                 f"byte {self.position}", f"{length} bytes are claimed; at most {MAX_TAKE} are read", certain=False
@@ -73,20 +60,15 @@ class ByteStream:
         return self.take(min(most, len(self._window) - self._at))
 
     def skip(self, length: int) -> None:
-        """Skip the next `length` bytes, by a seek where possible.
-
-        Raises:
-            Cut: there are fewer.
-            Malformed: `length` is negative: a record claims to end before the fields that it must have.
-        """
+        """Skip the next `length` bytes, by a seek where possible."""
         if length < 0:
             raise Malformed(f"byte {self.position}", "a record that is too short for its fields")
         while length:
             at_hand = min(length, len(self._window) - self._at)
             if at_hand:
-                self._move(at_hand, self._window[self._at : self._at + at_hand] if self._crcs else b"")
+                self._move(at_hand, b"" if self._crc is None else self._window[self._at : self._at + at_hand])
                 length -= at_hand
-            elif self._jump is not None and not self._crcs:
+            elif self._jump is not None and self._crc is None:
                 self._jump(length)
                 self.position += length
                 return
@@ -118,8 +100,8 @@ class ByteStream:
         self._at = 0
 
     def _move(self, length: int, data: bytes) -> None:
-        for number, crc in enumerate(self._crcs):
-            self._crcs[number] = zlib.crc32(data, crc)
+        if self._crc is not None:
+            self._crc = zlib.crc32(data, self._crc)
         self._at += length
         self.position += length
 
@@ -154,14 +136,10 @@ def open_bytes(data: bytes, start: int) -> ByteStream:
 
 
 class LookaheadStream:
-    """Looks at the next bytes of a file before it skips them; keeps a CRC-32 of skipped bytes if requested.
+    """Looks at the next bytes of a file before it skips them; keeps a CRC-32 of skipped bytes on request.
 
-    The bytes are in one buffer that is used again and again: what stays in the processor's cache is read about twice
-    as fast as what comes from memory.
-
-    Attributes:
-        window: bytes in memory; those before `at` are passed.
-        at: in the window, of the next byte.
+    The next byte is at `at` of `window`. The buffer is used again and again: what stays in the processor's cache is
+    read about twice as fast as what comes from memory.
     """
 
     def __init__(self, reader: SequentialReader, *, with_crc: bool = True) -> None:
@@ -187,9 +165,9 @@ class LookaheadStream:
         return self.size_bytes - self._window_start - self.at
 
     def ahead(self, length: int) -> int:
-        """Bring up to `length` of the next bytes into the window; return how many there are.
+        """Bring up to `length` of the next bytes into the window, `MAX_CHUNK_BYTES` at most; return how many there are.
 
-        Never more than `MAX_CHUNK_BYTES` and some. What was taken of the window before is overwritten: take it anew.
+        What was taken of the window before is overwritten: take it anew.
         """
         length = min(length, MAX_CHUNK_BYTES + WINDOW, self.left)
         if len(self.window) - self.at < length:

@@ -61,13 +61,7 @@ def scan(reader: SequentialReader) -> RecordingSummary:
 
 
 def scan_with_logs(source: Source, logs: Mapping[str, Source]) -> RecordingSummary:
-    """Scan a database of rosbag2 with its log and journal, by their suffixes, through temporary copies.
-
-    Anything else is scanned without them.
-
-    Raises:
-        SourceError: the bytes cannot be read, or the copies cannot be written.
-    """
+    """Scan a rosbag2 database with its log and journal, by suffix, through temporary copies; other files without."""
     if not is_database(source.read(0, min(HEAD_BYTES, source.size_bytes))):
         return scan(source_reader(source))
     reads = {suffix: source_reader(log).read for suffix, log in logs.items()}

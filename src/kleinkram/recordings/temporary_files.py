@@ -35,12 +35,7 @@ class TooLarge(RecordingError):
 
 @contextmanager
 def database_file(reader: SequentialReader, *, most_bytes: int = MAX_SPOOL_BYTES) -> Iterator[Path]:
-    """Yield the path of a database: its own if it is local, else that of a temporary copy.
-
-    Raises:
-        TooLarge: it has more than `most_bytes`, or the disk has too little space for it.
-        SourceError: it cannot be read, or the copy cannot be written.
-    """
+    """Yield the path of a database: its own if it is local, else that of a temporary copy."""
     if reader.path is not None:
         yield reader.path
         return
@@ -54,12 +49,7 @@ def database_file(reader: SequentialReader, *, most_bytes: int = MAX_SPOOL_BYTES
 def temporary_database(
     read: Callable[[int], bytes], logs: Mapping[str, Callable[[int], bytes]], *, most_bytes: int = MAX_SPOOL_BYTES
 ) -> Iterator[Path]:
-    """Write a database and, by their suffixes, its log and journal to temporary files; yield the database's path.
-
-    Raises:
-        TooLarge: one has more than `most_bytes`, or the disk has too little space for it.
-        SourceError: one cannot be read, or the copy cannot be written.
-    """
+    """Write a database and, by their suffixes, its log and journal to temporary files; yield the database's path."""
     with ExitStack() as stack:
         path = stack.enter_context(temporary_copy(read, most_bytes=most_bytes))
         for suffix, read_log in logs.items():
@@ -71,14 +61,7 @@ def temporary_database(
 def temporary_copy(
     read: Callable[[int], bytes], *, most_bytes: int = MAX_SPOOL_BYTES, beside: tuple[Path, str] | None = None
 ) -> Iterator[Path]:
-    """Write what `read` returns to a temporary file, which is removed afterwards.
-
-    `beside`: the path of another one, and what is appended to it.
-
-    Raises:
-        TooLarge: it has more than `most_bytes`, or the disk has too little space for it.
-        SourceError: it cannot be read, or the copy cannot be written.
-    """
+    """Write what `read` returns to a temporary file, which is removed afterwards; `beside`: at this path and suffix."""
     folder = Path(tempfile.gettempdir())
     _sweep(folder)
     if beside is None:
@@ -123,10 +106,7 @@ def _too_large(most_bytes: int, free: int) -> TooLarge:
 
 
 def _sweep(folder: Path) -> None:
-    """Remove copies of dead readers: those without a lock.
-
-    One that was made just now may not be locked yet.
-    """
+    """Remove copies of dead readers: those without a lock."""
     for path in folder.glob(f"{_PREFIX}*"):
         try:
             descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)

@@ -38,10 +38,7 @@ _KEY_BITS = 20
 
 @dataclass(frozen=True)
 class StampRun:
-    """Messages of one topic without a year of silence between them; both ends inclusive.
-
-    `density` is None where it is not known, or not wanted.
-    """
+    """Messages of one topic without a year of silence between them; both ends inclusive. `density`: None if unknown."""
 
     first_ns: int
     last_ns: int
@@ -52,13 +49,7 @@ class StampRun:
 
 @dataclass(frozen=True)
 class Jump:
-    """A clock that was set back.
-
-    Attributes:
-        before_ns: the last stamp before.
-        after_ns: the first one after it, earlier.
-        return_ns: the first one after the clock was set forward again; None: it was not.
-    """
+    """A clock that was set back: the last stamp before, the first after, and the first after it was set forward."""
 
     before_ns: int
     after_ns: int
@@ -160,10 +151,9 @@ def _split(stamps: Sequence[int], bin_ns: int, most: int) -> list[StampRun]:
 
 
 def join(runs: Iterable[StampRun], most: int = MAX_BINS) -> list[StampRun]:
-    """Join runs that overlap or are within a year of each other; sorted by time.
+    """Join runs that overlap or are within a year of each other; sorted by time, each density with at most `most` bins.
 
-    The gap between two runs that do not overlap counts as a gap of the joined one, whose density has at most `most`
-    bins.
+    The gap between two runs that do not overlap counts as a gap of the joined one.
     """
     joined: list[StampRun] = []
     for run in sorted(runs, key=lambda run: run.first_ns):
@@ -245,8 +235,8 @@ class Timeline:
     def add_chunk(self, entries: Sequence[ChunkEntries], *, uncompressed_bytes: int, stored_bytes: int) -> None:
         """Add the indexes of one chunk, at most one of each topic, in any order of messages.
 
-        A topic's share of the stored bytes is its share of the uncompressed ones, where a message reaches to the
-        next one or to the chunk's end.
+        A topic's share of the stored bytes is its share of the uncompressed ones: a message reaches to the next or to
+        the end.
         """
         shares = _message_bytes(entries, uncompressed_bytes)
         for entry, share in zip(entries, shares, strict=True):
@@ -268,11 +258,9 @@ class Timeline:
         self.bound()
 
     def bound(self) -> None:
-        """Keep at most `MAX_PENDING_STAMPS` stamps pending."""
-        if self._pending > MAX_PENDING_STAMPS:
-            self._settle_older_half()
-
-    def _settle_older_half(self) -> None:
+        """Keep at most `MAX_PENDING_STAMPS` stamps pending: settle the older half of more."""
+        if self._pending <= MAX_PENDING_STAMPS:
+            return
         most = most_bins(len(self.topics))
         for times in self.topics.values():
             if times.pending:

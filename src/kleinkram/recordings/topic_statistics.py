@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime, timezone
-from typing import NamedTuple
+from typing import NamedTuple, TypedDict
 
 from kleinkram.recordings.density import add_up, most_bins
 from kleinkram.recordings.errors import Malformed
@@ -35,40 +35,44 @@ class TopicType(NamedTuple):
     message_encoding: str
 
 
-@dataclass(frozen=True)
-class Measured:
-    """The topics of a file, and its span."""
-
-    topics: tuple[TopicSummary, ...]
-    message_count: int
-    start_ns: int | None
-    end_ns: int | None
-    problems: tuple[Problem, ...]
+def types_by_topic(channels: Iterable[tuple[str, TopicType]]) -> dict[str, list[TopicType]]:
+    """Return the distinct types of each topic, in file order."""
+    types: dict[str, dict[TopicType, None]] = {}
+    for topic, kind in channels:
+        types.setdefault(topic, {})[kind] = None
+    return {topic: list(kinds) for topic, kinds in types.items()}
 
 
-def measure(timeline: Timeline, types: Mapping[str, Sequence[TopicType]]) -> Measured:
-    """Return the topics of a settled timeline. `types`: the distinct types of each topic, in file order."""
+def measure(
+    kind: RecordingFormat,
+    timeline: Timeline,
+    types: Mapping[str, Sequence[TopicType]],
+    problems: Iterable[Problem] = (),
+) -> RecordingSummary:
+    """Return the summary of a file whose content is whole, by a settled timeline; `types` as of `types_by_topic`."""
     island = bulk(run for times in timeline.topics.values() for run in times.runs)
+    bins = most_bins(len(timeline.topics))
     topics: list[TopicSummary] = []
-    problems: list[Problem] = []
+    warnings: list[Problem] = []
     for name in sorted(timeline.topics):
         times = timeline.topics[name]
-        run = within(times.runs, island)
-        topic = _summarise_topic(name, types[name][0], times, run, island, most_bins(len(timeline.topics)))
+        topic = _summarise_topic(name, types[name][0], times, within(times.runs, island), island, bins)
         topics.append(topic)
-        problems += _problems_of_topic(topic, types[name], times)
+        warnings += _problems_of_topic(topic, types[name], times)
     jumps = {name: times.jump for name, times in timeline.topics.items() if times.jump is not None}
-    problems += clock_jump_problems(jumps)
+    warnings += clock_jump_problems(jumps)
     # The silence that a jump of the clock leaves is none.
-    longest_ns = min((jump.before_ns - jump.after_ns for jump in jumps.values()), default=None)
-    longest_ns = longest_ns // 2 if longest_ns is not None else None
+    longest_ns = min(((jump.before_ns - jump.after_ns) // 2 for jump in jumps.values()), default=None)
     span_ns = island.last_ns - island.first_ns if island else None
-    return Measured(
-        topics=tuple(topics),
+    warnings += find_quality_warnings(topics, span_ns, longest_silence_ns=longest_ns)
+    return RecordingSummary(
+        kind,
+        Content.indexed,
         message_count=sum(times.count for times in timeline.topics.values()),
         start_ns=island.first_ns if island else None,
         end_ns=island.last_ns if island else None,
-        problems=(*problems, *find_quality_warnings(topics, span_ns, longest_silence_ns=longest_ns)),
+        topics=tuple(topics),
+        problems=bounded([*problems, *warnings]),
     )
 
 
@@ -82,12 +86,7 @@ def _summarise_topic(
         schema_encoding=kind.schema_encoding,
         message_encoding=kind.message_encoding,
         count=times.count,
-        first_ns=run.first_ns if run else None,
-        last_ns=run.last_ns if run else None,
-        rate_hz=rate_hz(run.count, run.first_ns, run.last_ns) if run else None,
-        longest_gap_ns=run.longest_gap_ns if run and run.count > 1 else None,
-        head_gap_ns=run.first_ns - island.first_ns if run and island else None,
-        tail_gap_ns=island.last_ns - run.last_ns if run and island else None,
+        **island_times(run, island),
         out_of_order_count=times.out_of_order,
         stored_bytes=times.stored_bytes,
         suspect_count=times.count - (run.count if run else 0),
@@ -95,11 +94,32 @@ def _summarise_topic(
     )
 
 
-def rate_hz(count: int, first_ns: int, last_ns: int) -> float | None:
-    """Return (count - 1) / (last - first) in messages a second; None below two messages or without a span."""
-    if count < 2 or last_ns <= first_ns:
-        return None
-    return (count - 1) * 1e9 / (last_ns - first_ns)
+class IslandTimes(TypedDict):
+    """The fields of a `TopicSummary` that follow from its messages inside the island."""
+
+    first_ns: int | None
+    last_ns: int | None
+    rate_hz: float | None
+    longest_gap_ns: int | None
+    head_gap_ns: int | None
+    tail_gap_ns: int | None
+
+
+def island_times(run: StampRun | None, island: StampRun | None) -> IslandTimes:
+    """Return times, rate and gaps of a topic whose messages inside the island are a run."""
+    if run is None or island is None:
+        return IslandTimes(
+            first_ns=None, last_ns=None, rate_hz=None, longest_gap_ns=None, head_gap_ns=None, tail_gap_ns=None
+        )
+    span_ns = run.last_ns - run.first_ns
+    return IslandTimes(
+        first_ns=run.first_ns,
+        last_ns=run.last_ns,
+        rate_hz=(run.count - 1) * 1e9 / span_ns if run.count > 1 and span_ns > 0 else None,
+        longest_gap_ns=run.longest_gap_ns if run.count > 1 else None,
+        head_gap_ns=run.first_ns - island.first_ns,
+        tail_gap_ns=island.last_ns - run.last_ns,
+    )
 
 
 def _problems_of_topic(topic: TopicSummary, types: Sequence[TopicType], times: TopicTimes) -> list[Problem]:
@@ -157,10 +177,7 @@ def publish_time_problems(lateness: Mapping[str, Lateness]) -> list[Problem]:
 
 
 def duplicate_channel_problems(channels: Iterable[tuple[str, str, str]]) -> list[Problem]:
-    """Report publishers with several channels of one topic and type.
-
-    `channels`: topic, type and publisher of each.
-    """
+    """Report publishers with several channels of one topic and type. `channels`: topic, type and publisher of each."""
     counts = Counter(channel for channel in channels if channel[2])
     problems = []
     for (topic, _, publisher), count in sorted(counts.items()):
@@ -230,10 +247,16 @@ def find_quality_warnings(
         if not topic.count:
             silent.append(Problem("silent-topic", topic.name, "it is defined, but has no message"))
         elif span_ns is not None and topic.rate_hz is not None and topic.count >= _LEAST_MESSAGES:
-            late += _starts_late(topic, topic.rate_hz, span_ns)
-            early += _stops_early(topic, topic.rate_hz, span_ns)
-            gaps += _has_long_gap(topic, topic.rate_hz, span_ns)
-    return [*merge_similar(silent), *merge_similar(late), *merge_similar(early), *merge_similar(gaps)]
+            rate = topic.rate_hz
+            if _is_long(head_ns := topic.head_gap_ns or 0, rate, span_ns, _PERIODS):
+                late.append(Problem("starts-late", topic.name, f"its first message comes {span_text(head_ns)} late"))
+            if _is_long(tail_ns := topic.tail_gap_ns or 0, rate, span_ns, _PERIODS):
+                message = f"its last message comes {span_text(tail_ns)} before the end of the recording"
+                early.append(Problem("stops-early", topic.name, message))
+            if _is_long(gap_ns := topic.longest_gap_ns or 0, rate, span_ns, _PERIODS_FOR_GAPS):
+                message = f"it is silent for {span_text(gap_ns)} in between, at {rate:.3g} Hz on average"
+                gaps.append(Problem("long-gap", topic.name, message))
+    return [problem for kind in (silent, late, early, gaps) for problem in merge_similar(kind)]
 
 
 def _credible(topic: TopicSummary, longest_ns: int) -> TopicSummary:
@@ -243,26 +266,6 @@ def _credible(topic: TopicSummary, longest_ns: int) -> TopicSummary:
         for silence_ns in (topic.head_gap_ns, topic.tail_gap_ns, topic.longest_gap_ns)
     )
     return replace(topic, head_gap_ns=head_ns, tail_gap_ns=tail_ns, longest_gap_ns=gap_ns)
-
-
-def _starts_late(topic: TopicSummary, rate_hz: float, span_ns: int) -> list[Problem]:
-    if not _is_long(topic.head_gap_ns, rate_hz, span_ns, _PERIODS):
-        return []
-    return [Problem("starts-late", topic.name, f"its first message comes {span_text(topic.head_gap_ns or 0)} late")]
-
-
-def _stops_early(topic: TopicSummary, rate_hz: float, span_ns: int) -> list[Problem]:
-    if not _is_long(topic.tail_gap_ns, rate_hz, span_ns, _PERIODS):
-        return []
-    message = f"its last message comes {span_text(topic.tail_gap_ns or 0)} before the end of the recording"
-    return [Problem("stops-early", topic.name, message)]
-
-
-def _has_long_gap(topic: TopicSummary, rate_hz: float, span_ns: int) -> list[Problem]:
-    if not _is_long(topic.longest_gap_ns, rate_hz, span_ns, _PERIODS_FOR_GAPS):
-        return []
-    message = f"it is silent for {span_text(topic.longest_gap_ns or 0)} in between, at {rate_hz:.3g} Hz on average"
-    return [Problem("long-gap", topic.name, message)]
 
 
 def merge_similar(problems: Sequence[Problem], what: str = "topics") -> list[Problem]:
@@ -276,7 +279,5 @@ def merge_similar(problems: Sequence[Problem], what: str = "topics") -> list[Pro
     return [Problem(first.code, f"{len(problems)} {what}", message)]
 
 
-def _is_long(silence_ns: int | None, rate_hz: float, span_ns: int, periods: int) -> bool:
-    if silence_ns is None:
-        return False
+def _is_long(silence_ns: int, rate_hz: float, span_ns: int, periods: int) -> bool:
     return silence_ns > max(periods * 1e9 / rate_hz, _LEAST_SILENCE_NS, span_ns // _SHARE_OF_SPAN)

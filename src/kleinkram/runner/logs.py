@@ -15,9 +15,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from kleinkram.client.runners import Runners
 from kleinkram.client.transfer.store import StoreAnswer, StoreClient
-from kleinkram.contract.checksums import crc64nvme
 from kleinkram.contract.errors import KleinkramError, RunGone
 from kleinkram.contract.runners import LogChunkConfirm, LogChunkCreate, RunAssignment
+from kleinkram.contract.uploads import crc64nvme
 from kleinkram.runner.executors.base import Executor, RunJob
 from kleinkram.runner.files import write_atomically
 from kleinkram.runner.state_directory import LOG_UPLOAD

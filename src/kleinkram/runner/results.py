@@ -13,6 +13,7 @@ from pydantic import ValidationError
 
 from kleinkram.contract.metadata import check_values
 from kleinkram.contract.names import check_file_path
+from kleinkram.contract.problems import in_plain_words
 from kleinkram.contract.reports import (
     EVENTS_FILE,
     MAX_EVENT_BYTES,
@@ -26,7 +27,6 @@ from kleinkram.contract.reports import (
     Report,
     ReportEvent,
 )
-from kleinkram.contract.wording import in_plain_words
 from kleinkram.runner.files import open_beneath
 
 MAX_ARTIFACTS = 100_000

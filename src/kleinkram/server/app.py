@@ -11,12 +11,12 @@ import kleinkram
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS
 from kleinkram.server.actions.routes import router as actions
 from kleinkram.server.admin.routes import router as admin
-from kleinkram.server.audit.admin_access import Looks
+from kleinkram.server.audit.admin_access import AdminReads
 from kleinkram.server.audit.routes import router as audit
-from kleinkram.server.auth.authorization_request import open_providers
-from kleinkram.server.auth.bootstrap_admin import log_bootstrap_code
+from kleinkram.server.auth.bootstrap import let_owner_in, log_bootstrap_code
 from kleinkram.server.auth.local_accounts import PasswordHasher
 from kleinkram.server.auth.pages import router as sign_in_pages
+from kleinkram.server.auth.provider_accounts import open_providers
 from kleinkram.server.auth.routes import me_router, people_router
 from kleinkram.server.auth.routes import router as auth
 from kleinkram.server.db import open_database
@@ -36,7 +36,6 @@ from kleinkram.server.http.middleware import RequestMiddleware
 from kleinkram.server.jobs.queue import queue
 from kleinkram.server.missions.routes import router as missions
 from kleinkram.server.overviews.routes import router as overviews
-from kleinkram.server.people.local_owner import let_owner_in
 from kleinkram.server.people.routes import router as people
 from kleinkram.server.projects.routes import router as projects
 from kleinkram.server.recordings.routes import router as recordings
@@ -46,7 +45,7 @@ from kleinkram.server.s3.capabilities import configure_cors, probe, record_capab
 from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.search.routes import router as search
 from kleinkram.server.settings import Settings
-from kleinkram.server.shares.page import router as share_page
+from kleinkram.server.shares.routes import page_router as share_page
 from kleinkram.server.shares.routes import router as shares
 from kleinkram.server.tokens.routes import router as tokens
 from kleinkram.server.trash.routes import router as trash
@@ -141,7 +140,7 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.state.settings = settings
     app.state.queue = queue
-    app.state.looks = Looks()
+    app.state.admin_reads = AdminReads()
     app.add_middleware(RequestMiddleware, settings=settings)
     install_error_handlers(app)
     for router in ROUTERS:
@@ -152,10 +151,7 @@ def create_app(settings: Settings) -> FastAPI:
 def require_guards(routers: Sequence[APIRouter]) -> None:
     """See that each route asks who comes and has said what it takes, or is one of the few that are for everybody.
 
-    Looks at the routers themselves: what an app makes of them is the framework's own affair.
-
-    Raises:
-        RuntimeError: one does neither; names it.
+    Looks at the routers themselves: what an app makes of them is the framework's own affair. Raises RuntimeError.
     """
     for route in (route for router in routers for route in router.routes):
         is_guarded = isinstance(route, APIRoute) and requires_actor(route) and route.operation_id in OPERATIONS

@@ -12,7 +12,7 @@ from dataclasses import astuple, dataclass, replace
 
 from sqlalchemy import text
 
-from kleinkram.contract.events import ChangeKind
+from kleinkram.contract.audit import ChangeKind
 from kleinkram.server.db import Connection
 
 CHANNEL = "kleinkram_changes"

@@ -29,8 +29,8 @@ from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.recordings import FileRequest, SummaryFailed, summarise_isolated
 from kleinkram.server.db import Database, open_database
 from kleinkram.server.environment import SettingsInvalid, load_settings
-from kleinkram.server.health.proxy_check import HEADER, Seen, proof
-from kleinkram.server.health.worker_heartbeat import find_workers
+from kleinkram.server.health.readiness import find_workers
+from kleinkram.server.http.headers import CHECK_HEADER, Seen, proof
 from kleinkram.server.logs import quiet_libraries
 from kleinkram.server.migrations import schema_problem
 from kleinkram.server.s3.capabilities import configure_cors, probe
@@ -398,7 +398,7 @@ async def _ask(kind: type[T], url: PostgresDsn, statement: LiteralString) -> T:
 
 
 async def _get(session: aiohttp.ClientSession, url: str, proof_of_settings: str | None = None) -> tuple[int, str]:
-    headers = {} if proof_of_settings is None else {HEADER: proof_of_settings}
+    headers = {} if proof_of_settings is None else {CHECK_HEADER: proof_of_settings}
     async with session.get(url, headers=headers, allow_redirects=False) as response:
         return response.status, (await response.content.read(65_536)).decode(errors="replace")
 

@@ -58,12 +58,7 @@ class Database:
 
     @asynccontextmanager
     async def begin(self) -> AsyncIterator[Connection]:
-        """Run a transaction: commit at the end, roll back on any error.
-
-        Raises:
-            DatabaseUnavailable: no connection could be had in time, it broke, the database ended the transaction
-                (deadlock, statement timeout, shutdown) or has no room: all of it may be tried again.
-        """
+        """Run a transaction: commit at the end, roll back on any error. Raises DatabaseUnavailable."""
         with _said_plainly():
             async with self._transactions.begin() as connection:
                 yield connection
@@ -74,8 +69,7 @@ class Database:
 
         For what reads, which sees no less so, as each statement of a transaction sees what is committed by then.
 
-        Raises:
-            DatabaseUnavailable: as for `begin`.
+        Raises DatabaseUnavailable.
         """
         with _said_plainly():
             async with self.engine.connect() as connection:

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 from pydantic_settings import SettingsError
 
-from kleinkram.contract.wording import message_of
+from kleinkram.contract.problems import message_of
 from kleinkram.server.settings import Settings, is_secret
 
 _PREFIX = "KLEINKRAM_"
@@ -40,11 +40,7 @@ class SettingsInvalid(Exception):
 
 
 def load_settings() -> Settings:
-    """Return the settings that this process's environment gives.
-
-    Raises:
-        SettingsInvalid: a variable is unknown, missing or wrong, or the file of a secret cannot be read.
-    """
+    """Return the settings that this process's environment gives. Raises SettingsInvalid."""
     problems = [_unknown(name) for name, value in sorted(os.environ.items()) if not _is_known(name.upper(), value)]
     secrets: dict[str, object] = {}
     unread: list[str] = []
@@ -76,8 +72,7 @@ def load_settings() -> Settings:
 def secret_from_file(variable: str) -> str | None:
     """Return what the file holds that `<variable>_FILE` names, without white space around it; None where it is not set.
 
-    Raises:
-        SettingsInvalid: the file cannot be read or is empty, or the variable itself is set, too.
+    Raises SettingsInvalid.
     """
     # As pydantic-settings reads the others: in capital or small letters.
     environment = {name.upper(): value for name, value in os.environ.items()}

@@ -9,15 +9,18 @@ import uuid
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
+from pydantic import BaseModel, ConfigDict
 from sqlalchemy import ColumnElement, Row, Select, func, literal, select, tuple_
 from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.exc import DataError, DBAPIError, ProgrammingError, StatementError
 
+from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.contract.errors import InvalidCursor
 from kleinkram.server.db import Connection
 
+T = TypeVar("T")
 _TYPES: dict[str, Callable[[str], Any]] = {
     "s": str,
     "i": int,
@@ -54,6 +57,26 @@ class PageRequest:
     count: bool = False
 
 
+class PageQuery(BaseModel):
+    """Query parameters of a list."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    limit: PageSize = 100
+    cursor: Cursor | None = None
+
+    @property
+    def page(self) -> PageRequest:
+        """The requested page."""
+        return PageRequest(self.limit, self.cursor, getattr(self, "count", False))
+
+
+class CountedPageQuery(PageQuery):
+    """Query parameters of a list whose total can be requested."""
+
+    count: bool = False
+
+
 @dataclass(frozen=True)
 class Rows:
     """One page of rows, the cursor of the next page, and the number of all rows where that was requested."""
@@ -76,8 +99,7 @@ async def fetch_page(
     With `described`, the select only finds the page, and reads no more than decides. The rows are then those that
     `described` selects for the page's ids, the last column of the order.
 
-    Raises:
-        InvalidCursor: the cursor is not one of this list in this order.
+    Raises InvalidCursor.
     """
     after = values_after(request, order)
     keys = [column.label(f"_key_{number}") for number, column in enumerate(order.columns)]
@@ -97,12 +119,16 @@ async def fetch_page(
     return Rows(items, _encode(items[-1], order) if len(rows) > request.limit else None, total)
 
 
-async def execute_after(db: Connection, statement: Select[Any], after: Sequence[Any] | None) -> Sequence[Row[Any]]:
-    """Run a select that begins after the values of a cursor.
+async def read_page(
+    db: Connection, statement: Select[Any], order: Order, request: PageRequest, read: Callable[[Row[Any]], T]
+) -> Page[T]:
+    """Run a select for one page and return what `read` makes of its rows. Raises InvalidCursor."""
+    rows = await fetch_page(db, statement, order, request)
+    return Page(items=[read(row) for row in rows.items], next=rows.next, total=rows.total)
 
-    Raises:
-        InvalidCursor: the cursor is well-formed, but its values are none that the list's columns can have.
-    """
+
+async def execute_after(db: Connection, statement: Select[Any], after: Sequence[Any] | None) -> Sequence[Row[Any]]:
+    """Run a select that begins after the values of a cursor. Raises InvalidCursor."""
     try:
         return (await db.execute(statement)).all()
     except (StatementError, UnicodeEncodeError) as error:
@@ -114,8 +140,7 @@ async def execute_after(db: Connection, statement: Select[Any], after: Sequence[
 def values_after(request: PageRequest, order: Order) -> list[Any] | None:
     """Return the values of the order's columns after which a page begins; None for the first page.
 
-    Raises:
-        InvalidCursor: the cursor is not one of a list in this order.
+    Raises InvalidCursor.
     """
     if not request.cursor:
         return None

@@ -1,4 +1,4 @@
-"""Settings of the server's processes. Every one is described in the settings reference.
+"""Settings of the server's processes, documented in the settings reference.
 
 `environment.load_settings` reads them from the environment, once, when a process starts.
 """
@@ -21,9 +21,9 @@ from pydantic import (
 )
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
-from kleinkram.contract.emails import EmailDomain
+from kleinkram.contract.access import Right
 from kleinkram.contract.names import Name, name_key
-from kleinkram.contract.rights import Right
+from kleinkram.contract.people import EmailDomain
 
 Seconds = Annotated[float, Field(gt=0)]
 PerMinute = Annotated[int, Field(ge=0)]
@@ -41,13 +41,13 @@ def _networks(text: object) -> object:
 class OpenTo(str, enum.Enum):
     """Who gets an account by signing in for the first time."""
 
-    anybody = "anybody"  # whoever the provider knows
-    trusted_domains = "trusted_domains"  # whoever has a verified address of a domain that the provider is trusted for
-    invited = "invited"  # of those, whoever was invited under that address
+    anybody = "anybody"  # everybody whom the provider knows
+    trusted_domains = "trusted_domains"  # people with a verified address in `trusted_domains`
+    invited = "invited"  # of those, people who were invited under that address
 
 
 class OidcProvider(BaseModel):
-    """One OpenID Connect provider. Its word on an address counts for `trusted_domains` alone; `*` is every domain."""
+    """One OpenID Connect provider. It is trusted to verify addresses in `trusted_domains`; `*` means every domain."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -73,12 +73,12 @@ class OidcProvider(BaseModel):
         return issuer
 
     def trusts(self, domain: str) -> bool:
-        """Say whether its word on addresses of exactly this domain counts."""
+        """Return whether it is trusted to verify addresses in exactly this domain."""
         return "*" in self.trusted_domains or domain in self.trusted_domains
 
 
 class Viewer(BaseModel):
-    """A page elsewhere that shows a recording: `{url}` in its own address stands for the recording's, quoted."""
+    """An external page that shows a recording: `{url}` in its address stands for the quoted URL of the recording."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -87,16 +87,16 @@ class Viewer(BaseModel):
 
     @property
     def origin(self) -> str:
-        """As whom the browser introduces it to the store."""
+        """The origin that a browser sends to the store."""
         return origin_of(self.url)
 
 
-# Who may make projects and groups: people of an affiliation group (everybody, where none is configured), or others.
+# Who may create projects and groups: people in an affiliation group (everybody if there are none), or others.
 Creators = Literal["affiliated", "everybody", "admins"]
 
 
 class Affiliation(BaseModel):
-    """A group of whoever has a verified address of exactly one of some domains, and what it gets on new projects."""
+    """A group of people with a verified address in one of its domains, and its right on new projects."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -106,225 +106,203 @@ class Affiliation(BaseModel):
 
 
 class Settings(BaseSettings):
-    """What one server process needs to know. Names in the environment: `KLEINKRAM_` and the name in capitals."""
+    """Settings of a server process. Names in the environment: `KLEINKRAM_` and the name in capitals."""
 
-    # What is wrong is said without what was given: it may be a password.
+    # Errors do not contain the value: it may be a password.
     model_config = SettingsConfigDict(env_prefix="KLEINKRAM_", frozen=True, extra="ignore", hide_input_in_errors=True)
 
-    database_url: Annotated[
-        PostgresDsn, Field(repr=False, description="PostgreSQL as the role that serves; no rights on the schema.")
-    ]
-    migration_database_url: Annotated[
-        PostgresDsn | None,
-        Field(repr=False, description="PostgreSQL as the role that owns the schema; only `migrate` needs it."),
-    ] = None
-    database_password: Annotated[
-        SecretStr | None, Field(description="Password for `DATABASE_URL`, where the address has none.")
-    ] = None
-    migration_database_password: Annotated[
-        SecretStr | None, Field(description="Password for `MIGRATION_DATABASE_URL`, where the address has none.")
-    ] = None
-    serving_role: Annotated[
-        str, Field(pattern=r"^[a-z_][a-z0-9_]*$", description="The role in `database_url`, which migrations grant to.")
-    ] = "kleinkram_serve"
-    database_connections: Annotated[
-        int,
-        Field(
-            ge=2,
-            le=200,
-            description="Connections in a process's pool; beside it, an API process opens 2 more, a worker 13.",
-        ),
-    ] = 8
-
-    s3_internal_url: Annotated[str, Field(description="The store's address as this server reaches it.")]
-    s3_public_url: Annotated[
-        str | None,
-        Field(
-            description="The store's address as clients reach it: part of every signature. Default: the internal one."
-        ),
-    ] = None
-    s3_bucket: Annotated[str, Field(min_length=3, description="The bucket; it must exist.")] = "kleinkram"
-    s3_region: Annotated[str, Field(description="The region that signatures name.")] = "us-east-1"
-    s3_access_key: Annotated[
-        str, Field(description="Access key of an identity that may read, write and list the bucket.")
-    ]
-    s3_secret_key: Annotated[SecretStr, Field(description="Its secret key.")]
-    s3_ca_file: Annotated[
-        Path | None, Field(description="Certificate authority of the store, where it is a private one.")
-    ] = None
-    s3_cors: Annotated[
-        Literal["set", "leave"],
-        Field(
-            description="Whether the API, when it starts, writes the bucket's CORS rules, so that its pages (and the "
-            "viewers) may send and fetch; `leave` where somebody else writes them."
-        ),
-    ] = "set"
-    store_id: Annotated[
-        str,
-        Field(
-            description="The name by which the database refers to the bucket. There is one bucket: after the first "
-            "start, never change this, also not when the files move to another store."
-        ),
-    ] = "main"
-
-    store_folder: Annotated[
-        Path | None,
-        Field(description="A folder on the store's disk where that is this machine's, for telling how full it is."),
-    ] = None
-
-    public_url: Annotated[str, Field(description="This server's address as clients reach it.")] = (
-        "http://127.0.0.1:8000"
+    database_url: PostgresDsn = Field(
+        repr=False, description="PostgreSQL URL of the serving role, which has no rights on the schema."
     )
-    lab_name: Annotated[str, Field(min_length=1, max_length=64, description="What the pages call this server.")] = (
-        "Kleinkram"
+    migration_database_url: PostgresDsn | None = Field(
+        default=None,
+        repr=False,
+        description="PostgreSQL URL of the role that owns the schema; for `migrate`, backups and `check`.",
     )
-    viewers: Annotated[
-        tuple[Viewer, ...],
-        Field(
-            description="Pages elsewhere that open a recording by its address, which they then learn: a JSON list of "
-            '{"name": "Lichtblick", "url": "https://lichtblick.example/?ds=remote-file&ds.url={url}"}; `[]` for none.'
-        ),
-    ] = (Viewer(name="Foxglove", url="https://app.foxglove.dev/~/view?ds=remote-file&ds.url={url}"),)
-    owner_token_file: Annotated[
-        Path | None, Field(description="File with the local owner's token; made by `klein up`, mode 0600.")
-    ] = None
-    oidc_providers: Annotated[
-        tuple[OidcProvider, ...],
-        Field(description="Who says who people are: a JSON list of OpenID Connect providers (see the sign-in page)."),
-    ] = ()
-    local_accounts: Annotated[bool, Field(description="Whether one may sign in with an address and a password.")] = True
-    session_idle_s: Annotated[Seconds, Field(description="After how long unused a browser is signed out.")] = (
-        14 * 86_400
+    database_password: SecretStr | None = Field(
+        default=None, description="Password for `DATABASE_URL`, if that has none."
     )
-    session_s: Annotated[Seconds, Field(description="After how long it is signed out in any case.")] = 90 * 86_400
-    login_token_days: Annotated[
-        int, Field(ge=1, le=3650, description="How long a token that `klein login` gets is good for.")
-    ] = 90
-    token_days_default: Annotated[
-        int, Field(ge=1, le=3650, description="How long a token is good for that is made without an end.")
-    ] = 90
-    token_days_max: Annotated[
-        int,
-        Field(
-            ge=0,
-            le=3650,
-            description="How long a token may be good at most, and how long a runner's is by default; "
-            "0: any time, and for ever if that is asked for.",
-        ),
-    ] = 365
-    fresh_sign_in_s: Annotated[
-        Seconds,
-        Field(
-            description="How long after signing in one may change passwords, second factors and ways to sign in "
-            "(admins also those of others), and make tokens with the scope admin, before one is asked to sign in again."
-        ),
-    ] = 900
-    owner_link_s: Annotated[
-        Seconds, Field(description="How long the link is good by which the owner of `klein up` signs in.")
-    ] = 900
-    invitation_s: Annotated[Seconds, Field(description="How long an invitation is good.")] = 7 * 86_400
-    reset_link_s: Annotated[Seconds, Field(description="How long a link to a new password is good.")] = 86_400
+    migration_database_password: SecretStr | None = Field(
+        default=None, description="Password for `MIGRATION_DATABASE_URL`, if that has none."
+    )
+    serving_role: str = Field(
+        default="kleinkram_serve",
+        pattern=r"^[a-z_][a-z0-9_]*$",
+        description="The role in `DATABASE_URL`; migrations grant rights to it.",
+    )
+    database_connections: int = Field(
+        default=8,
+        ge=2,
+        le=200,
+        description="Connections in the pool of a process. An API process opens 2 more, a worker 13 more.",
+    )
+
+    s3_internal_url: str = Field(description="URL of the store, as this server reaches it.")
+    s3_public_url: str | None = Field(
+        default=None,
+        description="URL of the store, as clients reach it: part of every signature. Default: the internal URL.",
+    )
+    s3_bucket: str = Field(default="kleinkram", min_length=3, description="The bucket; it must exist.")
+    s3_region: str = Field(default="us-east-1", description="Region in signatures.")
+    s3_access_key: str = Field(description="Access key that may read, write and list the bucket.")
+    s3_secret_key: SecretStr = Field(description="Secret key of the access key.")
+    s3_ca_file: Path | None = Field(
+        default=None, description="Certificate of the store's certificate authority, if that is private."
+    )
+    s3_cors: Literal["set", "leave"] = Field(
+        default="set",
+        description="`set`: the API writes the bucket's CORS rules at start, for its own pages and the viewers; "
+        "`leave`: you write them.",
+    )
+    store_id: str = Field(
+        default="main",
+        description="Name of the bucket in the database. Do not change it after the first start, also not when the "
+        "files move to another store.",
+    )
+
+    store_folder: Path | None = Field(
+        default=None, description="A folder on the store's disk, if it is on this machine, to report free space."
+    )
+
+    public_url: str = Field(default="http://127.0.0.1:8000", description="URL of this server, as clients reach it.")
+    lab_name: str = Field(
+        default="Kleinkram", min_length=1, max_length=64, description="Name of this server on its pages."
+    )
+    viewers: tuple[Viewer, ...] = Field(
+        default=(Viewer(name="Foxglove", url="https://app.foxglove.dev/~/view?ds=remote-file&ds.url={url}"),),
+        description="External pages that can open a recording by its URL: a JSON list of "
+        '{"name": "Lichtblick", "url": "https://lichtblick.example/?ds=remote-file&ds.url={url}"}; `[]` for none.',
+    )
+    owner_token_file: Path | None = Field(
+        default=None, description="File with the local owner's token, mode 0600; written by `klein up`."
+    )
+    oidc_providers: tuple[OidcProvider, ...] = Field(
+        default=(), description="OpenID Connect providers: a JSON list (see the sign-in page)."
+    )
+    local_accounts: bool = Field(default=True, description="Whether people can sign in with an address and a password.")
+    session_idle_s: Seconds = Field(
+        default=14 * 86_400, description="Seconds without use after which a browser is signed out."
+    )
+    session_s: Seconds = Field(
+        default=90 * 86_400, description="Seconds after sign-in after which a browser is signed out."
+    )
+    login_token_days: int = Field(
+        default=90, ge=1, le=3650, description="Lifetime of tokens from `klein login`, in days."
+    )
+    token_days_default: int = Field(default=90, ge=1, le=3650, description="Default lifetime of tokens, in days.")
+    token_days_max: int = Field(
+        default=365,
+        ge=0,
+        le=3650,
+        description="Maximum lifetime of tokens, and default lifetime of runner tokens, in days; "
+        "0: any lifetime, and tokens without an end.",
+    )
+    fresh_sign_in_s: Seconds = Field(
+        default=900,
+        description="Seconds after sign-in in which people may change passwords, second factors, sign-in methods "
+        "(admins also those of others), and create tokens with the scope admin; then they sign in again.",
+    )
+    owner_link_s: Seconds = Field(
+        default=900, description="Lifetime of sign-in links for the owner of `klein up`, in seconds."
+    )
+    invitation_s: Seconds = Field(default=7 * 86_400, description="Lifetime of invitations, in seconds.")
+    reset_link_s: Seconds = Field(default=86_400, description="Lifetime of password reset links, in seconds.")
 
     trusted_proxies: Annotated[
         tuple[Network, ...],
         NoDecode,
         BeforeValidator(_networks),
-        Field(
-            description="Networks, with commas between, whose X-Forwarded-For and -Proto are believed. Default: none."
-        ),
+        Field(description="Networks of proxies whose X-Forwarded-For and -Proto are trusted, separated by commas."),
     ] = ()
     watcher_networks: Annotated[
         tuple[Network, ...],
         NoDecode,
         BeforeValidator(_networks),
         Field(
-            description="Networks, with commas between, to which /health/ready gives its reasons. "
+            description="Networks that get reasons and warnings from /health/ready, separated by commas. "
             "Default: this machine."
         ),
     ] = (ipaddress.IPv4Network("127.0.0.0/8"), ipaddress.IPv6Network("::1/128"))
-    metrics_port: Annotated[
-        int | None,
-        Field(
-            ge=0,
-            le=65535,
-            description="Port on which a process serves its Prometheus metrics, one of its own for each process; "
-            "`--metrics-port` overrides it. Default: metrics are not served.",
-        ),
-    ] = None
-    metrics_address: Annotated[
-        str,
-        Field(
-            description="Address on which metrics are served. Whoever reaches it can read them: keep it on this "
-            "machine or in a private network."
-        ),
-    ] = "127.0.0.1"
-    log_format: Annotated[Literal["json", "text"], Field(description="How log lines look.")] = "json"
+    metrics_port: int | None = Field(
+        default=None,
+        ge=0,
+        le=65535,
+        description="Port for Prometheus metrics, a different one for each process; `--metrics-port` overrides it. "
+        "Default: no metrics.",
+    )
+    metrics_address: str = Field(
+        default="127.0.0.1", description="Address for metrics. They have no access control: use a private network."
+    )
+    log_format: Literal["json", "text"] = Field(default="json", description="Format of log lines.")
 
-    affiliations: Annotated[
-        tuple[Affiliation, ...],
-        Field(
-            description="Groups filled by the exact domains of verified addresses: a JSON list of "
-            '{"name": "Lab", "domains": ["lab.example"], "default_right": "READ"}; the right is given on new projects.'
-        ),
-    ] = ()
-    creators: Annotated[
-        Creators,
-        Field(
-            description="Who may make projects and groups: `affiliated` people (everybody, where there are no "
-            "affiliations), `everybody` or `admins`."
-        ),
-    ] = "affiliated"
+    affiliations: tuple[Affiliation, ...] = Field(
+        default=(),
+        description="Groups of people with a verified address in exactly these domains: a JSON list of "
+        '{"name": "Lab", "domains": ["lab.example"], "default_right": "READ"}; the right is for new projects.',
+    )
+    creators: Creators = Field(
+        default="affiliated",
+        description="Who may create projects and groups: `affiliated` people (everybody if there are no "
+        "affiliations), `everybody` or `admins`.",
+    )
 
-    body_limit_bytes: Annotated[int, Field(ge=65_536, description="Largest request body.")] = 4 * 1024 * 1024
-    connections_per_address: Annotated[
-        int,
-        Field(
-            ge=16,
-            description="Connections that one address may have open with one API process; trusted proxies may have any "
-            "number.",
-        ),
-    ] = 512
-    sign_ins_per_minute: Annotated[
-        PerMinute,
-        Field(description="Tries to sign in from one address; beyond three times as many an account's wait; 0: any."),
-    ] = 10
-    searches_per_minute: Annotated[
-        PerMinute,
-        Field(description="Searches by text or topic, and statistics, for one token, session or link; 0: any number."),
-    ] = 300
-    downloads_per_minute: Annotated[
-        PerMinute, Field(description="Requests for addresses of files to fetch (500 each), likewise.")
-    ] = 600
-    uploads_per_minute: Annotated[PerMinute, Field(description="Requests that announce files to send, likewise.")] = 600
-    verifications_per_minute: Annotated[PerMinute, Field(description="Files to verify again, likewise.")] = 600
-    exports_per_minute: Annotated[PerMinute, Field(description="Exports of the record, likewise.")] = 6
-    upload_lease_s: Annotated[
-        Seconds, Field(description="How long a name stays held after the last part was signed.")
-    ] = 60
-    upload_expires_s: Annotated[Seconds, Field(description="How long an unfinished upload is kept.")] = 7 * 86_400
-    part_url_s: Annotated[Seconds, Field(description="How long the address of a part to send is good for.")] = 900
-    download_url_s: Annotated[Seconds, Field(description="How long the address of a file to fetch is good for.")] = 900
-    share_days_max: Annotated[int, Field(ge=1, le=3650, description="How long a link may be good at most.")] = 90
-    trash_days: Annotated[int, Field(ge=0, description="How long deleted things can be had back.")] = 30
-    sweep_grace_s: Annotated[
-        float, Field(ge=0, description="Between dooming an unreferenced blob and deleting its object.")
-    ] = 3600
-    verify_bytes_per_s: Annotated[
-        int, Field(ge=1_048_576, description="How fast one worker process reads new blobs to verify them.")
-    ] = 100_000_000
-    reverify_days: Annotated[
-        int, Field(ge=0, description="After how many days a verified blob is read and compared again; 0: never.")
-    ] = 90
-    scrub_hours: Annotated[
-        float,
-        Field(
-            ge=0, description="How often the store's list is compared with the database, in hours; 0: only when asked."
-        ),
-    ] = 24
-    summary_memory_bytes: Annotated[
-        int, Field(ge=128 * 1024**2, description="Address space of the process that reads untrusted recordings.")
-    ] = 1024**3
-    summary_timeout_s: Annotated[Seconds, Field(description="How long reading one recording's summary may take.")] = 300
+    body_limit_bytes: int = Field(default=4 * 1024 * 1024, ge=65_536, description="Maximum size of a request body.")
+    connections_per_address: int = Field(
+        default=512,
+        ge=16,
+        description="Maximum connections of an address to one API process; trusted proxies have no limit.",
+    )
+    sign_ins_per_minute: PerMinute = Field(
+        default=10,
+        description="Sign-in attempts per address; an account's are delayed above three times as many; 0: no limit.",
+    )
+    searches_per_minute: PerMinute = Field(
+        default=300, description="Searches and statistics per token, session or link; 0: no limit."
+    )
+    downloads_per_minute: PerMinute = Field(
+        default=600, description="Download requests (of up to 500 files) per token, session or link; 0: no limit."
+    )
+    uploads_per_minute: PerMinute = Field(
+        default=600, description="Upload requests per token, session or link; 0: no limit."
+    )
+    verifications_per_minute: PerMinute = Field(
+        default=600, description="Verification requests for files per token, session or link; 0: no limit."
+    )
+    exports_per_minute: PerMinute = Field(
+        default=6, description="Exports of the audit log per token, session or link; 0: no limit."
+    )
+    upload_lease_s: Seconds = Field(
+        default=60, description="Seconds for which an upload reserves its name after the last part was signed."
+    )
+    upload_expires_s: Seconds = Field(
+        default=7 * 86_400, description="Seconds after which an unfinished upload expires."
+    )
+    part_url_s: Seconds = Field(default=900, description="Lifetime of upload URLs of parts, in seconds.")
+    download_url_s: Seconds = Field(default=900, description="Lifetime of download URLs, in seconds.")
+    share_days_max: int = Field(default=90, ge=1, le=3650, description="Maximum lifetime of share links, in days.")
+    trash_days: int = Field(default=30, ge=0, description="Days for which deleted objects can be restored.")
+    sweep_grace_s: float = Field(
+        default=3600,
+        ge=0,
+        description="Seconds between marking an unreferenced blob for deletion and deleting its object.",
+    )
+    verify_bytes_per_s: int = Field(
+        default=100_000_000,
+        ge=1_048_576,
+        description="Rate at which one worker process reads blobs to verify them, in bytes per second.",
+    )
+    reverify_days: int = Field(
+        default=90, ge=0, description="Days after which a verified blob is verified again; 0: never."
+    )
+    scrub_hours: float = Field(
+        default=24,
+        ge=0,
+        description="Hours between scrubs, which compare the store's list with the database; 0: only on request.",
+    )
+    summary_memory_bytes: int = Field(
+        default=1024**3, ge=128 * 1024**2, description="Address space of the child process that reads recordings."
+    )
+    summary_timeout_s: Seconds = Field(default=300, description="Maximum seconds for the summary of one recording.")
 
     @model_validator(mode="before")
     @classmethod
@@ -338,16 +316,16 @@ class Settings(BaseSettings):
 
     @field_validator("oidc_providers")
     @classmethod
-    def _are_told_apart(cls, providers: tuple[OidcProvider, ...]) -> tuple[OidcProvider, ...]:
-        for each in ("name", "issuer"):
-            if len({getattr(provider, each) for provider in providers}) < len(providers):
-                raise ValueError(f"two providers have the same {each}")
+    def _are_distinct(cls, providers: tuple[OidcProvider, ...]) -> tuple[OidcProvider, ...]:
+        for field in ("name", "issuer"):
+            if len({getattr(provider, field) for provider in providers}) < len(providers):
+                raise ValueError(f"two providers have the same {field}")
         return providers
 
     @field_validator("affiliations")
     @classmethod
     def _have_one_name_each(cls, affiliations: tuple[Affiliation, ...]) -> tuple[Affiliation, ...]:
-        if len({name_key(each.name) for each in affiliations}) < len(affiliations):
+        if len({name_key(affiliation.name) for affiliation in affiliations}) < len(affiliations):
             raise ValueError("two affiliations have the same name")
         return affiliations
 
@@ -358,7 +336,7 @@ class Settings(BaseSettings):
 
     @property
     def store_origin(self) -> str:
-        """The origin of the store's public address: whom pages must be allowed to talk to."""
+        """The origin of the store's public URL, which pages must be allowed to access."""
         return origin_of(self.store_public_url)
 
     @property
@@ -367,17 +345,17 @@ class Settings(BaseSettings):
         return self.s3_public_url or self.s3_internal_url
 
 
-# Addresses with passwords in them, and what holds secrets further inside; and every setting that is a SecretStr.
+# URLs and structures that contain passwords; every SecretStr is a secret, too.
 _SECRET = frozenset({"database_url", "migration_database_url", "s3_access_key", "oidc_providers"})
 
 
 def is_secret(name: str) -> bool:
-    """Say of a setting whether its value is a secret: never shown, and readable from a file."""
+    """Return whether the value of a setting is a secret: never shown, and readable from a file."""
     return name in _SECRET or "SecretStr" in str(Settings.model_fields[name].annotation)
 
 
 def _with_password(url: str, password: object) -> str:
-    """Return a database address with a password put into it, unless none is given."""
+    """Return a database URL with a password, if there is one."""
     secret = password.get_secret_value() if isinstance(password, SecretStr) else password
     if not secret:
         return url

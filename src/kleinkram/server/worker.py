@@ -23,9 +23,9 @@ from kleinkram.server.blobs.reader_processes import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Database, open_database
 from kleinkram.server.health.metrics_server import serve_metrics
-from kleinkram.server.health.worker_heartbeat import heartbeat
+from kleinkram.server.health.readiness import heartbeat
+from kleinkram.server.jobs.attempts import Attempts, keep_why
 from kleinkram.server.jobs.courtesy import Courtesy
-from kleinkram.server.jobs.failing import Attempts, keep_why
 from kleinkram.server.jobs.queue import DEFAULT, EXAMINING, GROUPING, VERIFICATION, queue
 from kleinkram.server.recordings import jobs as _recording_jobs
 from kleinkram.server.recordings.rests import Rests

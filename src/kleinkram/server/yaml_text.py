@@ -46,7 +46,7 @@ Path = tuple[str | int, ...]
 
 
 @dataclass(frozen=True)
-class Place:
+class TextPosition:
     """Where something stands in a text, counted from 1."""
 
     line: int
@@ -58,9 +58,9 @@ class Document:
     """What a text says; `places` has, for the path of every value, where its key (or the list's item) stands."""
 
     value: JsonValue
-    places: dict[Path, Place] = field(default_factory=dict)
+    places: dict[Path, TextPosition] = field(default_factory=dict)
 
-    def place(self, path: Path) -> Place | None:
+    def place(self, path: Path) -> TextPosition | None:
         """Return where a value stands, or, where it is absent, the nearest thing that would hold it."""
         while path and path not in self.places:
             path = path[:-1]
@@ -70,8 +70,7 @@ class Document:
 def read_yaml(text: str) -> Document:
     """Return the one document of a text; an empty text says null.
 
-    Raises:
-        YamlInvalid: it is not YAML, or holds what is not wanted here; says where.
+    Raises YamlInvalid.
 
     Source: YAML 1.2.2, chapter 10.3, core schema.
     """
@@ -89,11 +88,7 @@ def read_yaml(text: str) -> Document:
 
 
 def resolve_plain(text: str) -> JsonValue:
-    """Return what an unquoted scalar says: null, a boolean, a number, else text.
-
-    Raises:
-        ValueError: a number too large to be kept.
-    """
+    """Return what an unquoted scalar says: null, a boolean, a number, else text. Raises ValueError."""
     if text in _NULL:
         return None
     if text in _TRUE or text in _FALSE:
@@ -128,7 +123,7 @@ class _Builder:
 
     def __init__(self, events: Iterator[Event]) -> None:
         self._events = events
-        self._places: dict[Path, Place] = {}
+        self._places: dict[Path, TextPosition] = {}
         self._nodes = 0
 
     def document(self) -> Document:
@@ -180,7 +175,7 @@ class _Builder:
             if key in mapping:
                 raise _invalid(event.start_mark, f"the key {key!r} is given twice")
             here = (*path, key)
-            self._places[here] = Place(event.start_mark.line + 1, event.start_mark.column + 1)
+            self._places[here] = TextPosition(event.start_mark.line + 1, event.start_mark.column + 1)
             mapping[key] = self._value(next(self._events), here)
         return mapping
 
@@ -190,7 +185,7 @@ class _Builder:
             if isinstance(event, SequenceEndEvent):
                 break
             here = (*path, len(items))
-            self._places[here] = Place(event.start_mark.line + 1, event.start_mark.column + 1)
+            self._places[here] = TextPosition(event.start_mark.line + 1, event.start_mark.column + 1)
             items.append(self._value(event, here))
         return items
 

@@ -5,7 +5,7 @@ import uuid
 from collections.abc import Callable
 from typing import Any
 
-from kleinkram.contract.rights import Right, Scope
+from kleinkram.contract.access import Right, Scope
 from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID
 from tests.integration import people
 from tests.integration.access.calling import (

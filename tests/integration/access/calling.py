@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from kleinkram.contract.rights import Scope
+from kleinkram.contract.access import Scope
 from tests.integration.access.expecting import About, Verdict
 from tests.integration.access.world import Asker
 from tests.integration.api_server import Answer

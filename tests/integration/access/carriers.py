@@ -3,7 +3,7 @@
 import enum
 from dataclasses import dataclass
 
-from kleinkram.contract.rights import Scope
+from kleinkram.contract.access import Scope
 
 READ, UPLOAD, WRITE, RUN, ADMIN = Scope.read, Scope.upload, Scope.write, Scope.run, Scope.admin
 EVERY = frozenset({READ, UPLOAD, WRITE, RUN, ADMIN})

@@ -6,7 +6,7 @@ Nothing here asks the code under test what somebody may do; of `operations` it t
 import enum
 from dataclasses import dataclass
 
-from kleinkram.contract.rights import Scope
+from kleinkram.contract.access import Scope
 from kleinkram.server.access.operations import Permission, ResourceKind
 from tests.integration.access.carriers import Carrier, Kind, Reach
 

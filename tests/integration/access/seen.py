@@ -8,7 +8,7 @@ import random
 import uuid
 from dataclasses import dataclass, field
 
-from kleinkram.contract.rights import Right, Scope
+from kleinkram.contract.access import Right, Scope
 from kleinkram.server.access.groups import OWNER_ID
 from tests.integration import people
 from tests.integration.access.world import trash

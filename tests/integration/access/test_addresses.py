@@ -12,9 +12,9 @@ import urllib3
 from kleinkram.client import connect
 from kleinkram.client.transfer import Outcome, TransferResult, download, plan_download
 from kleinkram.client.transfer.report import SilentObserver
+from kleinkram.contract.access import Right
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import FileFilter
-from kleinkram.contract.rights import Right
 from kleinkram.server.settings import Settings
 from tests.integration import people
 from tests.integration.api_server import Api

@@ -19,7 +19,7 @@ from schemathesis.specs.openapi.checks import (
     status_code_conformance,
 )
 
-from kleinkram.contract.rights import Right, Scope, TokenKind
+from kleinkram.contract.access import Right, Scope, TokenKind
 from tests.integration import people
 from tests.integration.access import world as worlds
 from tests.integration.api_server import Api

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from kleinkram.contract.rights import Right
+from kleinkram.contract.access import Right
 from tests.integration.api_server import Api
 from tests.integration.people import Person, deactivate, grant, group, join, person
 from tests.integration.races import racing

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from kleinkram.contract.rights import Right, Scope, TokenKind
+from kleinkram.contract.access import Right, Scope, TokenKind
 from tests.integration import people
 from tests.integration.api_server import Answer, Api
 from tests.integration.people import Person

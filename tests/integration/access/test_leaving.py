@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from kleinkram.contract.rights import Right
+from kleinkram.contract.access import Right
 from kleinkram.server.access.actor import secret_hash
 from tests.integration.access.test_grants import in_days
 from tests.integration.api_server import Api

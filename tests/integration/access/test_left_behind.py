@@ -3,7 +3,7 @@
 import datetime
 from concurrent.futures import ThreadPoolExecutor
 
-from kleinkram.contract.rights import Right
+from kleinkram.contract.access import Right
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.upload_client import begin, upload, wait_until

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.contract.secrets import is_whole
+from kleinkram.contract.tokens import is_whole
 from kleinkram.server.app import create_app
-from kleinkram.server.people import local_owner as owner
+from kleinkram.server.auth import bootstrap as owner
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 

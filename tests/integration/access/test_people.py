@@ -4,7 +4,7 @@ import uuid
 
 import pytest
 
-from kleinkram.contract.rights import Right, Scope
+from kleinkram.contract.access import Right, Scope
 from tests.integration.api_server import Api
 from tests.integration.people import Person, deactivate, email_group, grant, group, join, person, token
 

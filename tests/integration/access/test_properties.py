@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from kleinkram.contract.rights import Right
+from kleinkram.contract.access import Right
 from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID
 from tests.integration.access.rights_model import (
     ADMINS,

@@ -5,9 +5,9 @@ from typing import Any
 import pytest
 
 from kleinkram import connect
+from kleinkram.contract.access import Right, Scope
 from kleinkram.contract.errors import NotAuthenticated
 from kleinkram.contract.files import FileFilter
-from kleinkram.contract.rights import Right, Scope
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.sample import Sample

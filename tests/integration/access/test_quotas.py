@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from kleinkram.contract.rights import Right, Scope
+from kleinkram.contract.access import Right, Scope
 from tests.integration import people
 from tests.integration.api_server import Answer, Api
 from tests.integration.sample import Sample

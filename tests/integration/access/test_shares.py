@@ -10,9 +10,9 @@ import pytest
 import urllib3
 
 from kleinkram import connect
+from kleinkram.contract.access import Right, Scope
 from kleinkram.contract.errors import NotFound
-from kleinkram.contract.rights import Right, Scope
-from kleinkram.contract.secrets import is_whole
+from kleinkram.contract.tokens import is_whole
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.sample import Sample

@@ -11,9 +11,9 @@ import pytest
 from kleinkram import connect
 from kleinkram.client.transfer import Outcome, plan_upload
 from kleinkram.client.transfer.upload import upload as send_files
+from kleinkram.contract.access import Right, Scope, TokenKind
 from kleinkram.contract.errors import FileExists
-from kleinkram.contract.rights import Right, Scope, TokenKind
-from kleinkram.contract.secrets import PATTERN, is_mangled, is_whole
+from kleinkram.contract.tokens import PATTERN, is_mangled, is_whole
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.races import racing

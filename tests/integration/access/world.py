@@ -8,7 +8,7 @@ import uuid
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from kleinkram.contract.rights import Right, TokenKind
+from kleinkram.contract.access import Right, TokenKind
 from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID
 from tests.integration import people
 from tests.integration.access.carriers import MEMBER, PLACED, UNPLACED, Carrier, Reach

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 import urllib3
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.audit import AuditRead
-from kleinkram.contract.rights import Right
 from tests.integration import people
 from tests.integration.api_server import Answer, Api
 from tests.integration.sample import Sample

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from kleinkram.contract.rights import Right, Scope
+from kleinkram.contract.access import Right, Scope
 from kleinkram.server.audit import admin_access
 from tests.integration import people
 from tests.integration.api_server import Api
@@ -31,7 +31,7 @@ def test_one_look_an_hour_is_noted_for_each_mission_and_project(own: Api) -> Non
     admin = people.person(own, admin=True)
     asked = own.as_(admin.token)
     for _ in range(2):
-        own.app.state.looks = admin_access.Looks()  # as in another process
+        own.app.state.admin_reads = admin_access.AdminReads()  # as in another process
         asked.get(f"/files/{file_id}").ok()
         asked.get(f"/missions/{mission}/recordings").ok()
         asked.get("/files", {"mission_id": mission}).ok()
@@ -41,7 +41,7 @@ def test_one_look_an_hour_is_noted_for_each_mission_and_project(own: Api) -> Non
     (event,) = own.all("/audit", {"operation": "admin.look", "mission_id": mission})
     assert (event["as_admin"], event["project_id"], event["after"]) == (True, project, {"operation": "get_file"})
     own.sql("UPDATE audit_event SET at = at - interval '61 minutes' WHERE operation = 'admin.look'")
-    own.app.state.looks = admin_access.Looks()
+    own.app.state.admin_reads = admin_access.AdminReads()
     asked.get(f"/missions/{mission}").ok()
     assert _looks(own, admin)[3:] == [("mission", mission)]
 

@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.errors import Forbidden
-from kleinkram.contract.rights import Right
 from kleinkram.server.audit import refusals
 from kleinkram.server.audit.refusals import Refusals
+from kleinkram.server.auth.bootstrap import ensure_owner
 from kleinkram.server.context import AppContext
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
-from kleinkram.server.people.local_owner import ensure_owner
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi

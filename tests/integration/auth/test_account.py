@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 
 from kleinkram import connect
 from kleinkram.cli.main import app
+from kleinkram.contract.access import Scope
 from kleinkram.contract.errors import LastSignInMethod, NotFound
-from kleinkram.contract.rights import Scope
 from kleinkram.server.access.groups import OWNER_ID
 from kleinkram.server.settings import Affiliation
 from tests.integration import people

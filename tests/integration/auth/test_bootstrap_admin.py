@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from kleinkram.server.access.groups import ADMINS_ID
-from kleinkram.server.auth.bootstrap_admin import log_bootstrap_code
+from kleinkram.server.auth.bootstrap import log_bootstrap_code
 from kleinkram.server.context import AppContext
-from kleinkram.server.jobs.retention import forget_ended
+from kleinkram.server.jobs.queue import forget_ended
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.auth.accounts import PASSWORD, account, any_email, code_of, signed_in

@@ -2,7 +2,7 @@
 
 import pytest
 
-from kleinkram.contract.rights import Scope
+from kleinkram.contract.access import Scope
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.auth.accounts import PASSWORD, Account, account, code_of

@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.errors import RateLimited
-from kleinkram.contract.rights import Right
 from kleinkram.server.context import AppContext
 from kleinkram.server.http import rate_limit
 from tests.integration import people

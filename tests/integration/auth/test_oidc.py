@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from joserfc.jwk import RSAKey
 
-from kleinkram.contract.rights import Right
+from kleinkram.contract.access import Right
 from kleinkram.server.settings import OpenTo
 from tests.integration import people
 from tests.integration.api_server import Api

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from kleinkram.contract.rights import Scope
+from kleinkram.contract.access import Scope
 from tests.integration import people
 from tests.integration.api_server import Answer, Api
 from tests.integration.auth.accounts import PASSWORD, account, sign_in, signed_in

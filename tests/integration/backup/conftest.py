@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from kleinkram.contract.rights import Scope, TokenKind
+from kleinkram.contract.access import Scope, TokenKind
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.backup.instances import EmptyInstances

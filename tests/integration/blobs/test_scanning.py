@@ -12,7 +12,7 @@ import zstandard
 from kleinkram.recordings import CountingSource, FileSource, Lost
 from kleinkram.recordings.formats.mcap.index import read_index
 from kleinkram.recordings.sample import generate_mcap
-from kleinkram.recordings.sources import file_reader
+from kleinkram.recordings.sources import FileReader
 from kleinkram.recordings.summary import scan
 from kleinkram.server.blobs import reader_processes
 from kleinkram.server.settings import Settings
@@ -175,7 +175,7 @@ def test_every_real_recording_says_the_same_on_the_server(corpus: Corpus) -> Non
         topics.setdefault(topic["file_id"], set()).add((topic["name"], topic["message_type"], topic["count"]))
     assert listed.keys() == corpus.files.keys()
     for name, read in listed.items():
-        with file_reader(corpus.folder / name) as forward:
+        with FileReader(corpus.folder / name) as forward:
             here = scan(forward)
         assert read["state"] == "verified", name
         assert (read["content"], read["message_count"]) == (here.content.value, here.message_count), name

@@ -6,7 +6,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from kleinkram.contract.rights import Right, Scope
+from kleinkram.contract.access import Right, Scope
 from kleinkram.server.access.operations import OPERATIONS
 from kleinkram.server.events import hub as hubs
 from tests.integration import people

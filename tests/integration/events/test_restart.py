@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from kleinkram.client import connect
-from kleinkram.contract.events import Change, Refetch, RefetchReason
+from kleinkram.contract.audit import Change, Refetch, RefetchReason
 from tests.integration.api_server import serving
 from tests.integration.event_client import listening
 from tests.integration.upload_client import wait_until

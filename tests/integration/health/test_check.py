@@ -11,7 +11,7 @@ import urllib3
 
 from kleinkram.recordings import isolation
 from kleinkram.server import checks
-from kleinkram.server.health.proxy_check import HEADER, Seen, proof
+from kleinkram.server.http.headers import CHECK_HEADER, Seen, proof
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.ports import choose_port
@@ -106,8 +106,8 @@ def test_what_a_proxy_leaves_out_is_named(api: Api, said: dict[str, Any], level:
 
 def test_how_a_request_came_in_is_told_to_who_has_the_settings_alone(api: Api) -> None:
     url = f"{api.url}/health/live"
-    assert urllib3.request("GET", url, headers={HEADER: "guess"}).data == b"live\n"
-    told = urllib3.request("GET", url, headers={HEADER: proof(api.app.state.settings)}).json()
+    assert urllib3.request("GET", url, headers={CHECK_HEADER: "guess"}).data == b"live\n"
+    told = urllib3.request("GET", url, headers={CHECK_HEADER: proof(api.app.state.settings)}).json()
     assert (told["peer"], told["forwarded"]) == ("127.0.0.1", False)
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from kleinkram.client import connect
-from kleinkram.contract.rights import Right
+from kleinkram.contract.access import Right
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi

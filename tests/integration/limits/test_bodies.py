@@ -23,7 +23,7 @@ def test_who_signs_in_may_not_send_much(api: Api, path: str, more: dict[str, str
     assert refused.json()["limit_bytes"] == 64 * 1024
 
 
-def test_of_an_invalid_request_only_the_first_problems_are_told(api: Api) -> None:
-    told = _post(api, "/projects", {"Authorization": f"Bearer {api.token}"})
-    assert told.status == 422
-    assert 0 < len(told.json()["problems"]) <= 100
+def test_the_problems_of_an_invalid_request_are_limited_to_100(api: Api) -> None:
+    answer = _post(api, "/projects", {"Authorization": f"Bearer {api.token}"})
+    assert answer.status == 422
+    assert 0 < len(answer.json()["problems"]) <= 100

@@ -34,7 +34,7 @@ def test_a_head_without_end_is_cut_off(api: Api) -> None:
             connection.sendall(b"a" * 100_000_000)
 
 
-def test_who_sends_too_large_a_head_is_told(api: Api) -> None:
+def test_a_request_with_too_large_headers_is_refused(api: Api) -> None:
     with _connect(api) as connection:
         connection.sendall(b"GET /health/live HTTP/1.1\r\nHost: x\r\nX-Much: " + b"a" * (64 * 1024))
         assert connection.recv(100).startswith(b"HTTP/1.1 431 ")
@@ -147,8 +147,8 @@ def test_open_bodies_shut_nobody_out(start_api: StartApi) -> None:
     api = start_api(connections_per_address=16)
     with ExitStack() as stack:
         attackers = [stack.enter_context(_connect(api)) for _ in range(40)]
-        for each in attackers:
-            each.sendall(_BEGUN_BODY)
+        for attacker in attackers:
+            attacker.sendall(_BEGUN_BODY)
         with _connect(api) as connection:
             connection.sendall(_LIVE)
             assert connection.recv(100).startswith(b"HTTP/1.1 200 ")
@@ -160,9 +160,9 @@ def test_requests_that_are_being_answered_do_not_give_way(start_api: StartApi) -
     stream = f"GET /api/v1/events HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {api.token}\r\n\r\n".encode()
     with ExitStack() as stack:
         streams = [stack.enter_context(_connect(api)) for _ in range(16)]
-        for each in streams:
-            each.sendall(stream)
-            assert each.recv(100).startswith(b"HTTP/1.1 200 ")
+        for connection in streams:
+            connection.sendall(stream)
+            assert connection.recv(100).startswith(b"HTTP/1.1 200 ")
         with _connect(api) as one_more:
             assert one_more.recv(100).startswith(b"HTTP/1.1 503 ")
         streams[0].close()

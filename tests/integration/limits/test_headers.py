@@ -47,7 +47,7 @@ def test_every_answer_is_guarded(api: Api, method: str, path: str, with_token: b
     assert "server" not in headers
 
 
-def test_behind_tls_browsers_are_told_to_stay_there(start_api: StartApi) -> None:
+def test_hsts_is_sent_behind_tls(start_api: StartApi) -> None:
     api = start_api(public_url="https://lab.example")
     assert _headers(api, "GET", "/health/live", None)["strict-transport-security"] == "max-age=31536000"
 
@@ -63,7 +63,7 @@ def test_nobody_is_believed_about_where_a_request_comes_from(api: Api) -> None:
     assert _address_noted(api, Forwarded="for=203.0.113.9") == "127.0.0.1"
 
 
-def test_a_trusted_proxy_is_believed_and_what_it_was_told_is_not(start_api: StartApi) -> None:
+def test_only_the_entry_of_a_trusted_proxy_in_forwarded_headers_counts(start_api: StartApi) -> None:
     api = start_api(trusted_proxies="127.0.0.0/8, 10.0.0.0/8")
     assert _address_noted(api, **{"X-Forwarded-For": "203.0.113.9"}) == "203.0.113.9"
     assert _address_noted(api, **{"X-Forwarded-For": "192.0.2.1, 203.0.113.9, 10.1.1.1"}) == "203.0.113.9"

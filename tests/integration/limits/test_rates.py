@@ -109,7 +109,7 @@ def test_those_who_ask_at_once_are_all_counted(strict: Api) -> None:
     assert sorted(statuses) == [200] * 3 + [429] * 13
 
 
-def test_what_is_kept_says_nothing_of_who_asked(strict: Api) -> None:
+def test_stored_rate_counts_do_not_identify_the_client(strict: Api) -> None:
     async def count(context: AppContext) -> None:
         await enforce_limits(
             context.database, Count("sign-ins", "anna@lab.example", 5), Count("sign-ins", "10.0.0.1", 5)
@@ -145,8 +145,8 @@ def test_a_window_ends_and_is_forgotten(start_api: StartApi, monkeypatch: pytest
 
     api.get("/stats").ok()
     on_site(api, forget)
-    kept = api.sql("SELECT count(*) FROM rate_count WHERE key = 'searches:x'")
-    assert kept in ([(1,)], [(2,)])  # one more where a minute began meanwhile
+    counts = api.sql("SELECT count(*) FROM rate_count WHERE key = 'searches:x'")
+    assert counts in ([(1,)], [(2,)])  # one more where a minute began meanwhile
 
 
 def _limited(strict: Api) -> tuple[ClientApi, DownloadRequest]:

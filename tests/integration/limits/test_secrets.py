@@ -50,7 +50,7 @@ class Story:
         return {name for name, secret in self.secrets.items() if secret in whole}
 
 
-class _Kept(logging.Handler):
+class _LogCollector(logging.Handler):
     def __init__(self, lines: list[str]) -> None:
         super().__init__(logging.DEBUG)
         self.setFormatter(JsonLines())
@@ -64,14 +64,14 @@ class _Kept(logging.Handler):
 def story(start_api: StartApi) -> Iterator[Story]:
     """A story on an API of its own, with all that is logged meanwhile, of our own code in every detail."""
     story = Story(start_api(sign_ins_per_minute=0))
-    kept, root, ours = _Kept(story.lines), logging.getLogger(), logging.getLogger("kleinkram")
+    collector, root, ours = _LogCollector(story.lines), logging.getLogger(), logging.getLogger("kleinkram")
     levels = root.level, ours.level
-    root.addHandler(kept)
+    root.addHandler(collector)
     root.setLevel(logging.INFO)
     ours.setLevel(logging.DEBUG)
     quiet_libraries()
     yield story
-    root.removeHandler(kept)
+    root.removeHandler(collector)
     root.setLevel(levels[0])
     ours.setLevel(levels[1])
 
@@ -93,8 +93,8 @@ def test_no_secret_is_ever_written_down(story: Story) -> None:
     rows = story.api.sql("SELECT row_to_json(audit_event)::text FROM audit_event")
     assert len(rows) > 20
     assert story.found_in([row for (row,) in rows]) == set()
-    kept = [row for (row,) in story.api.sql("SELECT row_to_json(rate_count)::text FROM rate_count")]
-    assert story.found_in(kept) == set()
+    texts = [text for (text,) in story.api.sql("SELECT row_to_json(rate_count)::text FROM rate_count")]
+    assert story.found_in(texts) == set()
 
 
 def _sign_people_in(story: Story) -> None:
@@ -142,8 +142,8 @@ def _carry_tokens_and_links(story: Story) -> None:
     story.fails(script.get("/projects"))
     mission = api.mission(api.project()["id"])["id"]
     tomorrow = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(days=1)
-    wanted = {"name": "partner", "expires_at": tomorrow.isoformat()}
-    shared = api.post(f"/missions/{mission}/shares", wanted).ok(201)
+    share = {"name": "partner", "expires_at": tomorrow.isoformat()}
+    shared = api.post(f"/missions/{mission}/shares", share).ok(201)
     story.keep(link=shared["secret"])
     guest = api.as_(shared["secret"])
     guest.get("/files").ok()
@@ -199,7 +199,7 @@ def test_what_objects_say_of_themselves_holds_no_secret(api: Api) -> None:
         _password(settings),
         str(api.token),
     ]
-    shown = f"{settings!r} {settings} {on_site(api, lambda context: _said(context))}"
+    shown = f"{settings!r} {settings} {on_site(api, lambda context: _context_text(context))}"
     shown += on_site(api, lambda context: _owner(context, str(api.token)))
     assert [secret for secret in hidden if secret in shown] == []
 
@@ -208,7 +208,7 @@ def _password(settings: Settings) -> str:
     return str(settings.database_url.hosts()[0]["password"])
 
 
-async def _said(context: AppContext) -> str:
+async def _context_text(context: AppContext) -> str:
     return f"{context!r} {context.database!r} {context.database.engine!r} {context.storage!r}"
 
 

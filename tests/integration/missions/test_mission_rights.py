@@ -1,6 +1,6 @@
 """What somebody who was let into one mission alone may do with it, and what they hear of its project."""
 
-from kleinkram.contract.rights import Right
+from kleinkram.contract.access import Right
 from tests.integration import people
 from tests.integration.api_server import Api
 

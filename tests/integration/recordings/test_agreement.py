@@ -15,9 +15,9 @@ from tests.conftest import MakeCase
 from tests.integration.api_server import Api
 from tests.integration.corpus import Corpus
 from tests.integration.jobs import run_jobs
+from tests.integration.recordings.test_readers_agree import CASE_NUMBERS, WITHOUT_RECORDINGS
 from tests.integration.upload_client import upload_all
-from tests.unit.recordings.agreement import Account, Accounts, Reading, accounts_of, disagreements, reading_of
-from tests.unit.recordings.test_agreement import CASE_NUMBERS, WITHOUT_RECORDINGS
+from tests.recording_files.agreement import Account, Accounts, Reading, accounts_of, disagreements, reading_of
 
 
 def account_on_server(api: Api, recording: RecordingRead) -> Account:

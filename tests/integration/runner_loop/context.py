@@ -3,10 +3,10 @@
 import datetime
 import uuid
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.missions import MissionRead
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
-from kleinkram.contract.rights import Right
 
 LATER = datetime.datetime(2100, 1, 1, tzinfo=datetime.timezone.utc)
 

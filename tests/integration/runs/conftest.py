@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import urllib3
 
-from kleinkram.contract.rights import Scope, TokenKind
+from kleinkram.contract.access import Scope, TokenKind
 from tests.integration import people
 from tests.integration.api_server import Answer, Api
 from tests.integration.conftest import StartApi

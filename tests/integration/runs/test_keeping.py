@@ -5,7 +5,7 @@ import uuid
 
 import pytest
 
-from kleinkram.contract.rights import Scope, TokenKind
+from kleinkram.contract.access import Scope, TokenKind
 from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.context import AppContext
 from kleinkram.server.events import hub as hubs

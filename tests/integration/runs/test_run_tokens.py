@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from kleinkram.contract.rights import Right
+from kleinkram.contract.access import Right
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.runs.conftest import Place, Played, launch

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from kleinkram.contract.rights import Right
+from kleinkram.contract.access import Right
 from kleinkram.server.missions import service as missions_service
 from tests.integration import people
 from tests.integration.api_server import Api, Query

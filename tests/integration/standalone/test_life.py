@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from kleinkram.contract.secrets import is_whole
+from kleinkram.contract.tokens import is_whole
 from kleinkram.standalone import object_store
 from kleinkram.standalone.address import Listening, is_free
 from kleinkram.standalone.data_dir import DataDir, load_secrets

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from kleinkram.server.context import AppContext
-from kleinkram.server.trash.emptying import empty_trash
+from kleinkram.server.trash.service import empty_trash
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from kleinkram.contract.rights import Right, Scope
+from kleinkram.contract.access import Right, Scope
 from kleinkram.contract.uploads import UploadFinish
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.context import AppContext

@@ -23,9 +23,9 @@ def _get(api: Api, path: str, **headers: str) -> urllib3.BaseHTTPResponse:
 
 
 def _script(api: Api) -> str:
-    found = re.search(r'src="(/assets/[^"]+\.js)"', _get(api, "/").data.decode())
-    assert found is not None
-    return found[1]
+    match = re.search(r'src="(/assets/[^"]+\.js)"', _get(api, "/").data.decode())
+    assert match is not None
+    return match[1]
 
 
 def test_every_view_is_the_app(api: Api) -> None:
@@ -57,7 +57,7 @@ def test_what_does_not_exist_is_a_page_to_people_and_a_problem_to_programs(api: 
     assert _POOL.request("POST", f"{api.url}/api/v1/nothing").status == 404
 
 
-def test_the_original_client_is_told_which_client_to_install(api: Api) -> None:
+def test_the_client_of_the_original_is_answered_with_which_client_to_install(api: Api) -> None:
     carried = {"Kleinkram-Client-Version": "0.63.3", "Accept": "*/*"}
     requests = [("GET", path, carried) for path in ("/", "/users/me", "/projects", "/missions/x", "/api/v1/projects")]
     requests += [("POST", "/missions", carried), ("DELETE", "/files", carried), ("PUT", "/anything", carried)]
@@ -85,18 +85,18 @@ def test_the_policy_lets_run_what_is_ours_alone_and_reach_the_store(api: Api) ->
     settings = api.app.state.settings
     for path in ("/", "/projects", _script(api)):
         policy = _get(api, path).headers["content-security-policy"]
-        told = dict(part.strip().split(" ", 1) for part in policy.split(";"))
-        assert told["default-src"] == "'none'"
-        assert told["script-src"] == "'self' 'wasm-unsafe-eval'"
-        assert told["style-src"] == told["worker-src"] == "'self'"
-        assert told["connect-src"] == f"'self' {settings.store_origin}"
-        assert told["frame-ancestors"] == "'none'"
+        directives = dict(part.strip().split(" ", 1) for part in policy.split(";"))
+        assert directives["default-src"] == "'none'"
+        assert directives["script-src"] == "'self' 'wasm-unsafe-eval'"
+        assert directives["style-src"] == directives["worker-src"] == "'self'"
+        assert directives["connect-src"] == f"'self' {settings.store_origin}"
+        assert directives["frame-ancestors"] == "'none'"
     html = _get(api, "/").data.decode()
     assert not re.search(r"<script(?![^>]*\ssrc=)|<style|\sstyle=|\son\w+=", html), "nothing inline"
     assert not re.search(r"(src|href)=\"(https?:)?//", html), "nothing from elsewhere"
 
 
-def test_what_is_built_is_kept_for_good_and_sent_compressed(api: Api) -> None:
+def test_built_assets_are_cached_forever_and_sent_compressed(api: Api) -> None:
     path = _script(api)
     plain = _get(api, path)
     assert plain.status == 200

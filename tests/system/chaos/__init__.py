@@ -1,1 +1,1 @@
-"""The fault rig: what kills, fills, cuts and sets wrong. It drives real processes; tests say what must hold after."""
+"""Fault injection into real processes: kills, full disks, cut connections, wrong clocks."""

@@ -20,16 +20,16 @@ if "kleinkram.server" in sys.orig_argv and "LD_PRELOAD" not in os.environ:
 
 
 def wrong_clock(hours: float) -> dict[str, str]:
-    """Return the variables of a program whose clock is so many hours ahead; skip where there is no way to do it."""
-    found = importlib.util.find_spec("libfaketime")
-    library = Path(found.origin).parent / _LIBRARY if found and found.origin else None
+    """Return the variables of a program whose clock is `hours` ahead; skip if libfaketime is missing."""
+    spec = importlib.util.find_spec("libfaketime")
+    library = Path(spec.origin).parent / _LIBRARY if spec and spec.origin else None
     if library is None or not library.exists():
         missing("clocks are set wrong by libfaketime, which has no build for this machine")
     return {"LD_PRELOAD": str(library), "FAKETIME": f"{hours:+g}h", "FAKETIME_DONT_FAKE_MONOTONIC": "1"}
 
 
 def wrong_at_server(folder: Path, hours: float) -> dict[str, str]:
-    """Return the variables of a `klein up` whose API and worker have a wrong clock; `folder` is where it is said."""
+    """Return the variables of a `klein up` whose API and worker have a wrong clock; `folder`: its configuration."""
     folder.mkdir()
     (folder / "sitecustomize.py").write_text(_AT_START.format(wrong=wrong_clock(hours)))
     return {"PYTHONPATH": str(folder)}

@@ -1,4 +1,4 @@
-"""A proxy that ends every connection after a while, whatever goes on in it: as those do that allow a minute."""
+"""A proxy that ends every connection after a fixed time, like proxies with a limit of one minute."""
 
 import contextlib
 import selectors
@@ -42,7 +42,7 @@ class Cutter:
                 self.cuts += 1
 
     def _take_time(self, size_bytes: int, ends_at: float) -> None:
-        """Let pass what the line takes for some bytes, of which all connections share one."""
+        """Wait as long as the line, which all connections share, needs for some bytes."""
         if self.bytes_per_s is None:
             return
         with self._lock:
@@ -54,7 +54,7 @@ class Cutter:
 
 @contextmanager
 def cutting(url: str, *, after_s: float, bytes_per_s: float | None = None) -> Iterator[Cutter]:
-    """Stand before an address, on a free port of this machine; `bytes_per_s` is how fast the line is, for all."""
+    """Forward a free port of this machine to an address; `bytes_per_s` is the total rate of all connections."""
     where = urlsplit(url)
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
@@ -78,8 +78,8 @@ def _accept(listener: socket.socket, cutter: Cutter, over: threading.Event) -> N
             near.settimeout(10)
             serving.append(threading.Thread(target=_serve, args=(cutter, near), name="cut"))
             serving[-1].start()
-    for each in serving:
-        each.join(20)
+    for thread in serving:
+        thread.join(20)
 
 
 def _serve(cutter: Cutter, near: socket.socket) -> None:

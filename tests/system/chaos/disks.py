@@ -1,4 +1,4 @@
-"""Small disks, seen only by who is told to: each is mounted in a namespace of its own, and gone at the end."""
+"""Small disks, each mounted in its own namespace, visible only to programs that run inside."""
 
 import contextlib
 import shlex
@@ -23,15 +23,15 @@ class SmallDisk:
 
     @property
     def inside(self) -> tuple[str, ...]:
-        """The beginning of the command line of a program that is to see it."""
+        """The beginning of the command line of a program that sees the disk."""
         return ("nsenter", f"--target={self.pid}", "--mount")
 
     def path(self, name: str) -> Path:
-        """Return a file on it as everybody else reaches it."""
+        """Return the path of a file on it, for programs outside the namespace."""
         return Path(f"/proc/{self.pid}/root{self.folder}/{name}")
 
     def fill(self) -> None:
-        """Take all the room that is left, to the last page."""
+        """Fill the disk completely."""
         with self.path("ballast").open("wb", buffering=0) as out:
             for piece in (MIB, 4096, 1):
                 with contextlib.suppress(OSError):
@@ -39,7 +39,7 @@ class SmallDisk:
                         out.write(bytes(piece))
 
     def make_room(self) -> None:
-        """Give back what `fill` took."""
+        """Free the space that `fill` used."""
         self.path("ballast").unlink()
 
 
@@ -47,7 +47,7 @@ class SmallDisk:
 def small_disk(folder: Path, size_bytes: int) -> Iterator[SmallDisk]:
     """Mount a disk at `folder`, with what is in it now.
 
-    Whoever has files open on it goes on seeing it until they end.
+    Programs with open files keep seeing it until they end.
     """
     here = shlex.quote(str(folder))
     copy = f'd=$(mktemp -d) && mount -t tmpfs -o size={size_bytes},mode=700 small "$d" && cp -a {here}/. "$d"'
@@ -62,7 +62,7 @@ def small_disk(folder: Path, size_bytes: int) -> Iterator[SmallDisk]:
 
 
 def need_small_disks() -> None:
-    """Skip, or fail where all is required, where there can be none."""
+    """Skip, or fail if all requirements are mandatory, if small disks cannot be mounted."""
     trial = subprocess.run(
         [*_APART, "mount", "-t", "tmpfs", "small", "/mnt"], check=False, capture_output=True, text=True
     )

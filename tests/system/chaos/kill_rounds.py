@@ -1,6 +1,6 @@
 """Rounds of kill -9 in the middle of an upload: what is killed when, what was stored, what was sent again.
 
-A round is seeded: what is killed, when, and the bytes. What must hold is for tests to say.
+A round is seeded: the processes, the moments, and the bytes.
 """
 
 import contextlib
@@ -32,7 +32,7 @@ _SMALL_FILES = 75
 
 @dataclass
 class Round:
-    """One round: its mission's local folder, who is killed, and what came of it."""
+    """One round: its mission's local folder, the processes to kill, and the results."""
 
     seed: int
     victims: list[str]
@@ -49,7 +49,7 @@ class Round:
 
 
 def turns(chance: random.Random) -> Iterator[list[str]]:
-    """Yield who is killed in each round: all in turn, in an order that differs from turn to turn, no two the same."""
+    """Yield the processes to kill in each round: two different ones, all in turn, in random order."""
     waiting: list[str] = []
     while True:
         while len(set(waiting[:_KILLS_A_ROUND])) < _KILLS_A_ROUND:
@@ -77,7 +77,7 @@ def fill(one: Round, chance: random.Random) -> None:
 
 def upload_under_fire(cluster: Cluster, one: Round, chance: random.Random, *, rate_mb_s: int) -> None:
     """Upload once, killing at random moments meanwhile, then again until it is done; note what was sent again."""
-    before = _held_bytes(cluster)
+    before = _stored_bytes(cluster)
     command = [*_upload(one), "--limit-rate", f"{rate_mb_s}MB"]
     upload = cluster.terminal.start(*command)
     wait_until(lambda: bool(cluster.terminal.journals()) or upload.poll() is not None, "the upload to begin")
@@ -95,19 +95,21 @@ def upload_under_fire(cluster: Cluster, one: Round, chance: random.Random, *, ra
     out, err = upload.communicate(timeout=100)
     say(f"  {time.monotonic() - started:5.2f} s: the client ended with {upload.returncode}")
     assert "Traceback" not in out + err
-    held = _held_bytes(cluster) - before
+    stored = _stored_bytes(cluster) - before
     moved = _upload_until_done(cluster, one)
-    one.sent_again_bytes = max(0, held + moved - one.size_bytes)
-    say(f"  {time.monotonic() - started:5.2f} s: done; held {held}, then sent {moved}: again {one.sent_again_bytes}")
+    one.sent_again_bytes = max(0, stored + moved - one.size_bytes)
+    say(
+        f"  {time.monotonic() - started:5.2f} s: done; stored {stored}, then sent {moved}: again {one.sent_again_bytes}"
+    )
 
 
-def _held_bytes(cluster: Cluster) -> int:
-    """Ask the store what it holds, which may be on its way back."""
+def _stored_bytes(cluster: Cluster) -> int:
+    """Return the bytes in the store, waiting until it is available."""
     weighed: list[int] = []
 
     def is_weighed() -> bool:
         with contextlib.suppress(StoreUnavailable):
-            weighed.append(backend.held_bytes(cluster))
+            weighed.append(backend.stored_bytes(cluster))
         return bool(weighed)
 
     wait_until(is_weighed, "the store to be back")
@@ -115,16 +117,16 @@ def _held_bytes(cluster: Cluster) -> int:
 
 
 def _upload_until_done(cluster: Cluster, one: Round) -> int:
-    """Return what the last run moved, which is the first that the server let come to an end."""
-    said: list[str] = []
+    """Upload until it succeeds; return the bytes that the last run sent."""
+    reports: list[str] = []
     for _ in range(_ATTEMPTS):
         cluster.start_again_if_dead()
         ran = cluster.terminal.run(*_upload(one), "--json", code=None)
-        said.append(f"{ran.code}: {ran.err}")
+        reports.append(f"{ran.code}: {ran.err}")
         assert "Traceback" not in ran.err
         if ran.code == 0:
             return sum(item["moved_bytes"] for item in ran.json()["items"])
-    pytest.fail("never done:\n" + "\n".join(said))
+    pytest.fail("never done:\n" + "\n".join(reports))
 
 
 def _let_run(upload: "subprocess.Popen[str]", until: float) -> None:
@@ -139,6 +141,6 @@ def _upload(one: Round) -> list[str]:
 
 
 def say(line: str) -> None:
-    """Say what happens; pytest shows it when a round fails."""
+    """Print a line; pytest shows it if a round fails."""
     sys.stdout.write(f"{line}\n")
     sys.stdout.flush()

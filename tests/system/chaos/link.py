@@ -96,7 +96,7 @@ class SlowLink:
         return ("ip", "netns", "exec", namespace)
 
     def change_address(self) -> None:
-        """Give the robot another address. Its connections get no answer any more, and nobody tells it so."""
+        """Give the robot another address. Its old connections get no answer, without an error."""
         old = self.robot_address
         self.address_changes += 1
         _ip("-netns", self.robot, "address", "delete", f"{old}/24", "dev", self._robot_device)

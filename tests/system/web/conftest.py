@@ -23,7 +23,7 @@ Act = Callable[..., dict[str, Any]]
 def act() -> Act:
     """Runs a program with the browser; skipped where there is no browser, driver or built app."""
     need("chromium", "node")
-    found = path_of("chromium")
+    browser = path_of("chromium")
     if not (WEB / "node_modules" / "playwright-core").is_dir() or not (BUILT / "index.html").is_file():
         missing("the web interface is not built: `make setup` builds it")
 
@@ -32,7 +32,7 @@ def act() -> Act:
     ) -> dict[str, Any]:
         link = cluster.terminal.run("session", "link").out.strip()
         program = Path(__file__).parent / script
-        places = [str(WEB), str(found), link, cluster.runtime_info()["url"]]
+        places = [str(WEB), str(browser), link, cluster.runtime_info()["url"]]
         command = [*inside, "node", str(program), *places, *map(str, arguments)]
         done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=timeout_s)
         assert done.returncode == 0, done.stderr

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kleinkram.recordings.formats.mcap.writer import McapWriter
 from kleinkram.recordings.sample import Faults, TopicGap, generate_bag, generate_mcap
+from kleinkram.recordings.sample.writers import McapWriter
 from tests.acceptance.conftest import Terminal, wait_until
 
 # What would be asked for if any of it were an element.
@@ -68,7 +68,7 @@ for ending in ("svg", "csv", "geojson"):
 
 @dataclass(frozen=True)
 class World:
-    """Where things are, for whoever drives a browser."""
+    """Ids and addresses for the browser program."""
 
     invitation: str
     unused_invitation: str
@@ -77,17 +77,17 @@ class World:
 
 
 def make_world(terminal: Terminal, folder: Path) -> World:
-    """Fill a server; returns once all of it was read."""
+    """Fill a server, and wait until all files are read."""
     _projects(terminal, folder)
     day = _day(folder / "day")
     place = ("-p", PROJECT, "-m", MISSION)
-    said = folder / "said.yaml"
-    said.write_text(
+    metadata = folder / "metadata.yaml"
+    metadata.write_text(
         json.dumps({"robot": VALUE[:60], "operator": "<b onclick=wasrun>", "page": ADDRESS, "extra": VALUE})
     )
-    terminal.run("mission", "create", *place, "--metadata", said, "--notes", NOTES)
+    terminal.run("mission", "create", *place, "--metadata", metadata, "--notes", NOTES)
     terminal.run("upload", *place, f"{day}/")
-    terminal.run("mission", "create", "-p", PROJECT, "-m", f"gone {LABEL}", "--metadata", said)
+    terminal.run("mission", "create", "-p", PROJECT, "-m", f"gone {LABEL}", "--metadata", metadata)
     terminal.run("mission", "delete", f"gone {LABEL}", "-p", PROJECT, "--yes")
     # Once it was said it is declared a link: what is there already was never judged as one.
     fields = folder / "later.yaml"
@@ -109,9 +109,9 @@ def make_world(terminal: Terminal, folder: Path) -> World:
     terminal.run("action", "run", ACTION, *place, "--set", f"robot={VALUE[:60]}", "--follow", "--yes")
     wait_until(lambda: all(file["content"] != "pending" for file in files()), "all files to be read")
     known = {file["path"]: file["id"] for file in files()}
-    missions = {each["name"]: each["id"] for each in terminal.run("mission", "list", "--json").json()["items"]}
-    projects = {each["name"]: each["id"] for each in terminal.run("project", "list", "--json").json()["items"]}
-    groups = {each["name"]: each["id"] for each in terminal.run("group", "list", "--json").json()["items"]}
+    missions = {row["name"]: row["id"] for row in terminal.run("mission", "list", "--json").json()["items"]}
+    projects = {row["name"]: row["id"] for row in terminal.run("project", "list", "--json").json()["items"]}
+    groups = {row["name"]: row["id"] for row in terminal.run("group", "list", "--json").json()["items"]}
     actions = terminal.run("action", "list", "--json").json()["items"]
     runs = terminal.run("run", "list", "--json").json()["items"]
     ids = {

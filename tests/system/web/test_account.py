@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import urllib3
 
-from kleinkram.server.jobs.job_context import ATTEMPTS
+from kleinkram.server.jobs.attempts import ATTEMPTS
 from tests.system.backend import sql
 from tests.system.cluster import Cluster
 from tests.system.web.conftest import Act
@@ -58,7 +58,7 @@ def test_an_account_a_mission_and_a_failed_job(cluster: Cluster, act: Act, pictu
     )
     seen = act("account.mjs", cluster, _EMAIL, _PASSWORD, project, pictures)
 
-    assert [seen[each] for each in ("complaints", "axe", "wide", "ran")] == [[], [], [], []]
+    assert [seen[name] for name in ("complaints", "axe", "wide", "ran")] == [[], [], [], []]
     assert "Compared\n0 objects" in seen["scrub"]
     assert "Newly lost\n0" in seen["scrub"]
     assert "ada@lab.example verified by your invitation" in seen["account"]
@@ -75,5 +75,5 @@ def test_an_account_a_mission_and_a_failed_job(cluster: Cluster, act: Act, pictu
     assert "already" in seen["nameTaken"]
     assert "spot" in seen["mission"]
     assert "Ada" in seen["mission"]
-    made = {each["name"]: each["metadata"] for each in terminal.run("mission", "list", "--json").json()["items"]}
-    assert made["ridge"] == {"robot": "spot", "operator": "Ada"}
+    metadata = {row["name"]: row["metadata"] for row in terminal.run("mission", "list", "--json").json()["items"]}
+    assert metadata["ridge"] == {"robot": "spot", "operator": "Ada"}

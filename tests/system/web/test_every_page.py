@@ -74,7 +74,7 @@ def _look(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path, *, every: 
 
 
 def _scripts_of(policy: str) -> set[str]:
-    allowed = {words[0]: set(words[1:]) for each in policy.split(";") if (words := each.split())}
+    allowed = {words[0]: set(words[1:]) for rule in policy.split(";") if (words := rule.split())}
     assert allowed["default-src"] == {"'none'"}
     return allowed["script-src"]
 
@@ -84,4 +84,4 @@ def _routes() -> set[str]:
     named = {"file": "file-drive"}, {"admin": "admin-storage"}
     routes = re.findall(r'name: "([a-z-]+)"', (WEB / "src" / "router" / "routes.ts").read_text())
     assert len(routes) > 10
-    return {named[0].get(each) or named[1].get(each) or each for each in routes}
+    return {named[0].get(route) or named[1].get(route) or route for route in routes}

@@ -34,13 +34,13 @@ def test_pictures_of_the_readme(cluster: Cluster, act: Act, pictures: Path, tmp_
     terminal.run("project", "create", "alpine", "-d", "Walks above the snow line", "--fields", tmp_path / "fields.yaml")
     for seed, mission in enumerate(_MISSIONS):
         _make(terminal, tmp_path / mission, seed + 1)
-    missions = {each["name"]: each["id"] for each in terminal.run("mission", "list", "--json").json()["items"]}
+    missions = {row["name"]: row["id"] for row in terminal.run("mission", "list", "--json").json()["items"]}
     place = ("-p", "alpine", "-m", "ridge-traverse")
 
     def files() -> dict[str, str]:
         items = terminal.run("file", "list", *place, "--json").json()["items"]
         return (
-            {} if any(each["content"] == "pending" for each in items) else {each["path"]: each["id"] for each in items}
+            {} if any(item["content"] == "pending" for item in items) else {item["path"]: item["id"] for item in items}
         )
 
     wait_until(lambda: files() != {}, "the recordings to be read")
@@ -56,8 +56,8 @@ def _make(terminal: Terminal, folder: Path, seed: int) -> None:
     faults = Faults(gap=TopicGap("/imu/data", 5, 3))
     generate_mission(folder, size_bytes=18_000_000, duration_s=20, seed=seed, faults=faults)
     generate_bag(folder / "payload.bag", size_bytes=3_000_000, duration_s=14, seed=seed + 10)
-    said = folder.with_suffix(".yaml")
-    said.write_text(f"robot: {robot}\noperator: {operator}\ntemperature: {temperature}\n")
+    metadata = folder.with_suffix(".yaml")
+    metadata.write_text(f"robot: {robot}\noperator: {operator}\ntemperature: {temperature}\n")
     place = ("-p", "alpine", "-m", folder.name)
-    terminal.run("mission", "create", *place, "--metadata", said, "--notes", notes)
+    terminal.run("mission", "create", *place, "--metadata", metadata, "--notes", notes)
     terminal.run("upload", *place, f"{folder}/")

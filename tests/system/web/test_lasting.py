@@ -50,7 +50,7 @@ def test_what_was_typed_lasts(cluster: Cluster, act: Act, pictures: Path, tmp_pa
     assert seen["keptOfUpload"] == ["second", "beatrice"]
     assert "File uploaded." in seen["over"]
     assert cluster.runtime_info()["services"]["api"] != api
-    runtime_info = {each["name"]: each for each in terminal.run("mission", "list", "--json").json()["items"]}
+    runtime_info = {row["name"]: row for row in terminal.run("mission", "list", "--json").json()["items"]}
     assert runtime_info["day"]["metadata"] == {"operator": "edith"}
     assert runtime_info["second"]["metadata"] == {"operator": "beatrice"}
 
@@ -71,5 +71,5 @@ def test_from_another_machine(
     assert seen["complaints"] == []
     assert "File uploaded." in seen["over"]
     assert seen["sha256"] == hashlib.sha256(drive.read_bytes()).hexdigest()
-    assert {each.split()[1] for each in seen["hosts"]} == {address, store}
+    assert {line.split()[1] for line in seen["hosts"]} == {address, store}
     assert f"PUT {store}" in seen["hosts"], "straight to the store, by its public address"

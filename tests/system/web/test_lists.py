@@ -29,9 +29,9 @@ def test_missions_are_sorted_filtered_changed_and_downloaded_many_at_once(
         folder = tmp_path / name / "notes"
         folder.mkdir(parents=True)
         (folder / "day.txt").write_text(f"It was {name}.")
-        said = tmp_path / f"{name}.yaml"
-        said.write_text(f"robot: {robot}\ntemperature: {temperature}\n")
-        place = ("-p", "Alps", "-m", name, "--create", "--metadata", said)
+        metadata = tmp_path / f"{name}.yaml"
+        metadata.write_text(f"robot: {robot}\ntemperature: {temperature}\n")
+        place = ("-p", "Alps", "-m", name, "--create", "--metadata", metadata)
         terminal.run("upload", *place, f"{tmp_path / name}/")
     # Two names that are one where `:` may not be in a name.
     for name in ("a:b.txt", "a_b.txt"):

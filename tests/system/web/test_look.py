@@ -1,4 +1,4 @@
-"""A first look in a real browser: the picture that was recorded is seen, and the curve that was recorded is drawn."""
+"""Previews in a real browser show the recorded images and curves."""
 
 import base64
 import csv
@@ -26,7 +26,7 @@ _MOST_SHARE = 0.05
 
 @pytest.mark.slow
 @pytest.mark.timeout(240)
-def test_a_first_look(cluster: Cluster, act: Act, tmp_path: Path) -> None:
+def test_previews(cluster: Cluster, act: Act, tmp_path: Path) -> None:
     cluster.start()
     day = tmp_path / "day"
     day.mkdir()
@@ -50,7 +50,9 @@ def test_a_first_look(cluster: Cluster, act: Act, tmp_path: Path) -> None:
     pictures = _pictures(mcap.path)
     _assert_same(seen["mcap"], pictures[0])
     _assert_same(seen["next"], pictures[1])
-    later = next(each for each in pictures if each[0] >= pictures[1][0] // 1_000_000 * 1_000_000 + 1_000_000_000)
+    later = next(
+        picture for picture in pictures if picture[0] >= pictures[1][0] // 1_000_000 * 1_000_000 + 1_000_000_000
+    )
     _assert_same(seen["second"], later)
     assert "t=1." in seen["address"]
     _assert_same(seen["bag"], _pictures(bag.path)[0])
@@ -82,7 +84,7 @@ def _assert_same(seen: dict[str, Any], truth: tuple[int, Any]) -> None:
 def _assert_curves(text: str, truth: FileTruth, topic: str, field: str, axes: str) -> None:
     head, *rows = csv.reader(io.StringIO(text))
     assert head == [f"seconds since {truth.start_ns} ns", *(f"{field}.{axis}" for axis in axes)]
-    assert len(rows) == next(each.count for each in truth.topics if each.name == topic)
+    assert len(rows) == next(summary.count for summary in truth.topics if summary.name == topic)
     with Recording.open(truth.path) as recording:
         messages = list(recording.messages(topic))
     for row, message in zip(rows, messages, strict=True):
@@ -90,4 +92,4 @@ def _assert_curves(text: str, truth: FileTruth, topic: str, field: str, axes: st
         for name in field.split("."):
             value = getattr(value, name)
         assert float(row[0]) == pytest.approx((message.log_time_ns - truth.start_ns) / 1e9, abs=1e-9)
-        assert [float(each) for each in row[1:]] == [getattr(value, axis) for axis in axes]
+        assert [float(cell) for cell in row[1:]] == [getattr(value, axis) for axis in axes]

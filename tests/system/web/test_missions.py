@@ -40,8 +40,8 @@ def test_missions(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) ->
     cluster.start()
     terminal = cluster.terminal
     (tmp_path / "fields.yaml").write_text(_FIELDS)
-    said = tmp_path / "mission.yaml"
-    said.write_text('robot: anymal\noperator: ada\nplace: "<svg onload=alert(3)>"\n')
+    metadata = tmp_path / "mission.yaml"
+    metadata.write_text('robot: anymal\noperator: ada\nplace: "<svg onload=alert(3)>"\n')
     day = tmp_path / "day"
     day.mkdir()
     generate_mcap(day / "drive.mcap", duration_s=5, faults=Faults(gap=TopicGap("/imu/data", 2, 3)))
@@ -51,11 +51,11 @@ def test_missions(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) ->
     (many / "scan_00").mkdir(parents=True)
     (many / "scan_00" / "frame_0000.txt").write_text("the bytes that ten thousand names stand for")
     terminal.run("project", "create", _MARKUP, "--fields", tmp_path / "fields.yaml")
-    place = ("-p", _MARKUP, "--create", "--metadata", said)
+    place = ("-p", _MARKUP, "--create", "--metadata", metadata)
     terminal.run("upload", *place, "-m", _MISSION, f"{day}/", "--wait")
     terminal.run("upload", *place, "-m", "many", f"{many}/")
-    projects = {each["name"]: each["id"] for each in terminal.run("project", "list", "--json").json()["items"]}
-    missions = {each["name"]: each["id"] for each in terminal.run("mission", "list", "--json").json()["items"]}
+    projects = {row["name"]: row["id"] for row in terminal.run("project", "list", "--json").json()["items"]}
+    missions = {row["name"]: row["id"] for row in terminal.run("mission", "list", "--json").json()["items"]}
     sql(cluster, _MANY, missions["many"])
     invited = terminal.run("person", "invite", "grace@example.org", "--name", _GUEST, "--json").json()
     wait_until(lambda: _topics_are_there(cluster, missions[_MISSION]), "the topics to be added up")

@@ -33,10 +33,10 @@ def test_missions_changed(cluster: Cluster, act: Act, pictures: Path, tmp_path: 
     wait_until(lambda: terminal.parts_sent() >= 1, "a part of the upload to be there")
     begun.send_signal(signal.SIGINT)
     begun.communicate(timeout=60)
-    # As after a minute, in which the name was held for whoever was sending.
+    # As after a minute, when the lease of the name has expired.
     assert len(sql(cluster, "UPDATE upload SET lease_ends_at = now() WHERE state = 'open' RETURNING id")) == 1
-    missions = {each["name"]: each["id"] for each in terminal.run("mission", "list", "--json").json()["items"]}
-    files = {each["path"]: each["id"] for each in terminal.run("file", "list", "--json").json()["items"]}
+    missions = {row["name"]: row["id"] for row in terminal.run("mission", "list", "--json").json()["items"]}
+    files = {row["path"]: row["id"] for row in terminal.run("file", "list", "--json").json()["items"]}
     invited = terminal.run("person", "invite", "grace@example.org", "--name", "Grace", "--json").json()
 
     runtime_info = json.dumps({**missions, "drive": files["drive.mcap"]})
@@ -61,8 +61,8 @@ def test_missions_changed(cluster: Cluster, act: Act, pictures: Path, tmp_path: 
     assert "2 missions" in seen["goesWithIt"], "it says what goes with the project"
     assert "You have no access yet" in seen["empty"]
     # Under the path that the other machine gave it, though a folder that is chosen goes up with its name.
-    now = {each["path"]: each["mission"]["name"] for each in terminal.run("file", "list", "--json").json()["items"]}
+    now = {row["path"]: row["mission"]["name"] for row in terminal.run("file", "list", "--json").json()["items"]}
     assert now == {"drive.mcap": "night", "camera.raw": "night", "notes.txt": "north ridge"}
-    told_now = terminal.run("mission", "info", missions["ridge"], "--json").json()["mission"]
-    assert told_now["notes"] == "<img src=x onerror=alert(1)> **kept**\nsecond line"
-    assert told_now["completed_at"] is not None
+    changed = terminal.run("mission", "info", missions["ridge"], "--json").json()["mission"]
+    assert changed["notes"] == "<img src=x onerror=alert(1)> **kept**\nsecond line"
+    assert changed["completed_at"] is not None

@@ -1,4 +1,4 @@
-"""People, groups, tokens, the trash and the record in real browsers, two at once."""
+"""People, groups, tokens, the trash and the audit log in real browsers, two at once."""
 
 from pathlib import Path
 

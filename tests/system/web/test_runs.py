@@ -1,4 +1,4 @@
-"""Runs in a real browser: launched by a form, watched live, what they say and leave shown as what it is."""
+"""Runs in a real browser: launched with a form, watched live, with reports and artifacts shown as text."""
 
 from pathlib import Path
 from typing import Any
@@ -28,16 +28,16 @@ import json
 import time
 from kleinkram.action import inputs, out, parameters, progress, report
 
-told = parameters()
-print("told", told, "<img src=x onerror=alert(2)>", flush=True)
+values = parameters()
+print("values", values, "<img src=x onerror=alert(2)>", flush=True)
 for number in range(3000):
     print("line", number)
 (path,) = inputs()
 progress(0.5, "half of it")
 # Those on many missions last until they are ended.
-time.sleep((600 if told["top"] == "/odom" else 15) if told["slow"] else 0)
+time.sleep((600 if values["top"] == "/odom" else 15) if values["slow"] else 0)
 report.metric("ate_rmse", 0.12, unit="m", file=path)
-where = {"file": path, "topic": told["top"], "time_ns": 1_700_000_000_000_000_000}
+where = {"file": path, "topic": values["top"], "time_ns": 1_700_000_000_000_000_000}
 report.finding("warning", "gap", "nothing <i>for a while<i>", **where)
 head = '<svg xmlns="http://www.w3.org/2000/svg" width="40" height="40" onload="alert(3)">'
 (out / "plot.svg").write_text(head + '<script>alert(4)</script><circle r="20"/></svg>')
@@ -73,8 +73,8 @@ def test_a_run_from_form_to_lineage(cluster: Cluster, act: Act, pictures: Path, 
     assert log["drawn"] < 100, "only the lines in sight are drawn"
     assert log["found"] == "1 of 1"
     assert "line 1234" in log["inSight"]
-    _see_what_it_said(seen)
-    _see_where_it_leads(seen, cluster.terminal)
+    _check_report(seen)
+    _check_links(seen, cluster.terminal)
 
 
 def _filled(terminal: Terminal, tmp_path: Path) -> None:
@@ -87,7 +87,7 @@ def _filled(terminal: Terminal, tmp_path: Path) -> None:
     terminal.run("action", "create", script, "-p", "Alps")
 
 
-def _see_what_it_said(seen: dict[str, Any]) -> None:
+def _check_report(seen: dict[str, Any]) -> None:
     (finding,) = seen["findings"]
     assert "nothing <i>for a while<i>" in finding
     assert seen["findingLeadsTo"].startswith("/files/")
@@ -105,7 +105,7 @@ def _see_what_it_said(seen: dict[str, Any]) -> None:
     assert seen["taken"]["robot"] == "anymal <b>3<b>"
 
 
-def _see_where_it_leads(seen: dict[str, Any], terminal: Terminal) -> None:
+def _check_links(seen: dict[str, Any], terminal: Terminal) -> None:
     assert "Used by look <b>closely<b>" in seen["lineage"]
     assert "derived/<b>table<b>.csv" in seen["deletion"], "what came of it is told before it is deleted"
     assert seen["again"]["state"] == "done"

@@ -22,10 +22,12 @@ def test_search_to_download(cluster: Cluster, act: Act, pictures: Path, tmp_path
 
     seen = act("search.mjs", cluster, pictures)
 
-    _see_what_was_found(seen)
-    _see_what_was_shared(seen, cluster.terminal)
+    _check_results(seen)
+    _check_shares(seen, cluster.terminal)
     fetched = _fetched(seen, cluster.terminal, tmp_path)
-    assert fetched == {f"Alps/{each}/drive.mcap": sources[each] for each in ("traverse", _MARKUP)}, "of one path in two"
+    assert fetched == {f"Alps/{mission}/drive.mcap": sources[mission] for mission in ("traverse", _MARKUP)}, (
+        "of one path in two"
+    )
 
 
 def _filled(terminal: Terminal, tmp_path: Path) -> dict[str, bytes]:
@@ -50,7 +52,7 @@ def _filled(terminal: Terminal, tmp_path: Path) -> dict[str, bytes]:
     return sources
 
 
-def _see_what_was_found(seen: dict[str, Any]) -> None:
+def _check_results(seen: dict[str, Any]) -> None:
     assert seen["complaints"] == []
     assert seen["axe"] == []
     assert seen["wide"] == []
@@ -69,7 +71,7 @@ def _see_what_was_found(seen: dict[str, Any]) -> None:
     assert seen["wrong"]["rows"] == 2, "what was found before stays in sight"
 
 
-def _see_what_was_shared(seen: dict[str, Any], terminal: Terminal) -> None:
+def _check_shares(seen: dict[str, Any], terminal: Terminal) -> None:
     assert [row.split("\n")[0] for row in seen["markup"]["rows"]] == [_MARKUP]
     assert seen["markup"]["elements"] == 0
     assert 'mission:"Wet *" topic:/imu/data' in seen["topic"]

@@ -2,7 +2,7 @@
 
 from kleinkram.cli.verify import _named
 from kleinkram.client.transfer import FileVerdict, Verdict
-from tests.unit.client.nouns import file_read
+from tests.api_objects import file_read
 
 
 def _verified(mission: str) -> FileVerdict:

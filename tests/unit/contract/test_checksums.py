@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from kleinkram.contract.checksums import combine_crc64nvme, crc64nvme
+from kleinkram.contract.uploads import combine_crc64nvme, crc64nvme
 
 
 def test_the_check_value_of_the_standard() -> None:

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
-from kleinkram.contract.emails import EmailAddress, EmailDomain, email_domain, email_key
-from kleinkram.contract.expiry import Expiry
+from kleinkram.contract.base import Expiry
+from kleinkram.contract.people import EmailAddress, EmailDomain, email_domain, email_key
 
 _ADDRESS: TypeAdapter[str] = TypeAdapter(EmailAddress)
 _DOMAIN: TypeAdapter[str] = TypeAdapter(EmailDomain)

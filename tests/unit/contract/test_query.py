@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import BlobState, ContentState, FileFilter
 from kleinkram.contract.metadata import WHERE_EXPRESSION
-from kleinkram.contract.query import parse, render, whole
-from kleinkram.contract.query.words import phrases
-from kleinkram.contract.searching import FileQuery
+from kleinkram.contract.query import parse, phrases, render, whole
+from kleinkram.contract.search import FileQuery
 
 _ID = uuid.UUID("2b1d0c9e-0000-4000-8000-000000000000")
 _DAY = datetime.datetime(2026, 5, 1, tzinfo=datetime.timezone.utc)

@@ -4,8 +4,8 @@ import datetime
 
 import pytest
 
-from kleinkram.contract.expiry import check_expiry
-from kleinkram.contract.signing_in import DeviceBegin
+from kleinkram.contract.accounts import DeviceBegin
+from kleinkram.contract.base import check_expiry
 
 
 @pytest.mark.parametrize("name", ["", " ", "a\nb", "a\x1b[31m", "a\x9b31m", "klein\u202enimda", "a\u200b", "x" * 101])

@@ -20,7 +20,7 @@ from pydantic import (
 )
 
 import kleinkram
-from kleinkram.contract.wording import first_problem, in_plain_words
+from kleinkram.contract.problems import first_problem, in_plain_words
 
 _PYDANTIC = re.compile(r"Input should|Value error|Field required|Extra inputs|validation error|pydantic")
 

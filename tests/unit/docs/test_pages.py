@@ -1,4 +1,4 @@
-"""Commands with their options, links, and paths of the repository that the pages show exist."""
+"""Commands, options, links and paths on the pages exist."""
 
 import re
 import shlex
@@ -33,7 +33,7 @@ def commands_on(page: Path) -> Iterator[str]:
 
 
 @cache
-def root() -> Any:  # Any: which click it is, Typer's own copy or the library, is Typer's business
+def root() -> Any:  # Any: Typer may use its own copy of click
     return typer.main.get_command(app)
 
 
@@ -56,7 +56,7 @@ def options_of(command: Any) -> set[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
-def test_the_commands_on_a_page_exist(page: Path) -> None:
+def test_commands_on_pages_exist(page: Path) -> None:
     for line in commands_on(page):
         words = shlex.split(line, comments=True)[1:]
         stop = next((number for number, word in enumerate(words) if word in _ENDS), len(words))
@@ -79,7 +79,7 @@ def headings_of(page: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
-def test_links_on_a_page_lead_somewhere(page: Path) -> None:
+def test_links_on_pages_exist(page: Path) -> None:
     prose = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     for link in re.findall(r"\]\(([^)\s]+)\)", prose):
         if "://" in link:
@@ -91,7 +91,7 @@ def test_links_on_a_page_lead_somewhere(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
-def test_paths_on_a_page_exist(page: Path) -> None:
+def test_paths_on_pages_exist(page: Path) -> None:
     if page.name != "CHANGELOG.md":
         paths = _PATH.findall(page.read_text(encoding="utf-8"))
         assert not [path for path in paths if "NOUN" not in path and not (ROOT / path).exists()]
@@ -102,3 +102,10 @@ def test_the_reading_paths_exist() -> None:
     paths = re.findall(r"`([\w/]+\.py)`", section.partition("\n## ")[0])
     assert len(paths) >= 30
     assert not [path for path in paths if not (ROOT / "src" / "kleinkram" / path).is_file()]
+
+
+def test_the_files_that_extensions_change_exist() -> None:
+    page = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+    paths = re.findall(r"`((?:recordings|runner|contract|server|client|cli)/[\w./]+)`", page)
+    assert len(paths) >= 20
+    assert not [path for path in paths if not (ROOT / "src" / "kleinkram" / path).exists()]

@@ -49,7 +49,7 @@ def topic_density(chunks: list[list[int]]) -> MessageDensity | None:
         timeline.add("/t", chunk, 0)
         timeline.settle(0)
     timeline.settle(None)
-    return measure(timeline, {"/t": NO_TYPE}).topics[0].density
+    return measure(RecordingFormat.mcap, timeline, {"/t": NO_TYPE}).topics[0].density
 
 
 @given(STAMPS, st.sampled_from([1, 2, 64, MAX_BINS]))
@@ -94,7 +94,7 @@ def test_files_add_up_to_their_recording(files: list[list[int]]) -> None:
         timeline = Timeline()
         timeline.add("/t", stamps, 0)
         timeline.settle(None)
-        actual = measure(timeline, {"/t": NO_TYPE})
+        actual = measure(RecordingFormat.mcap, timeline, {"/t": NO_TYPE})
         summaries.append(
             RecordingSummary(
                 RecordingFormat.mcap,
@@ -138,5 +138,7 @@ def test_a_file_with_very_many_topics_has_fewer_bins_of_each() -> None:
     for number in range(MANY_TOPICS):
         timeline.topic(f"/{number}")
     types = dict.fromkeys(timeline.topics, NO_TYPE)
-    density = next(topic.density for topic in measure(timeline, types).topics if topic.name == "/t")
+    density = next(
+        topic.density for topic in measure(RecordingFormat.mcap, timeline, types).topics if topic.name == "/t"
+    )
     assert density == plainly(stamps, BINS_OF_MANY_TOPICS)

@@ -15,8 +15,7 @@ from kleinkram.recordings import (
     group,
     parse_rosbag2_metadata,
 )
-
-from .corpus import Entry, params
+from tests.recording_files.corpus import Entry, params
 
 SINGLE, SPLIT, ROSBAG2 = RecordingGroupKind.single, RecordingGroupKind.split_set, RecordingGroupKind.rosbag2
 

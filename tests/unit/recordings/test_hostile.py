@@ -12,13 +12,11 @@ import zstandard
 from kleinkram.recordings import Content, Fact, Lost, RecordingFormat, RecordingSummary, summarise
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
-from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
 from kleinkram.recordings.formats.rosbag1.records import MAGIC as BAG_MAGIC
-from kleinkram.recordings.formats.rosbag1.writer import BagWriter
+from kleinkram.recordings.sample.writers import BagWriter, Compression, McapWriter
 from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
-
-from .memory_source import MemorySource
+from tests.recording_files.memory_source import MemorySource
 
 T0 = 1_700_000_000_000_000_000
 HUGE = 2**63

@@ -16,13 +16,12 @@ from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap import scan as scan_module
 from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.formats.mcap.scan import scan_records
-from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
 from kleinkram.recordings.formats.rosbag1 import records as bag_records
+from kleinkram.recordings.sample.writers import Compression, McapWriter
 from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
-
-from .memory_source import MemorySource
-from .test_hostile import record, small_mcap
+from tests.recording_files.memory_source import MemorySource
+from tests.unit.recordings.test_hostile import record, small_mcap
 
 REACH = 128 * 1024
 HEADS = 2_000
@@ -61,8 +60,7 @@ def test_heads_of_chunks_are_not_read_as_often_as_they_stand_there(name: str, mo
         return decompress(kind, stored, uncompressed_bytes)
 
     monkeypatch.setattr(damage_report_module, "_FREE_WASTED_BYTES", 2**20)
-    monkeypatch.setattr("kleinkram.recordings.formats.mcap.chunks.decompress", counted)
-    monkeypatch.setattr("kleinkram.recordings.formats.rosbag1.scan.decompress", counted)
+    monkeypatch.setattr("kleinkram.recordings.formats.chunked.decompress", counted)
     data = FILES[name]
     summary = scan(source_reader(MemorySource(data, name)))
     assert summary.content is Content.broken

@@ -11,12 +11,11 @@ import pytest
 from kleinkram.recordings import FileSource, Recording, RecordingSummary, summarise
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
-from kleinkram.recordings.sources import file_reader
+from kleinkram.recordings.sources import FileReader
 from kleinkram.recordings.summary import scan
-
-from .agreement import ParallelSource, accounts_of, disagreements
-from .memory_source import MemorySource
-from .reading.builders import T0, bag_of, mcap_of
+from tests.recording_files.agreement import ParallelSource, accounts_of, disagreements
+from tests.recording_files.builders import T0, bag_of, mcap_of
+from tests.recording_files.memory_source import MemorySource
 
 CHUNKS = 6
 PER_CHUNK = 4
@@ -122,7 +121,7 @@ def written(name: str, folder: Path) -> Path:
 
 
 def by_scan(path: Path) -> RecordingSummary:
-    with file_reader(path) as reader:
+    with FileReader(path) as reader:
         return scan(reader)
 
 

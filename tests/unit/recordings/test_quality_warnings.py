@@ -11,13 +11,12 @@ import pytest
 from kleinkram.recordings import Problem, combine, summarise
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
-from kleinkram.recordings.formats.mcap.writer import McapWriter
 from kleinkram.recordings.formats.rosbag1 import records as bag_records
 from kleinkram.recordings.model import span_text
+from kleinkram.recordings.sample.writers import McapWriter
 from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
-
-from .memory_source import MemorySource
+from tests.recording_files.memory_source import MemorySource
 
 T0 = 1_700_000_000_000_000_000
 SECOND = 1_000_000_000

@@ -11,14 +11,15 @@ from hypothesis import strategies as st
 
 from kleinkram.recordings import timeline as timeline_module
 from kleinkram.recordings.chunk_table import smallest_to_come
+from kleinkram.recordings.model import RecordingFormat, RecordingSummary
 from kleinkram.recordings.timeline import YEAR_NS, ChunkEntries, Timeline
-from kleinkram.recordings.topic_statistics import Measured, TopicType, measure
+from kleinkram.recordings.topic_statistics import TopicType, measure
 
 NO_TYPE = [TopicType("", "", "")]
 T0 = 1_700_000_000_000_000_000
 
 
-def measured(chunks: list[list[int]], *, watermarks: bool = True) -> Measured:
+def measured(chunks: list[list[int]], *, watermarks: bool = True) -> RecordingSummary:
     """Feed chunks of one topic as a reader of an index does, and settle as soon as may be."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(timeline_module, "SETTLE_AT", 1)
@@ -29,7 +30,7 @@ def measured(chunks: list[list[int]], *, watermarks: bool = True) -> Measured:
         timeline.add_chunk([ChunkEntries("/t", chunk, offsets)], uncompressed_bytes=len(chunk) * 100, stored_bytes=10)
         timeline.settle(before_ns if watermarks else 0)
     timeline.settle(None)
-    return measure(timeline, {"/t": NO_TYPE})
+    return measure(RecordingFormat.mcap, timeline, {"/t": NO_TYPE})
 
 
 def plain_gap(stamps: list[int]) -> int:
@@ -95,7 +96,7 @@ def test_memory_stays_small_where_a_clock_stood_still(monkeypatch: pytest.Monkey
         timeline.bound()
         assert len(timeline.topics["/t"].pending) <= 1_000
     timeline.settle(None)
-    (topic,) = measure(timeline, {"/t": NO_TYPE}).topics
+    (topic,) = measure(RecordingFormat.mcap, timeline, {"/t": NO_TYPE}).topics
     assert (topic.count, topic.longest_gap_ns, topic.out_of_order_count) == (5_000, 0, 0)
 
 
@@ -126,7 +127,7 @@ def test_two_topics_share_a_recordings_span() -> None:
     timeline.add("/a", [T0, T0 + 100], 0)
     timeline.add("/b", [T0 + 30, T0 + 60], 0)
     timeline.settle(None)
-    actual = measure(timeline, {"/a": NO_TYPE, "/b": NO_TYPE})
+    actual = measure(RecordingFormat.mcap, timeline, {"/a": NO_TYPE, "/b": NO_TYPE})
     b = actual.topics[1]
     assert (b.head_gap_ns, b.tail_gap_ns, b.longest_gap_ns) == (30, 40, 30)
 

@@ -14,18 +14,17 @@ import zstandard
 from kleinkram.recordings import Content, FileSource, Recording, RecordingSummary, summarise
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
-from kleinkram.recordings.sources import file_reader
+from kleinkram.recordings.sources import FileReader
 from kleinkram.recordings.summary import scan
-
-from .agreement import ParallelSource, accounts_of, disagreements
-from .reading.builders import T0, bag_of, mcap_of
+from tests.recording_files.agreement import ParallelSource, accounts_of, disagreements
+from tests.recording_files.builders import T0, bag_of, mcap_of
 
 _ONES = 2**64 - 1
 _MESSAGES = 1000
 
 
 def by_scan(path: Path) -> RecordingSummary:
-    with file_reader(path) as reader:
+    with FileReader(path) as reader:
         return scan(reader)
 
 

@@ -4,7 +4,7 @@ import datetime
 
 import pytest
 
-from kleinkram.server.dates import iso_text, nanoseconds
+from kleinkram.contract.amounts import iso_text, nanoseconds
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import pytest
 
 from kleinkram.contract.errors import StoreUnavailable
-from kleinkram.server.jobs.failing import sentence_of
+from kleinkram.server.jobs.attempts import sentence_of
 
 
 @pytest.mark.parametrize(

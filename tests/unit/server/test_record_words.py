@@ -7,7 +7,7 @@ from fastapi.routing import APIRoute
 
 from kleinkram.server.access.operations import OPERATIONS
 from kleinkram.server.app import ROUTERS
-from kleinkram.server.audit.admin_access import is_a_look
+from kleinkram.server.audit.admin_access import is_admin_read
 
 _ROOT = Path(__file__).parents[3]
 _TEXTS = (_ROOT / "web/src/texts/audit.ts").read_text()
@@ -31,7 +31,7 @@ def _recorded() -> set[str]:
 def test_whatever_is_looked_at_has_words() -> None:
     routes = [route for router in ROUTERS for route in router.routes if isinstance(route, APIRoute)]
     read = {route.operation_id for route in routes if "GET" in (route.methods or ())}
-    looks = {operation for operation in OPERATIONS if operation in read and is_a_look(operation)}
+    looks = {operation for operation in OPERATIONS if operation in read and is_admin_read(operation)}
     assert _worded("looks").keys() == looks
 
 

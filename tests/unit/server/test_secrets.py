@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.contract.secrets import PATTERN, SecretKind, is_mangled, is_whole, with_checksum
-from kleinkram.server.access.secrets import beginning, new_secret
+from kleinkram.contract.tokens import PATTERN, SecretKind, is_mangled, is_whole, with_checksum
+from kleinkram.server.access.actor import beginning, new_secret
 
 
 @pytest.mark.parametrize("kind", SecretKind)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from kleinkram.contract.errors import YamlInvalid
 from kleinkram.contract.metadata import MAX_DEPTH, MAX_VALUES
-from kleinkram.server.yaml_text import Place, read_yaml
+from kleinkram.server.yaml_text import TextPosition, read_yaml
 
 # fmt: off
 _PIECES = [
@@ -68,9 +68,9 @@ def test_scalars_follow_the_core_schema(text: str, value: object) -> None:
 
 def test_every_value_has_its_place() -> None:
     document = read_yaml("a: 1\nb:\n  - x\n  - c: 2\n")
-    assert document.place(("b", 1, "c")) == Place(4, 5)
-    assert document.place(("b", 1, "absent")) == Place(4, 5)
-    assert document.place(("b", 1)) == Place(4, 5)
+    assert document.place(("b", 1, "c")) == TextPosition(4, 5)
+    assert document.place(("b", 1, "absent")) == TextPosition(4, 5)
+    assert document.place(("b", 1)) == TextPosition(4, 5)
     assert document.place(("absent",)) is None
 
 

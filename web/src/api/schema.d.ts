@@ -226,7 +226,7 @@ export interface paths {
         };
         /**
          * List Audit Events
-         * @description List what happened, latest first.
+         * @description List audit events, latest first.
          */
         get: operations["list_audit_events"];
         put?: never;
@@ -246,7 +246,7 @@ export interface paths {
         };
         /**
          * Export Audit Events
-         * @description Give all events that match, oldest first, one JSON object a line.
+         * @description Return all events that match, oldest first, one JSON object a line.
          */
         get: operations["export_audit_events"];
         put?: never;
@@ -879,13 +879,13 @@ export interface paths {
         };
         /**
          * List Groups
-         * @description List the groups one is in, by name; admins see all.
+         * @description List your groups by name; admins see all.
          */
         get: operations["list_groups"];
         put?: never;
         /**
          * Create Group
-         * @description Make a group; its maker is its first member and editor.
+         * @description Create a group; you become its first member and editor.
          */
         post: operations["create_group"];
         delete?: never;
@@ -910,14 +910,14 @@ export interface paths {
         post?: never;
         /**
          * Delete Group
-         * @description Delete a group, and with it what was granted to it.
+         * @description Delete a group and the grants to it.
          */
         delete: operations["delete_group"];
         options?: never;
         head?: never;
         /**
          * Update Group
-         * @description Rename a group. With If-Match, only where it is still of that ETag.
+         * @description Rename a group; with If-Match, only if it still has that ETag.
          */
         patch: operations["update_group"];
         trace?: never;
@@ -931,7 +931,7 @@ export interface paths {
         };
         /**
          * List Group Members
-         * @description List the people in a group, by name; addresses and those whose time is over are for its editors.
+         * @description List the members of a group by name; addresses and past members are for its editors.
          */
         get: operations["list_group_members"];
         put?: never;
@@ -952,15 +952,13 @@ export interface paths {
         get?: never;
         /**
          * Set Group Member
-         * @description Put somebody into a group, or change how and until when they are in it.
-         *
-         *     With If-Match, only where they are in it, and their membership is still of that ETag.
+         * @description Add a person to a group, or change their membership; with If-Match, only if it still has that ETag.
          */
         put: operations["set_group_member"];
         post?: never;
         /**
          * Remove Group Member
-         * @description Take somebody out of a group, or leave it.
+         * @description Remove a person from a group, or leave it.
          */
         delete: operations["remove_group_member"];
         options?: never;
@@ -1253,7 +1251,7 @@ export interface paths {
         };
         /**
          * Get Mission Access
-         * @description List who has a right on a mission now, by grants on it or on its project; without WRITE, only the asker's own.
+         * @description List who has a right on a mission now, by grants on it or its project; without WRITE, only your own access.
          */
         get: operations["get_mission_access"];
         put?: never;
@@ -1273,13 +1271,13 @@ export interface paths {
         };
         /**
          * List Mission Grants
-         * @description List the grants on a mission by itself.
+         * @description List the grants on a mission itself.
          */
         get: operations["list_mission_grants"];
         put?: never;
         /**
          * Create Mission Grant
-         * @description Give a right on one mission; it shows the project's name, and nothing else of it.
+         * @description Grant a right on one mission; of the project, it shows only the name.
          */
         post: operations["create_mission_grant"];
         delete?: never;
@@ -1300,14 +1298,14 @@ export interface paths {
         post?: never;
         /**
          * Delete Mission Grant
-         * @description Take a right on a mission away.
+         * @description Revoke a right on a mission.
          */
         delete: operations["delete_mission_grant"];
         options?: never;
         head?: never;
         /**
          * Update Mission Grant
-         * @description Change what right a grant on a mission gives, or until when; what is left out stays.
+         * @description Change the right or the end of a grant on a mission; omitted fields stay.
          */
         patch: operations["update_mission_grant"];
         trace?: never;
@@ -1343,7 +1341,7 @@ export interface paths {
         put?: never;
         /**
          * Create Share
-         * @description Make a link to a mission or to some of its files; its secret is shown here and never again.
+         * @description Create a link to a mission or some of its files; its secret is shown only once, in this response.
          */
         post: operations["create_share"];
         delete?: never;
@@ -1447,7 +1445,7 @@ export interface paths {
         };
         /**
          * List People
-         * @description List the people one may know of: who shares a group or a project; admins see all.
+         * @description List the people who share a group or a project with you; admins see all.
          */
         get: operations["list_people"];
         put?: never;
@@ -1489,12 +1487,12 @@ export interface paths {
         put?: never;
         /**
          * Make Admin
-         * @description Make somebody an admin, without an end.
+         * @description Make a person a permanent admin.
          */
         post: operations["make_admin"];
         /**
          * Unmake Admin
-         * @description Take the power of an admin from somebody; the last lasting one keeps it.
+         * @description Remove a person from the admins, unless they are the last permanent one.
          */
         delete: operations["unmake_admin"];
         options?: never;
@@ -1513,7 +1511,7 @@ export interface paths {
         put?: never;
         /**
          * Deactivate Person
-         * @description End somebody's sessions, tokens and links at once; what only they owned goes to the admins.
+         * @description Deactivate a person: their sessions, tokens and links end; projects that only they owned go to the admins.
          */
         post: operations["deactivate_person"];
         delete?: never;
@@ -1533,7 +1531,7 @@ export interface paths {
         put?: never;
         /**
          * Reactivate Person
-         * @description Let somebody who left sign in again; their tokens stay revoked.
+         * @description Let a deactivated person sign in again; their tokens stay revoked.
          */
         post: operations["reactivate_person"];
         delete?: never;
@@ -1617,7 +1615,7 @@ export interface paths {
         put?: never;
         /**
          * Create Project
-         * @description Make a project.
+         * @description Create a project.
          */
         post: operations["create_project"];
         delete?: never;
@@ -1642,14 +1640,14 @@ export interface paths {
         post?: never;
         /**
          * Delete Project
-         * @description Move a project and all in it to the trash.
+         * @description Move a project and everything in it to the trash.
          */
         delete: operations["delete_project"];
         options?: never;
         head?: never;
         /**
          * Update Project
-         * @description Rename or describe a project, or change its metadata fields; what is left out stays.
+         * @description Rename or describe a project, or change its metadata fields; omitted fields stay.
          */
         patch: operations["update_project"];
         trace?: never;
@@ -1663,7 +1661,7 @@ export interface paths {
         };
         /**
          * Get Project Access
-         * @description List who has a right on a project now, and by what; without WRITE there, only the asker's own ways.
+         * @description List who has a right on a project now, and why; without WRITE there, only your own access.
          */
         get: operations["get_project_access"];
         put?: never;
@@ -1683,13 +1681,13 @@ export interface paths {
         };
         /**
          * List Project Grants
-         * @description List the grants on a project, by the name of whom they are to; those that have expired too.
+         * @description List the grants on a project, including expired ones, by the name of the grantee.
          */
         get: operations["list_project_grants"];
         put?: never;
         /**
          * Create Project Grant
-         * @description Give a right on a project and all its missions; it takes the place of the one given there before.
+         * @description Grant a right on a project and all its missions; it replaces the grantee's earlier one.
          */
         post: operations["create_project_grant"];
         delete?: never;
@@ -1710,14 +1708,14 @@ export interface paths {
         post?: never;
         /**
          * Delete Project Grant
-         * @description Take a right on a project away.
+         * @description Revoke a right on a project.
          */
         delete: operations["delete_project_grant"];
         options?: never;
         head?: never;
         /**
          * Update Project Grant
-         * @description Change what right a grant on a project gives, or until when; what is left out stays.
+         * @description Change the right or the end of a grant on a project; omitted fields stay.
          */
         patch: operations["update_project_grant"];
         trace?: never;
@@ -1771,7 +1769,7 @@ export interface paths {
         };
         /**
          * Get Mission Template
-         * @description Return what to fill in for the project's next mission, as YAML and as a form.
+         * @description Return the form for the project's next mission, also as YAML.
          */
         get: operations["get_mission_template"];
         put?: never;
@@ -2239,7 +2237,7 @@ export interface paths {
         };
         /**
          * Get Shared
-         * @description Say what the link shows that the request came with.
+         * @description Return what the link of this request shows.
          */
         get: operations["get_share"];
         put?: never;
@@ -2259,7 +2257,7 @@ export interface paths {
         };
         /**
          * List Shares
-         * @description List the links that you may revoke, latest first; with `ended` also those that are over.
+         * @description List the links that you may revoke, latest first; with `ended`, also revoked and expired ones.
          */
         get: operations["list_shares"];
         put?: never;
@@ -2282,7 +2280,7 @@ export interface paths {
         post?: never;
         /**
          * Revoke Share
-         * @description End a link, from the next request on.
+         * @description Revoke a link, from the next request on.
          */
         delete: operations["revoke_share"];
         options?: never;
@@ -2319,13 +2317,13 @@ export interface paths {
         };
         /**
          * List Tokens
-         * @description List tokens, latest first; with `ended` also those that were revoked or have expired.
+         * @description List tokens, latest first; with `ended`, also revoked and expired ones.
          */
         get: operations["list_tokens"];
         put?: never;
         /**
          * Create Token
-         * @description Make a token; its secret is shown here and never again.
+         * @description Create a token; its secret is shown only once, in this response.
          */
         post: operations["create_token"];
         delete?: never;
@@ -2346,7 +2344,7 @@ export interface paths {
         post?: never;
         /**
          * Revoke Token
-         * @description End a token and all that were made with it, from the next request on; with `made=kept` only itself.
+         * @description Revoke a token and all that were created with it, from the next request on; with `made=kept`, only itself.
          */
         delete: operations["revoke_token"];
         options?: never;
@@ -2383,7 +2381,7 @@ export interface paths {
         };
         /**
          * List Trash
-         * @description List what was deleted and can still be had back, latest first.
+         * @description List what was deleted and can still be restored, latest first.
          */
         get: operations["list_trash"];
         put?: never;
@@ -2405,7 +2403,7 @@ export interface paths {
         put?: never;
         /**
          * Restore From Trash
-         * @description Put a deleted thing back where it was.
+         * @description Restore a deleted project, mission or file.
          */
         post: operations["restore_from_trash"];
         delete?: never;
@@ -3151,6 +3149,12 @@ export interface components {
             /** Tokens */
             tokens: number;
         };
+        /**
+         * DerivedTokens
+         * @description What happens to the tokens that were created with a revoked token.
+         * @enum {string}
+         */
+        DerivedTokens: "ended" | "kept";
         /**
          * DeviceBegin
          * @description Ask for a code that can be typed on another machine: `POST /auth/device`.
@@ -4175,12 +4179,6 @@ export interface components {
             /** Url */
             url: string;
         };
-        /**
-         * Made
-         * @description What becomes of the tokens that one made, when it ends.
-         * @enum {string}
-         */
-        Made: "ended" | "kept";
         /**
          * MemberRead
          * @description Somebody in a group. `emails` are for its editors and admins, as are members who are not active any more.
@@ -11315,7 +11313,7 @@ export interface operations {
     revoke_token: {
         parameters: {
             query?: {
-                made?: components["schemas"]["Made"];
+                made?: components["schemas"]["DerivedTokens"];
             };
             header?: never;
             path: {

@@ -13,8 +13,7 @@ from typing import NamedTuple, Protocol
 
 from kleinkram.client.errors import FileChanged, FileUnreadable
 from kleinkram.client.transfer.plan import FileIdentity, LocalFile, identity_of
-from kleinkram.contract.checksums import crc64nvme
-from kleinkram.contract.uploads import ChecksumKind
+from kleinkram.contract.uploads import ChecksumKind, crc64nvme
 
 SLICE_BYTES = 1024 * 1024
 _slices = threading.local()

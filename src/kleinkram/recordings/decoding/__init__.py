@@ -5,11 +5,10 @@ a reason. The libraries of the extra `reading` (numpy, pyarrow, pandas, pillow, 
 are needed; without numpy, arrays of numbers are `array.array`.
 """
 
-from kleinkram.recordings.decoding.columns import NoSuchField
 from kleinkram.recordings.decoding.decoder import Decoder, decoder_for
-from kleinkram.recordings.decoding.errors import DecodeError, ReadingExtraMissing, Undecodable
 from kleinkram.recordings.decoding.sensor_data import image, points
-from kleinkram.recordings.decoding.tables import arrow_batches, to_arrow, to_pandas
+from kleinkram.recordings.decoding.tables import NoSuchField, arrow_batches, to_arrow, to_pandas
+from kleinkram.recordings.decoding.types import DecodeError, ReadingExtraMissing, Undecodable
 from kleinkram.recordings.decoding.values import Value, stamp_ns, to_plain
 
 __all__ = [

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-from kleinkram.recordings.decoding.errors import DecodeError, ReadingExtraMissing, SchemaError, Undecodable
 from kleinkram.recordings.decoding.generate import Decode, generate
 from kleinkram.recordings.decoding.idl_definitions import parse_idl
 from kleinkram.recordings.decoding.msg_definitions import Ros, parse_msg, well_known_definitions
@@ -17,8 +16,12 @@ from kleinkram.recordings.decoding.types import (
     MAX_JSON_VALUES,
     MAX_SCHEMA_BYTES,
     MAX_TYPES,
+    DecodeError,
     Layout,
+    ReadingExtraMissing,
+    SchemaError,
     Struct,
+    Undecodable,
     layout_of,
 )
 from kleinkram.recordings.decoding.values import Value
@@ -63,14 +66,9 @@ def _is_deep(value: Any) -> bool:
 
 
 def protobuf_decode(name: str, schema: bytes) -> tuple[Callable[[bytes], Any], Layout]:
-    """Return a function that decodes messages of a type in a serialised `FileDescriptorSet`, and the type's layout.
+    """Return a decoder for a type in a serialised `FileDescriptorSet`, and the type's layout.
 
-    Every schema has a pool of its own: two recordings may define one name differently. Google's own files
-    (`google/protobuf/timestamp.proto`) may be left out of the set.
-
-    Raises:
-        SchemaError: it is no such set, or does not define the type.
-        ReadingExtraMissing: protobuf is not installed.
+    Every schema has its own pool: two recordings may define one name differently. The set may lack Google's own files.
     """
     try:
         from google.protobuf import descriptor_pb2, descriptor_pool, message, message_factory
@@ -164,12 +162,10 @@ class Decoder:
     """Decodes the messages of one schema.
 
     Attributes:
-        type_name: the schema's name.
-        message_encoding: "cdr", "ros1", "json" or "protobuf".
-        decode: (bytes or memoryview of a message) -> its value; raises `DecodeError` and nothing else. A `Value` for
-            ROS, what `json` makes of it for JSON, a message of the definition's own class for protobuf. Texts are
-            UTF-8, with U+FFFD for what is not. Arrays are views: they keep the bytes that were given alive.
-        struct: the layout of a ROS type; None for others.
+        decode: takes the bytes of a message, which arrays in the result keep alive; raises `DecodeError` and nothing
+            else. Returns a `Value` for ROS, what `json` returns for JSON, a message of the definition's own class for
+            protobuf. Texts are UTF-8, with U+FFFD for what is not.
+        struct: the type of ROS messages; None for others.
         layout: equal for schemas whose messages are decoded to the same fields and types.
     """
 
@@ -186,8 +182,8 @@ def decoder_for(
 ) -> Decoder | Undecodable:
     """Return the decoder of a channel's messages, or why there is none. Cached.
 
-    CDR messages without a definition use those of `well_known.txt`, if it has any.
-    The encodings are spelled as in MCAP; a ROS 1 bag is ("ros1", type, "ros1msg", message_definition).
+    CDR messages without a definition use that of `well_known.txt`, if there is one. The encodings are spelled as in
+    MCAP.
     """
     if len(schema_data) > MAX_SCHEMA_BYTES:
         return Undecodable(schema_name, f"its schema has {len(schema_data)} bytes; at most {MAX_SCHEMA_BYTES} are read")

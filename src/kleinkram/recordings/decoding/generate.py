@@ -1,14 +1,12 @@
 """Generates one Python function per type, which is what makes decoding fast.
 
 The generated function reads runs of numbers with one `struct` call each, computes alignment in advance wherever the
-position is known, and inlines nested types. A schema is untrusted text, and this is `exec`: so nothing of a
-schema enters the code except the names of fields, each of which `schema.identifier` has held to letters, digits and
-underscores with a letter in front, never a word of Python, and only ever behind a dot (`v3.frame_id = ...`). Classes,
-formats and dtypes enter as objects in the function's namespace, under names made here (`c0`, `u1`); lengths enter as
-integers. Builtins are out of reach. The size of the code is bounded by `MAX_FIELDS`.
+position is known, and inlines nested types. A schema is untrusted text, and this is `exec`: nothing of it enters the
+code except field names, which `types.identifier` restricts to letters, digits and underscores with a letter in front,
+never a keyword, and only behind a dot (`v3.frame_id = ...`). Classes, formats and dtypes enter as objects under names
+made here (`c0`, `u1`), lengths as integers. Builtins are out of reach; `MAX_FIELDS` bounds the size of the code.
 
-The generated function checks every length against the bytes that are there before it allocates anything, and counts
-objects against `MAX_OBJECTS`.
+It checks every length against the bytes that are there before it allocates, and counts objects against `MAX_OBJECTS`.
 """
 
 from __future__ import annotations
@@ -17,8 +15,7 @@ import struct
 from collections.abc import Callable
 from typing import Any, NoReturn
 
-from kleinkram.recordings.decoding.errors import DecodeError
-from kleinkram.recordings.decoding.types import MAX_OBJECTS, PRIMITIVES, Array, Primitive, Struct, Type
+from kleinkram.recordings.decoding.types import MAX_OBJECTS, PRIMITIVES, Array, DecodeError, Primitive, Struct, Type
 from kleinkram.recordings.decoding.values import Value, value_class
 from kleinkram.recordings.decoding.wire import (
     NumberReader,

@@ -11,7 +11,6 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
-from kleinkram.recordings.decoding.errors import SchemaError
 from kleinkram.recordings.decoding.msg_definitions import split_blocks
 from kleinkram.recordings.decoding.types import (
     MAX_DEPTH,
@@ -22,6 +21,7 @@ from kleinkram.recordings.decoding.types import (
     Definition,
     FieldText,
     Primitive,
+    SchemaError,
     Struct,
     constants_of,
     resolve,
@@ -66,11 +66,7 @@ class _Scope:
 
 
 def parse_idl(name: str, text: str) -> Struct:
-    """Return the type `name` ("std_msgs/msg/Header" or "std_msgs::msg::Header") that IDL text describes.
-
-    Raises:
-        SchemaError: the text cannot be followed, or a bound is passed.
-    """
+    """Return the type `name` ("std_msgs/msg/Header" or "std_msgs::msg::Header") that IDL text describes."""
     scope = _Scope()
     for _, block in split_blocks(text, "IDL:"):
         _IdlParser(block, scope).declarations("", 0)

@@ -13,9 +13,9 @@ from typing import Any
 
 import pyarrow as pa
 
-from kleinkram.recordings.decoding.columns import TIME_COLUMNS, NoSuchField, Notice, timed_batch
 from kleinkram.recordings.decoding.decoder import Decoder
-from kleinkram.recordings.decoding.errors import DecodeError
+from kleinkram.recordings.decoding.tables import TIME_COLUMNS, NoSuchField, Notice, timed_batch
+from kleinkram.recordings.decoding.types import DecodeError
 from kleinkram.recordings.decoding.values import to_row
 
 _INT64 = range(-(2**63), 2**63)
@@ -24,13 +24,7 @@ _SHOWN = 40
 
 
 class JsonArrays:
-    """Builds the arrays of one batch of JSON messages.
-
-    Attributes:
-        type_name: of the messages, for errors.
-        log_ns: the log time of each message.
-        notice: called with the log time of a message and what of it is null.
-    """
+    """Builds the arrays of one batch of JSON messages; `notice` receives log times and what of the message is null."""
 
     def __init__(self, type_name: str, log_ns: list[int], notice: Callable[[int, DecodeError], None]) -> None:
         self._type_name = type_name

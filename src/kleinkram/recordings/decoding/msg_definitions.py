@@ -20,7 +20,6 @@ from enum import Enum
 from functools import lru_cache
 from importlib.resources import files
 
-from kleinkram.recordings.decoding.errors import SchemaError
 from kleinkram.recordings.decoding.types import (
     MAX_TYPES,
     PRIMITIVES,
@@ -28,6 +27,7 @@ from kleinkram.recordings.decoding.types import (
     Definition,
     FieldText,
     Primitive,
+    SchemaError,
     Struct,
     constants_of,
     resolve,
@@ -59,9 +59,6 @@ def parse_msg(name: str, text: str, ros: Ros) -> Struct:
 
     A service's text, which has "---" between request and response, gives `..._Request`, `..._Response` and the
     `..._Event` that ROS 2 records.
-
-    Raises:
-        SchemaError: the text cannot be followed, or a bound is passed.
     """
     definitions = {**_built_in(ros), **_split(name, text)}
     by_short_name: dict[str, Definition] = {}
@@ -88,10 +85,7 @@ def parse_msg(name: str, text: str, ros: Ros) -> Struct:
 
 
 def _candidates(type_name: str, owner: str, ros: Ros) -> tuple[str, ...]:
-    """Return the full names that a type name in a definition of `owner` can stand for, the first choice first.
-
-    A name with a package is never one of the owner's package.
-    """
+    """Return the full names that a type name in a definition of `owner` can stand for, the first choice first."""
     if "/" in type_name:
         return (type_name,)
     own = f"{owner.partition('/')[0]}/{type_name}"

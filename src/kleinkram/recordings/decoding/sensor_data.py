@@ -31,8 +31,7 @@ import re
 import struct
 from typing import TYPE_CHECKING, Any
 
-from kleinkram.recordings.decoding.errors import DecodeError, ReadingExtraMissing
-from kleinkram.recordings.decoding.types import MAX_IMAGE_PIXELS, MAX_POINT_FIELDS
+from kleinkram.recordings.decoding.types import MAX_IMAGE_PIXELS, MAX_POINT_FIELDS, DecodeError, ReadingExtraMissing
 from kleinkram.recordings.decoding.values import part, payload, type_name, whole_number
 
 if TYPE_CHECKING:
@@ -47,11 +46,7 @@ _BROKEN = (OSError, SyntaxError, ValueError, TypeError, IndexError, EOFError, Ov
 
 
 def decode_image(data: Any, name: str) -> NDArray[Any]:
-    """Return a compressed image as [H, W, C]: uint8, or uint16 [H, W, 1] for 16 bits of grey.
-
-    Raises:
-        DecodeError: it is not such an image, broken, or larger than `MAX_IMAGE_PIXELS`.
-    """
+    """Return a compressed image as [H, W, C]: uint8, or uint16 [H, W, 1] for 16 bits of grey."""
     import numpy as np
     from PIL import Image
 
@@ -79,11 +74,7 @@ def _in_array_mode(picture: Any) -> Any:
 
 
 def uncompressed_depth(data: Any, form: str, name: str) -> NDArray[Any]:
-    """Return a `compressedDepth` image: uint16 [H, W, 1] as stored, or float32 [H, W, 1], metres, NaN for unknown.
-
-    Raises:
-        DecodeError: it is not compressed as PNG, broken or too large.
-    """
+    """Return a `compressedDepth` image: uint16 [H, W, 1] as stored, or float32 [H, W, 1], metres, NaN for unknown."""
     import numpy as np
 
     if "rvl" in form:

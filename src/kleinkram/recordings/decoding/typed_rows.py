@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from kleinkram.recordings.decoding.columns import (
+from kleinkram.recordings.decoding.decoder import Decoder
+from kleinkram.recordings.decoding.tables import (
     Notice,
     TableColumn,
     arrow_of,
@@ -25,9 +26,7 @@ from kleinkram.recordings.decoding.columns import (
     is_time,
     timed_batch,
 )
-from kleinkram.recordings.decoding.decoder import Decoder
-from kleinkram.recordings.decoding.errors import DecodeError
-from kleinkram.recordings.decoding.types import Array, Primitive, Struct, Type
+from kleinkram.recordings.decoding.types import Array, DecodeError, Primitive, Struct, Type
 from kleinkram.recordings.decoding.values import NS, Value
 from kleinkram.recordings.decoding.wire import ENCAPSULATIONS, ROS1, Wire, is_numbers
 
@@ -77,12 +76,7 @@ Node = Number | Text | Numbers | Parts
 
 @dataclass(frozen=True)
 class Shape:
-    """The positions of the values of a message.
-
-    Attributes:
-        fixed: offsets of all bytes that determine the shape.
-        root: the fields of the message.
-    """
+    """The positions of the values of a message. `fixed`: offsets of all bytes that determine the shape."""
 
     order: str
     fixed: tuple[int, ...]
@@ -90,11 +84,7 @@ class Shape:
 
 
 def shape_of(root: Struct, data: bytes, message_encoding: str) -> Shape:
-    """Return the shape of a message.
-
-    Raises:
-        NoShape: the message is damaged or has too many parts.
-    """
+    """Return the shape of a message."""
     wire = ROS1
     if message_encoding != "ros1":
         if len(data) < 4 or data[0] or data[1] not in ENCAPSULATIONS:
@@ -175,16 +165,7 @@ class _ShapeReader:
 
 
 def gather(rows: Any, shape: Shape, columns: list[TableColumn]) -> list[Any]:
-    """Return an Arrow array for each column.
-
-    Args:
-        rows: uint8 [N, size of a message], all of one shape.
-        shape: of each of them.
-        columns: the columns to read.
-
-    Raises:
-        NoShape: a column cannot be read this way.
-    """
+    """Return an Arrow array for each column. `rows`: uint8 [N, size of a message], all of one shape."""
     reader = _ColumnReader(rows, shape.order)
     return [reader.array(_node(shape.root, column.path), column.kind) for column in columns]
 

@@ -1,4 +1,4 @@
-"""Types of a schema, whatever language it is written in, and the bounds on what a schema or a message may claim.
+"""Types of a schema, whatever language it is written in, bounds on schemas and messages, and errors.
 
 A `Struct` contains its nested types themselves, never names, so a type cannot contain itself. Build one only with
 `resolve`, which checks the bounds: schemas and messages are untrusted.
@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from kleinkram.recordings.decoding.errors import SchemaError
+from kleinkram.recordings.errors import RecordingError
 
 MAX_SCHEMA_BYTES = 2 * 2**20
 """Bytes of one schema's text. The largest ROS types have about 100 KB with all that they need."""
@@ -53,6 +53,48 @@ BATCH_BYTES = 16 * 2**20
 """Bytes of messages that are collected for one batch of a table."""
 
 
+class SchemaError(RecordingError):
+    """A schema cannot be followed. Never leaves `decoding`: it becomes an `Undecodable`."""
+
+
+class DecodeError(RecordingError):
+    """A message's bytes contradict its schema, or a value is of another kind. `offset`: in the message, or None."""
+
+    def __init__(self, type_name: str, message: str, *, offset: int | None = None) -> None:
+        where = "" if offset is None else f" (near byte {offset} of the message)"
+        super().__init__(f"{type_name or 'a message'}: {message}{where}")
+        self.type_name = type_name
+        self.offset = offset
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (_unpickled, (str(self), self.type_name, self.offset))
+
+
+def _unpickled(text: str, type_name: str, offset: int | None) -> DecodeError:
+    error = DecodeError(type_name, "", offset=offset)
+    error.args = (text,)
+    return error
+
+
+class ReadingExtraMissing(RecordingError):
+    """A library of the extra `reading` is not installed."""
+
+    def __init__(self, library: str) -> None:
+        super().__init__(f"this needs {library}: run `pip install 'open-kleinkram[reading]'`")
+        self.library = library
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (ReadingExtraMissing, (self.library,))
+
+
+@dataclass(frozen=True)
+class Undecodable:
+    """Why messages of a schema cannot be decoded; their bytes can still be read."""
+
+    type_name: str
+    reason: str
+
+
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 MAX_IDENTIFIER = 255
 
@@ -61,12 +103,7 @@ ConstantValue = bool | int | float | str
 
 @dataclass(frozen=True)
 class Primitive:
-    """A number, a truth value or a text.
-
-    Attributes:
-        code: as in `struct`; empty for texts.
-        size: bytes on the wire; 0 for texts.
-    """
+    """A number, a truth value or a text. `code`: as in `struct`; empty for texts. `size`: on the wire; 0 for texts."""
 
     name: str
     code: str
@@ -91,14 +128,7 @@ class Field:
 
 @dataclass(frozen=True, eq=False)
 class Struct:
-    """A type with fields.
-
-    Attributes:
-        name: as the schema has it, such as "sensor_msgs/msg/Imu".
-        constants: those that the definition names, by their names.
-        field_count: fields after all nested types are written out.
-        loops: how deep arrays of anything but numbers nest below it.
-    """
+    """A type with fields. `field_count`: with all nested types written out. `loops`: how deep arrays of types nest."""
 
     name: str
     fields: tuple[Field, ...]
@@ -152,22 +182,14 @@ FindType = Callable[[str, str], "Primitive | Definition | None"]
 
 
 def identifier(name: str) -> str:
-    """Return a name that is safe as a Python attribute: as written, or with "_" behind a word of Python.
-
-    Raises:
-        SchemaError: not letters, digits and underscores with a letter in front, or too long.
-    """
+    """Return a name that is safe as a Python attribute: as written, or with "_" behind a word of Python."""
     if len(name) > MAX_IDENTIFIER or not _IDENTIFIER.match(name):
         raise SchemaError(f"'{name[:60]}' is not a name that a field can have")
     return f"{name}_" if keyword.iskeyword(name) else name
 
 
 def resolve(root: Definition, find: FindType) -> Struct:
-    """Build a type from definitions.
-
-    Raises:
-        SchemaError: a type is missing, contains itself, or a bound is passed.
-    """
+    """Build a type from definitions."""
     return _Resolver(find).struct(root, ())
 
 

@@ -12,8 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from typing import Any, ClassVar
 
-from kleinkram.recordings.decoding.errors import DecodeError
-from kleinkram.recordings.decoding.types import ConstantValue, Struct
+from kleinkram.recordings.decoding.types import ConstantValue, DecodeError, Struct
 
 NS = 1_000_000_000
 Constants = tuple[tuple[str, ConstantValue], ...]
@@ -22,9 +21,7 @@ Constants = tuple[tuple[str, ConstantValue], ...]
 class Value:
     """A decoded message or a part of one: its fields are attributes, its constants are attributes of its class.
 
-    Attributes:
-        _type: the type's name as the schema has it, such as "sensor_msgs/msg/Imu".
-        _fields: the names of the fields, in the schema's order.
+    `_type`: the type's name as the schema has it; `_fields`: the names of the fields, in the schema's order.
     """
 
     __slots__ = ()
@@ -163,11 +160,7 @@ def type_name(value: Any) -> str:
 
 
 def payload(value: object) -> Any:
-    """Return the field `data` as a buffer with a length in bytes; JSON carries it in base64.
-
-    Raises:
-        DecodeError: it is neither bytes nor base64.
-    """
+    """Return the field `data` as a buffer with a length in bytes; JSON carries it in base64."""
     data = part(value, "data")
     if isinstance(data, str):
         try:
@@ -181,11 +174,7 @@ def payload(value: object) -> Any:
 
 
 def whole_number(value: object, name: str) -> int:
-    """Return a field that is a size.
-
-    Raises:
-        DecodeError: it is missing, not an integer, or negative.
-    """
+    """Return a field that is a size; anything but a non-negative integer is a `DecodeError`."""
     number = part(value, name)
     if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < 2**32:
         raise DecodeError(type_name(value), f"its {name} is {str(number)[:40]}, which is not a size")

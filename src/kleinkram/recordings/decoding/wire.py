@@ -89,14 +89,7 @@ _CODE_POINTS = 0x110000
 
 @dataclass(frozen=True)
 class NumberReader:
-    """Functions that read arrays.
-
-    Attributes:
-        form: a primitive -> what `numbers` and `flags` take as their second argument.
-        numbers: (data, form, count, offset) -> array; ValueError where the bytes are not there.
-        flags: the same for truth values.
-        nothing: form -> an array without elements.
-    """
+    """Reads arrays of numbers and of truth values (`flags`) by the `form` of a primitive; `nothing`: an empty one."""
 
     form: Callable[[Primitive], Any]
     numbers: Callable[[bytes, Any, int, int], Any]
@@ -149,9 +142,6 @@ def read_wide(data: bytes, offset: int, count: int, is_little: bool) -> tuple[st
     Two layouts are in use and nothing tells which: Fast-CDR 1 (ROS 2 Humble and before) counts characters and writes
     4 bytes each; DDS-XTypes 1.2 and later counts bytes of UTF-16. The first is taken where all of its characters are
     ones that can be, which UTF-16 text of two characters or more practically never is.
-
-    Raises:
-        ValueError: neither fits.
     """
     wide = bytes(data[offset : offset + 4 * count])
     if len(wide) == 4 * count:

@@ -37,9 +37,7 @@ class Head(NamedTuple):
 
 
 class Summarise(Protocol):
-    """Summarises a file by reading as little as possible; `pending` if it must be read whole and is larger than
-    `most_bytes`.
-    """
+    """Summarises a file; `pending` if it must be read whole and is larger than `most_bytes`."""
 
     def __call__(self, source: Source, /, *, most_bytes: int) -> RecordingSummary:
         """Raise `SourceError` where bytes cannot be read, and nothing else."""
@@ -49,10 +47,8 @@ class Summarise(Protocol):
 class RecordingFile:
     """A file to be opened.
 
-    Attributes:
-        path: where it is on this machine.
-        database: where a database is that SQLite reads: the file itself, or a copy that was made to open it.
-        unpacked: what is inside, where the file is compressed as a whole.
+    `path`: on this machine. `database`: the database that SQLite reads, in place or a copy. `unpacked`: what is inside
+    a file that is compressed as a whole.
     """
 
     source: Source
@@ -73,7 +69,7 @@ class OpenContext:
     Attributes:
         stack: closes what is opened here, with the recording.
         most_bytes: a file with more bytes is not read whole to open it; None: as `limit_of` says.
-        message_compression: of each message by itself, as metadata.yaml says.
+        message_compression: of each message by itself, by metadata.yaml.
         logs: logs and journals of databases, by their names.
     """
 
@@ -90,11 +86,7 @@ class OpenContext:
         return None if isinstance(source, FileSource) else MAX_UNASKED_BYTES
 
     def copy(self, read: Callable[[int], bytes], name: str, logs: Mapping[str, Source] | None = None) -> Path:
-        """Write a file, and a database's logs by their suffixes, to temporary files until the recording is closed.
-
-        Raises:
-            SourceError: it cannot be read, or there is no room for it.
-        """
+        """Write a file, and a database's logs by their suffixes, to temporary files until the recording is closed."""
         reads = {suffix: SourceReader(log).read for suffix, log in (logs or {}).items()}
         try:
             return self.stack.enter_context(temporary_database(read, reads))
@@ -107,13 +99,11 @@ class Format:
     """One file format.
 
     Attributes:
-        matches: whether a file is of this format; the formats are asked in the order of the registry.
+        matches: whether a file is of this format, tried in the order of the registry.
         extensions: those that promise this format, or one that is as good.
-        description: what such a file is, for people.
         scan: reads a whole file; None: such a file is only recognised.
         summarise: None: a small file is scanned, a larger one only recognised.
-        open: opens its messages; None: it holds none that are read.
-        refusal: why its messages are not read.
+        open: opens its messages; None: it holds none that are read, for the reason `refusal`.
     """
 
     kind: RecordingFormat
@@ -129,14 +119,7 @@ class Format:
 
 @dataclass(frozen=True)
 class MemberContents:
-    """What a file's index says; None: unknown.
-
-    Attributes:
-        channels: by their number in the file.
-        counts: messages by channel; a channel that is not among them has none.
-        start_ns: earliest log time, inclusive.
-        end_ns: latest log time, inclusive.
-    """
+    """What a file's index says, None where it does not: channels by number, messages by channel, inclusive times."""
 
     channels: Mapping[int, Channel]
     counts: Mapping[int, int] | None
@@ -161,13 +144,10 @@ class Member(Protocol):
 
 
 class ChunkedMember:
-    """A file made of chunks.
+    """A file made of chunks. `summary`: if it was scanned to be opened.
 
-    Args of `__init__`:
-        table: its chunks.
-        summary: what is in it, if it was scanned to be opened.
-        with_index_check: whether the table comes from the file's own index, which may be wrong.
-        claimed_span: first and last time of all messages, as the statistics say.
+    `with_index_check`: the table comes from the file's own index, which may be wrong. `claimed_span`: by the
+    statistics.
     """
 
     def __init__(
@@ -209,10 +189,6 @@ class ChunkedMember:
 
 
 def check_cost(source: Source, most_bytes: int | None, why: str) -> None:
-    """Check that a file may be read whole; `most_bytes` None: whatever its size.
-
-    Raises:
-        TooCostly: it has more bytes.
-    """
+    """Raise `TooCostly` if a file with more than `most_bytes` (None: any) would be read whole."""
     if most_bytes is not None and source.size_bytes > most_bytes:
         raise TooCostly(source.name, source.size_bytes, why)

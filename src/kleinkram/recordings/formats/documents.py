@@ -16,11 +16,7 @@ MAX_LINE_BYTES = 64 * 2**10
 
 
 def read_lines(reader: SequentialReader) -> Iterator[bytes]:
-    """Yield lines without their end, empty ones too; at most `MAX_LINE_BYTES` of each.
-
-    Raises:
-        SourceError: as `SequentialReader.read`.
-    """
+    """Yield lines without their end, empty ones too; at most `MAX_LINE_BYTES` of each."""
     rest = b""
     is_cut = False
     while block := reader.read(WINDOW):
@@ -48,11 +44,7 @@ _KALIBR_KEYS = (b"camera_model:", b"intrinsics:", b"distortion_coeffs:")
 
 
 def describe_yaml(reader: SequentialReader) -> RecordingSummary:
-    """Count the top-level keys of a YAML file.
-
-    Raises:
-        SourceError: as `SequentialReader.read`.
-    """
+    """Count the top-level keys of a YAML file."""
     keys: dict[str, None] = {}
     kalibr: set[bytes] = set()
     for line in read_lines(reader):
@@ -68,11 +60,7 @@ def describe_yaml(reader: SequentialReader) -> RecordingSummary:
 
 
 def describe_json(reader: SequentialReader) -> RecordingSummary:
-    """Count the top-level items of a JSON file of at most `MAX_JSON_BYTES`.
-
-    Raises:
-        SourceError: as `SequentialReader.read`.
-    """
+    """Count the top-level items of a JSON file of at most `MAX_JSON_BYTES`."""
     facts: list[Fact] = []
     problems: list[Problem] = []
     if reader.size_bytes <= MAX_JSON_BYTES:

@@ -54,11 +54,7 @@ FORMATS = (
 
 
 def format_of(source: Source) -> Format:
-    """Return the format of a file.
-
-    Raises:
-        SourceError: as `Source.read`.
-    """
+    """Return the format of a file."""
     head = source.read(0, min(HEAD_BYTES, source.size_bytes))
     if is_database(head):
         head = source.read(0, min(LONG_HEAD_BYTES, source.size_bytes))
@@ -75,11 +71,7 @@ def format_of_head(data: bytes, *, path: Path | None = None) -> Format:
 
 
 def sniff(source: Source) -> RecordingFormat:
-    """Return the format of a file by its content.
-
-    Raises:
-        SourceError: as `Source.read`.
-    """
+    """Return the format of a file by its content."""
     return format_of(source).kind
 
 

@@ -35,11 +35,7 @@ _PLACES_OF_KITTI = (3, 7, 11)
 
 @dataclass
 class Trajectory:
-    """What is known of a trajectory so far.
-
-    Attributes:
-        unit: of its stamps, a key of `_UNITS`; empty until the first one that is not 0 is read.
-    """
+    """What is known of a trajectory so far. `unit`: of its stamps; empty before the first one that is not 0."""
 
     unit: str = ""
     poses: int = 0
@@ -55,24 +51,24 @@ class Trajectory:
 
 
 def describe_trajectory(kind: RecordingFormat, reader: SequentialReader) -> RecordingSummary:
-    """Read a whole trajectory. Its times are those of its poses, as integer nanoseconds; KITTI has none.
-
-    Raises:
-        SourceError: as `SequentialReader.read`.
-    """
+    """Read a whole trajectory. Its times are those of its poses, as integer nanoseconds; KITTI has none."""
     trajectory = Trajectory()
     for number, line in enumerate(read_lines(reader), 1):
         text = line.strip()
         if text and not text.startswith(b"#") and not _add(trajectory, kind, text):
             trajectory.bad_lines += 1
             trajectory.first_bad_line = trajectory.first_bad_line or number
+    unit_problems = []
+    if trajectory.unit not in ("", "s"):
+        message = f"the stamps are in {_UNIT_NAMES[trajectory.unit]}, where TUM has seconds; they are read as such"
+        unit_problems.append(Problem("stamp-unit", "file", message))
     return RecordingSummary(
         kind,
         Content.opaque,
         _REASONS[kind],
         start_ns=trajectory.start_ns,
         end_ns=trajectory.end_ns,
-        problems=(*_unit_problems(trajectory), *trajectory_problems(trajectory)),
+        problems=(*unit_problems, *trajectory_problems(trajectory)),
         facts=tuple(trajectory_facts(trajectory)),
     )
 
@@ -132,11 +128,7 @@ def _add_place(trajectory: Trajectory, place: tuple[float, ...]) -> None:
 
 
 def unit_of(text: str) -> str:
-    """Return the unit of a first stamp: the largest in which int64 nanoseconds can hold it.
-
-    Raises:
-        ValueError: it is no number, or none that a clock can show in any unit.
-    """
+    """Return the unit of a first stamp: the largest in which int64 nanoseconds can hold it."""
     for unit in _UNITS:
         try:
             parse_stamp(text, unit)
@@ -147,11 +139,7 @@ def unit_of(text: str) -> str:
 
 
 def parse_stamp(text: str, unit: str = "s") -> int:
-    """Return a stamp, such as `1403638128.545096874` or `1.4e9`, as nanoseconds, without rounding by floats.
-
-    Raises:
-        ValueError: it is no number, or none that a clock can show.
-    """
+    """Return a stamp, such as `1403638128.545096874` or `1.4e9`, as nanoseconds, without rounding by floats."""
     try:
         number = Decimal(text[:_MAX_STAMP_DIGITS] if "e" not in text.lower() else text)
         is_usual = number.is_finite() and number.adjusted() < _MAX_STAMP_DIGITS
@@ -161,13 +149,6 @@ def parse_stamp(text: str, unit: str = "s") -> int:
     if not 0 <= stamp <= _LATEST_NS:
         raise ValueError(text)
     return stamp
-
-
-def _unit_problems(trajectory: Trajectory) -> list[Problem]:
-    if trajectory.unit in ("", "s"):
-        return []
-    message = f"the stamps are in {_UNIT_NAMES[trajectory.unit]}, where TUM has seconds; they are read as such"
-    return [Problem("stamp-unit", "file", message)]
 
 
 def trajectory_problems(trajectory: Trajectory) -> list[Problem]:
@@ -193,11 +174,7 @@ _STAMP = re.compile(r"time|stamp|\bt\b", re.I)
 
 
 def describe_table(reader: SequentialReader) -> RecordingSummary:
-    """Read a whole table. Its first line is a header if no cell of it is a number.
-
-    Raises:
-        SourceError: as `SequentialReader.read`.
-    """
+    """Read a whole table. Its first line is a header if no cell of it is a number."""
     names: list[str] = []
     columns = rows = 0
     trajectory: Trajectory | None = None
@@ -216,7 +193,8 @@ def describe_table(reader: SequentialReader) -> RecordingSummary:
         rows += 1
         pose = line.split(b",")[:_POSE_COLUMNS]
         if rows == 1 and _are_poses(names, columns, pose):
-            trajectory = Trajectory(unit=_unit_in(names))
+            unit = re.search(r"\[\s*(s|ms|us|ns)\s*\]", names[0]) if names else None
+            trajectory = Trajectory(unit=unit[1] if unit else "")
         if trajectory is not None and not add_stamped_pose(trajectory, pose):
             trajectory.bad_lines += 1
             trajectory.first_bad_line = trajectory.first_bad_line or number
@@ -241,28 +219,16 @@ def _are_poses(names: list[str], columns: int, pose: list[bytes]) -> bool:
     if columns < _POSE_COLUMNS:
         return False
     if names:
-        return bool(_STAMP.search(names[0])) and all(map(_has, names[1:4], "xyz")) and all(map(_is_turn, names[4:8]))
+        # Such as "p_RS_R_x [m]", "tx", "position.x"; "q_RS_w []", "qx", "orientation.x".
+        position, rotation = r"(p|t|pos|position|translation|)", r"(q|quat|quaternion|rot|rotation|orientation)"
+        patterns = [_STAMP.pattern, *(rf"^{position}([_.]\w+)?[_.]?{axis}\b" for axis in "xyz")]
+        patterns += [rf"^{rotation}([_.]\w+)?[_.]?[wxyz]\b"] * 4
+        return all(re.search(pattern, name, re.I) for pattern, name in zip(patterns, names, strict=False))
     try:
         numbers = [float(cell) for cell in pose]
     except ValueError:
         return False
     return columns in _EUROC_COLUMNS and abs(hypot(*numbers[4:]) - 1) < _UNIT_TOLERANCE
-
-
-def _has(name: str, axis: str) -> bool:
-    """Return whether a column is a position along an axis: "p_RS_R_x [m]", "tx", "position.x"."""
-    return bool(re.match(rf"(p|t|pos|position|translation|)([_.]\w+)?[_.]?{axis}\b", name, re.I))
-
-
-def _is_turn(name: str) -> bool:
-    """Return whether a column is part of a quaternion: "q_RS_w []", "qx", "orientation.x"."""
-    return bool(re.match(r"(q|quat|quaternion|rot|rotation|orientation)([_.]\w+)?[_.]?[wxyz]\b", name, re.I))
-
-
-def _unit_in(names: list[str]) -> str:
-    """Return the unit in the first column's name; empty if there is none."""
-    match = re.search(r"\[\s*(s|ms|us|ns)\s*\]", names[0]) if names else None
-    return match[1] if match else ""
 
 
 def _cells(line: bytes) -> list[str]:

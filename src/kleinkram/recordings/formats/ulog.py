@@ -13,13 +13,13 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import lru_cache
 from typing import NamedTuple
 
 from kleinkram.recordings.chunk_reader import ChunkFormat, ChunkTableBuilder, FileGap, JoinedGaps, SalvagedMessages
-from kleinkram.recordings.chunk_table import ChunkTable, StoredChunk
+from kleinkram.recordings.chunk_table import ChunkHead, ChunkTable
 from kleinkram.recordings.compression import Buffer
 from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Cut, Malformed
@@ -37,7 +37,7 @@ from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Se
 from kleinkram.recordings.model import Content, Depth, Fact, Problem, RecordingFormat, RecordingSummary, counted
 from kleinkram.recordings.sources import SequentialReader, Source, SourceReader, source_reader
 from kleinkram.recordings.streams import ByteStream, LookaheadStream
-from kleinkram.recordings.topic_statistics import TopicType, bounded, measure, pending
+from kleinkram.recordings.topic_statistics import TopicType, measure, pending
 
 MAGIC = b"ULog\x01\x12\x35"
 SYNC_MAGIC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
@@ -141,11 +141,7 @@ def parse_fields(text: str) -> list[UlogField]:
 
 
 def _size_of(formats: Mapping[str, str], type_name: str, depth: int = 0) -> int:
-    """Return the bytes of a type.
-
-    Raises:
-        KeyError: a type that is not defined, or that nests itself.
-    """
+    """Return the bytes of a type."""
     if type_name in _SIZES:
         return _SIZES[type_name]
     if depth == _MAX_NESTING:
@@ -175,10 +171,7 @@ def _formats_of(definition: bytes) -> dict[str, str]:
 
 
 def as_ros1_definition(name: str, definition: bytes) -> bytes:
-    """Return a format as a ROS 1 message definition: the bytes of a message are laid out alike.
-
-    Padding at the end of a message is not logged, so it is left out.
-    """
+    """Return a format as a ROS 1 definition: messages are laid out alike, but for padding at the end."""
     formats = _formats_of(definition)
     texts = [_ros1_fields(formats.get(name, ""), is_top=True)]
     texts += [f"MSG: ulog/{nested}\n{_ros1_fields(fields)}" for nested, fields in formats.items() if nested != name]
@@ -369,20 +362,12 @@ class _UlogScanner:
 
 
 def scan_ulog(reader: SequentialReader) -> RecordingSummary:
-    """Read a whole flight log.
-
-    Raises:
-        SourceError: as `SequentialReader.read`.
-    """
+    """Read a whole flight log."""
     return summarise_scan(_UlogScanner(reader, None).run())
 
 
 def summarise_ulog(source: Source, *, most_bytes: int) -> RecordingSummary:
-    """Scan a log of at most `most_bytes`; a larger one stays pending.
-
-    Raises:
-        SourceError: as `Source.read`.
-    """
+    """Scan a log of at most `most_bytes`; a larger one stays pending."""
     if source.size_bytes > most_bytes:
         return pending(RecordingFormat.ulog, source.size_bytes, "a flight log (ULog) has no index")
     return scan_ulog(source_reader(source))
@@ -394,26 +379,29 @@ def summarise_scan(scan: UlogScan) -> RecordingSummary:
     timeline = scan.counter.timeline
     for name in [name for name, times in timeline.topics.items() if not times.count]:
         del timeline.topics[name]  # the autopilot announces all topics: those count that have messages
-    measured = measure(timeline, types)
+    summary = measure(RecordingFormat.ulog, timeline, types, [*scan.losses.problems(), *_problems(scan)])
     reason, content = scan.refused or None, Content.opaque if scan.refused else Content.indexed
     if scan.losses.damage and not scan.refused:
         first = scan.losses.damage[0]
         what = first.message if isinstance(first, Cut) or scan.is_cut else f"{first.message}, at {first.where}"
-        reason = f"{what}; {counted(measured.message_count, 'message')} can be read"
-        content = Content.recovered if measured.topics else Content.broken
-    return RecordingSummary(
-        format=RecordingFormat.ulog,
+        reason = f"{what}; {counted(summary.message_count or 0, 'message')} can be read"
+        content = Content.recovered if summary.topics else Content.broken
+    return replace(
+        summary,
         content=content,
         reason=reason,
-        message_count=measured.message_count,
-        start_ns=measured.start_ns,
-        end_ns=measured.end_ns,
         compression=("none",),
-        topics=measured.topics,
-        problems=bounded([*scan.losses.problems(), *_problems(scan), *measured.problems]),
         depth=Depth.scan,
         lost=scan.losses.total(claimed=None, readable=0) if scan.losses.damage else None,
-        facts=(*_facts(scan), Fact("topics_without_message", len(types) - len(measured.topics))),
+        facts=(
+            Fact("version", scan.version),
+            Fact("start_since_boot", scan.start_us / 1e6, "s"),
+            Fact("logged_texts", scan.texts),
+            Fact("parameters", scan.parameters),
+            Fact("dropouts", scan.dropouts),
+            *(Fact(name, value) for name, value in scan.information.items()),
+            Fact("topics_without_message", len(types) - len(summary.topics)),
+        ),
     )
 
 
@@ -438,24 +426,8 @@ def _problems(scan: UlogScan) -> list[Problem]:
     return problems
 
 
-def _facts(scan: UlogScan) -> list[Fact]:
-    return [
-        Fact("version", scan.version),
-        Fact("start_since_boot", scan.start_us / 1e6, "s"),
-        Fact("logged_texts", scan.texts),
-        Fact("parameters", scan.parameters),
-        Fact("dropouts", scan.dropouts),
-        *(Fact(name, value) for name, value in scan.information.items()),
-    ]
-
-
 def open_ulog(file: RecordingFile, context: OpenContext) -> ChunkedMember:
-    """Open a flight log: one pass finds where its messages are.
-
-    Raises:
-        TooCostly: it has more bytes than may be read.
-        SourceError: as `Source.read`.
-    """
+    """Open a flight log, by one pass over it; `TooCostly` if it has more bytes than may be read."""
     source, problem_log = file.source, context.problem_log
     check_cost(source, context.limit_of(source), "a flight log (ULog) has no index")
     builder = ChunkTableBuilder(ChunkTable(), problem_log)
@@ -495,7 +467,7 @@ class _MessageParser:
         return messages
 
 
-def _open_chunk(stream: ByteStream) -> StoredChunk:
+def _open_chunk(stream: ByteStream) -> ChunkHead:
     raise Malformed(f"byte {stream.position}", "a ULog has no chunks")
 
 

@@ -8,16 +8,16 @@ Source: RFC 8878; rosbag2_compression (compression mode FILE).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import PurePosixPath
 
 import zstandard
 
-from kleinkram.recordings.compression import ZstdFrames, open_decompressed
-from kleinkram.recordings.errors import Malformed, NotARecording
+from kleinkram.recordings.compression import open_decompressed
+from kleinkram.recordings.errors import Cut, Malformed, NotARecording
 from kleinkram.recordings.formats.base import LONG_HEAD_BYTES, Format, Member, OpenContext, RecordingFile, check_cost
-from kleinkram.recordings.limits import FREE_UNPACKED, MAX_EXPANSION, MAX_ZSTD_WINDOW, WINDOW
+from kleinkram.recordings.limits import FREE_UNPACKED, MAX_EXPANSION, MAX_ZSTD_WINDOW
 from kleinkram.recordings.model import Content, Depth, Lost, RecordingFormat, RecordingSummary
 from kleinkram.recordings.sources import FileSource, SequentialReader, Source, SourceReader, source_reader
 from kleinkram.recordings.temporary_files import MAX_SPOOL_BYTES, TooLarge, temporary_copy
@@ -27,108 +27,78 @@ FILE_ZSTD = "file-zstd"
 """What `compression` says of a file that is compressed as a whole."""
 
 Scan = Callable[[SequentialReader], RecordingSummary]
+_NO_LIMIT = 2**63  # temporary files have one
 
 
-class _ZstdReader:
-    """Decompresses a zstd file, up to its end or to where it is damaged.
-
-    Attributes:
-        fault: once nothing more comes out, why it is not all, in words.
-        packed_bytes: bytes of the file read so far.
-    """
+class _Unpacked:
+    """The content of a zstd file, up to its end or to where it is damaged; `fault` then says why it is not all."""
 
     def __init__(self, reader: SequentialReader) -> None:
         self.fault: str | None = None
-        self.packed_bytes = 0
         self._reader = reader
-        self._frames = ZstdFrames()
-        self._pieces = self._unpack()
+        self._packed_bytes = 0
+        self._stream = open_decompressed("zstd", self._read_packed, _NO_LIMIT)
         self._left = b""
 
     def read(self, length: int) -> bytes:
         """Return the next bytes, at most `length`; b"" at the end."""
-        if not self._left:
-            self._left = next(self._pieces, b"")
+        if not self._left and self.fault is None:
+            try:
+                return self._stream.take_some(length)
+            except Cut as error:
+                self.fault = f"{error.message} at byte {self._packed_bytes}"
+            except Malformed as error:
+                self.fault = f"{error.message}, within the first {self._packed_bytes} bytes"
         piece, self._left = self._left[:length], self._left[length:]
         return piece
 
     def peek(self, length: int) -> bytes:
-        """Return the next bytes without passing them."""
-        while len(self._left) < length and (piece := next(self._pieces, b"")):
-            self._left += piece
-        return self._left[:length]
+        """Return the first bytes without passing them."""
+        head = b""
+        while len(head) < length and (piece := self.read(length - len(head))):
+            head += piece
+        self._left = head
+        return head
 
-    def _unpack(self) -> Iterator[bytes]:
-        """Yield pieces of bounded size: what unpacks to a thousand times its size does so in small steps."""
-        decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_ZSTD_WINDOW)
-        reader = decompressor.stream_reader(_Packed(self._next_packed), read_across_frames=True)  # type: ignore[arg-type]  # only read() is used
-        try:
-            while piece := reader.read(WINDOW):
-                yield piece
-        except zstandard.ZstdError as error:
-            # zstandard has one error for bad data and for too little memory. The latter is not the file's fault:
-            # whether there was enough is tried out, and a MemoryError says that there was not.
-            bytearray(MAX_ZSTD_WINDOW)
-            self.fault = f"its zstd data is damaged within the first {self.packed_bytes} bytes ({error})"
-            return
-        if not self._frames.at_end_of_frame:
-            self.fault = f"its zstd data breaks off at byte {self.packed_bytes}"
-
-    def _next_packed(self, length: int) -> bytes:
+    def _read_packed(self, length: int) -> bytes:
         data = self._reader.read(length)
-        self.packed_bytes += len(data)
-        self._frames.feed(data)
+        self._packed_bytes += len(data)
         return data
-
-
-class _Packed:
-    """File-like input of zstandard's reader."""
-
-    def __init__(self, read: Callable[[int], bytes]) -> None:
-        self.read = read
 
 
 def scan_zstd_file(reader: SequentialReader, scan: Scan, *, most_bytes: int = MAX_SPOOL_BYTES) -> RecordingSummary:
     """Read a compressed file; `scan` reads what is inside, under its name without `.zstd`.
 
-    `format` is that of what is inside, `compression` says "file-zstd". A file whose compressed data is damaged is
-    `recovered` as far as it unpacks; one that unpacks to more than `most_bytes`, or
-    than any recording does, is `pending`.
-
-    Raises:
-        SourceError: as `SequentialReader.read`, or the unpacked copy cannot be written.
+    A file whose compressed data is damaged is `recovered` as far as it unpacks; one that unpacks to more than
+    `most_bytes`, or than any recording does, is `pending`.
     """
     from kleinkram.recordings.formats import registry  # which imports this module
 
-    unpacking = _ZstdReader(reader)
+    unpacked = _Unpacked(reader)
     most_bytes = min(most_bytes, FREE_UNPACKED + MAX_EXPANSION * reader.size_bytes)
-    inner_format = registry.format_of_head(unpacking.peek(LONG_HEAD_BYTES))
-    kind = inner_format.kind
-    if not is_recording(inner_format):
-        return _not_a_recording(kind, unpacking)
+    inside = registry.format_of_head(unpacked.peek(LONG_HEAD_BYTES))
+    if not is_recording(inside):
+        if unpacked.fault and inside.kind in (RecordingFormat.unknown, RecordingFormat.empty):
+            return RecordingSummary(RecordingFormat.zstd, Content.broken, unpacked.fault, depth=Depth.scan)
+        return replace(_not_a_recording(inside.kind), depth=Depth.scan)
     try:
-        with temporary_copy(unpacking.read, most_bytes=most_bytes) as path, FileSource(path) as source:
+        with temporary_copy(unpacked.read, most_bytes=most_bytes) as path, FileSource(path) as source:
             inner = SourceReader(source, path=path)
             inner.name = PurePosixPath(reader.name).stem
             summary = scan(inner)
     except TooLarge as error:
-        return RecordingSummary(kind, Content.pending, str(error), compression=(FILE_ZSTD,))
+        return RecordingSummary(inside.kind, Content.pending, str(error), compression=(FILE_ZSTD,))
     compression = tuple(sorted({FILE_ZSTD, *summary.compression} - {"none"}))
     summary = replace(summary, compression=compression, bytes_read=reader.size_bytes, depth=Depth.scan)
-    return _with_fault(summary, unpacking) if unpacking.fault else summary
-
-
-def _not_a_recording(kind: RecordingFormat, unpacking: _ZstdReader) -> RecordingSummary:
-    if unpacking.fault and kind in (RecordingFormat.unknown, RecordingFormat.empty):
-        return RecordingSummary(RecordingFormat.zstd, Content.broken, unpacking.fault, depth=Depth.scan)
-    reason = f"compressed as a whole; inside is {kind.value}"
-    return RecordingSummary(RecordingFormat.zstd, Content.opaque, reason, depth=Depth.scan)
-
-
-def _with_fault(summary: RecordingSummary, unpacking: _ZstdReader) -> RecordingSummary:
-    inside = f"; inside: {summary.reason}" if summary.reason else ""
+    if not unpacked.fault:
+        return summary
+    reason = f"{unpacked.fault}; inside: {summary.reason}" if summary.reason else unpacked.fault
     content = Content.recovered if summary.content is Content.indexed else summary.content
-    return replace(summary, content=content, reason=f"{unpacking.fault}{inside}", lost=summary.lost or Lost(0, 0, None))
+    return replace(summary, content=content, reason=reason, lost=summary.lost or Lost(0, 0, None))
+
+
+def _not_a_recording(kind: RecordingFormat) -> RecordingSummary:
+    return RecordingSummary(RecordingFormat.zstd, Content.opaque, f"compressed as a whole; inside is {kind.value}")
 
 
 def is_recording(file_format: Format) -> bool:
@@ -143,26 +113,19 @@ def _scan(reader: SequentialReader) -> RecordingSummary:
 
 
 def _summarise(source: Source, *, most_bytes: int) -> RecordingSummary:
-    if source.size_bytes <= most_bytes:
-        return _scan(source_reader(source))
-    inside = _format_inside(source)
-    if inside is not None and is_recording(inside):
-        return pending(RecordingFormat.zstd, source.size_bytes, "it is compressed as a whole")
-    kind = RecordingFormat.unknown if inside is None else inside.kind
-    return RecordingSummary(RecordingFormat.zstd, Content.opaque, f"compressed as a whole; inside is {kind.value}")
-
-
-def _format_inside(source: Source) -> Format | None:
-    """Return the format of what is inside; None if its beginning cannot be decompressed."""
     from kleinkram.recordings.formats import registry  # which imports this module
 
-    compressed = source.read(0, min(LONG_HEAD_BYTES, source.size_bytes))
+    if source.size_bytes <= most_bytes:
+        return _scan(source_reader(source))
     decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_ZSTD_WINDOW)
     try:
-        with decompressor.stream_reader(compressed) as reader:
-            return registry.format_of_head(reader.read(LONG_HEAD_BYTES))
-    except zstandard.ZstdError:
-        return None
+        with decompressor.stream_reader(source.read(0, min(LONG_HEAD_BYTES, source.size_bytes))) as reader:
+            inside = registry.format_of_head(reader.read(LONG_HEAD_BYTES))
+    except zstandard.ZstdError:  # its beginning cannot be decompressed
+        return _not_a_recording(RecordingFormat.unknown)
+    if is_recording(inside):
+        return pending(RecordingFormat.zstd, source.size_bytes, "it is compressed as a whole")
+    return _not_a_recording(inside.kind)
 
 
 def _open(file: RecordingFile, context: OpenContext) -> Member:
@@ -171,24 +134,18 @@ def _open(file: RecordingFile, context: OpenContext) -> Member:
 
     source = file.source
     check_cost(source, context.limit_of(source), "it is compressed as a whole")
-    content = open_decompressed("zstd", SourceReader(source).read, MAX_SPOOL_BYTES)
-
-    def read(most: int) -> bytes:
-        try:
-            return content.take_some(most)
-        except Malformed as error:
-            context.problem_log.add("damaged", source.name, f"reading ends here: {error.message}")
-            return b""
-
-    path = context.copy(read, source.name)
-    unpacked = context.stack.enter_context(FileSource(path))
-    unpacked.name = PurePosixPath(source.name).stem
-    inside = registry.format_of(unpacked)
+    unpacked = _Unpacked(SourceReader(source))
+    path = context.copy(unpacked.read, source.name)
+    if unpacked.fault:
+        context.problem_log.add("damaged", source.name, f"reading ends here: {unpacked.fault}")
+    inner = context.stack.enter_context(FileSource(path))
+    inner.name = PurePosixPath(source.name).stem
+    inside = registry.format_of(inner)
     if inside is ZSTD:
         raise NotARecording(source.name, "it is compressed more than once")
     if inside.open is None:
-        raise NotARecording(unpacked.name, inside.refusal)
-    file.unpacked = RecordingFile(unpacked, path)
+        raise NotARecording(inner.name, inside.refusal)
+    file.unpacked = RecordingFile(inner, path)
     return inside.open(file.unpacked, context)
 
 

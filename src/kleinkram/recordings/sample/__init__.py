@@ -4,13 +4,15 @@ For demonstrations, tests and benchmarks. Never imported by the server.
 """
 
 from kleinkram.recordings.sample.mission import (
+    FileTruth,
+    MissionTruth,
     SampleFormat,
+    TopicTruth,
     generate_bag,
     generate_db3,
     generate_mcap,
     generate_mission,
 )
-from kleinkram.recordings.sample.truth import FileTruth, MissionTruth, TopicTruth
 from kleinkram.recordings.sample.vehicle import BlackCamera, ClockJump, Faults, TopicGap
 
 __all__ = [

@@ -1,6 +1,6 @@
-"""Making sample missions: one drive, recorded as MCAP, ROS 1 bag and rosbag2 db3, of any size, with known truth.
+"""Makes sample missions: one drive, recorded as MCAP, ROS 1 bag and rosbag2 db3, of any size, with a known truth.
 
-Streaming: memory is that of one chunk and of the truth (a few bytes a message), whatever the size.
+Memory is that of one chunk and of the truth (8 bytes a message), whatever the size.
 """
 
 from __future__ import annotations
@@ -9,16 +9,13 @@ import os
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from enum import Enum
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-from kleinkram.recordings.formats.mcap.writer import McapWriter
-from kleinkram.recordings.formats.rosbag1.writer import BagWriter
-from kleinkram.recordings.formats.rosbag2.writer import Db3Writer
-from kleinkram.recordings.sample import definitions
-from kleinkram.recordings.sample.layout import Encoding
-from kleinkram.recordings.sample.truth import FileTruth, MissionTruth, TruthKeeper
+from kleinkram.recordings.sample.messages import Encoding, ros1_definition, ros1_md5, ros2_definition, ros2_name
 from kleinkram.recordings.sample.vehicle import Faults, Vehicle
+from kleinkram.recordings.sample.writers import BagWriter, Db3Writer, McapWriter
 
 DEFAULT_DURATION_S = 10.0
 _CAMERA_BYTES, _LIDAR_POINTS = 80_000, 30_000
@@ -37,7 +34,45 @@ class SampleFormat(str, Enum):
 
 
 @dataclass(frozen=True)
-class _Plan:
+class TopicTruth:
+    """One topic as it was written. Times are integer nanoseconds of the log clock."""
+
+    name: str
+    message_type: str
+    count: int
+    first_ns: int
+    last_ns: int
+    longest_gap_ns: int
+    out_of_order_count: int
+
+
+@dataclass(frozen=True)
+class FileTruth:
+    """One recording file, counted while it was made, by other code than that which reads recordings.
+
+    Attributes:
+        truncated: its end was cut off, so that it holds less than `topics` say.
+        topics: by name; types in the spelling of the format.
+    """
+
+    path: Path
+    size_bytes: int
+    truncated: bool
+    message_count: int
+    start_ns: int
+    end_ns: int
+    topics: tuple[TopicTruth, ...]
+
+
+@dataclass(frozen=True)
+class MissionTruth:
+    """A sample mission; `files` are its recording files, without metadata.yaml."""
+
+    directory: Path
+    files: tuple[FileTruth, ...]
+
+
+class _Plan(NamedTuple):
     """How much bulk, and when to stop: after a time, or at a size."""
 
     camera_bytes: int
@@ -46,21 +81,13 @@ class _Plan:
     size_bytes: int | None
 
 
-class _Topic(NamedTuple):
-    """A topic of an open recording: what its type is called there, and the number to write to it by."""
-
-    message_type: str
-    number: int
-
-
 @dataclass(frozen=True)
 class _Recorder:
-    """One open recording, whatever its format."""
+    """An open recording; `add_topic` returns the name of a type in the format, and the topic's number for `write`."""
 
-    add_topic: Callable[[str, str], _Topic]
+    add_topic: Callable[[str, str], tuple[str, int]]
     write: Callable[[int, int, bytes], None]
-    bytes_written: Callable[[], int]
-    finish: Callable[[], None]
+    writer: McapWriter | BagWriter | Db3Writer
 
 
 def generate_mission(
@@ -111,10 +138,21 @@ def generate_mcap(
 ) -> FileTruth:
     """Make one MCAP (profile ros2, CDR, zstd) as `generate_mission` does."""
     plan = _plan(size_bytes, duration_s)
-    vehicle = _vehicle(plan, seed, Encoding.cdr, faults)
+    schemas: dict[str, int] = {}
     with Path(path).open("xb") as file:
-        truth = _record(vehicle, plan, _mcap_recorder(McapWriter(file, profile="ros2")))
-    return _finish(Path(path), truth, faults)
+        writer = McapWriter(file, profile="ros2")
+
+        def add_topic(topic: str, message_type: str) -> tuple[str, int]:
+            name = ros2_name(message_type)
+            if name not in schemas:
+                schemas[name] = writer.add_schema(name, "ros2msg", ros2_definition(message_type).encode())
+            return name, writer.add_channel(topic, schemas[name], "cdr")
+
+        def write(channel: int, log_time_ns: int, payload: bytes) -> None:
+            writer.add_message(channel, log_time_ns, payload, publish_time_ns=log_time_ns)
+
+        topics = _record(plan, seed, Encoding.cdr, faults, _Recorder(add_topic, write, writer))
+    return _truth(Path(path), topics, faults)
 
 
 def generate_bag(
@@ -127,10 +165,15 @@ def generate_bag(
 ) -> FileTruth:
     """Make one ROS 1 bag (lz4) as `generate_mission` does."""
     plan = _plan(size_bytes, duration_s)
-    vehicle = _vehicle(plan, seed, Encoding.ros1, faults)
     with Path(path).open("xb") as file:
-        truth = _record(vehicle, plan, _bag_recorder(BagWriter(file)))
-    return _finish(Path(path), truth, faults)
+        writer = BagWriter(file)
+
+        def add_topic(topic: str, message_type: str) -> tuple[str, int]:
+            md5sum, definition = ros1_md5(message_type), ros1_definition(message_type)
+            return message_type, writer.add_connection(topic, message_type, md5sum=md5sum, definition=definition)
+
+        topics = _record(plan, seed, Encoding.ros1, faults, _Recorder(add_topic, writer.add_message, writer))
+    return _truth(Path(path), topics, faults)
 
 
 def generate_db3(
@@ -143,51 +186,23 @@ def generate_db3(
 ) -> FileTruth:
     """Make one rosbag2 folder (SQLite storage) as `generate_mission` does; the truth is that of its database."""
     plan = _plan(size_bytes, duration_s)
-    vehicle = _vehicle(plan, seed, Encoding.cdr, faults)
     writer = Db3Writer(Path(folder))
-    truth = _record(vehicle, plan, _db3_recorder(writer))
-    return _finish(writer.path, truth, faults)
 
+    def add_topic(topic: str, message_type: str) -> tuple[str, int]:
+        return ros2_name(message_type), writer.add_topic(topic, ros2_name(message_type))
 
-def _mcap_recorder(writer: McapWriter) -> _Recorder:
-    schemas: dict[str, int] = {}
-
-    def add_topic(topic: str, message_type: str) -> _Topic:
-        name = definitions.ros2_name(message_type)
-        if name not in schemas:
-            schemas[name] = writer.add_schema(name, "ros2msg", definitions.ros2_definition(message_type).encode())
-        return _Topic(name, writer.add_channel(topic, schemas[name], "cdr"))
-
-    def write(channel: int, log_time_ns: int, payload: bytes) -> None:
-        writer.add_message(channel, log_time_ns, payload, publish_time_ns=log_time_ns)
-
-    return _Recorder(add_topic, write, lambda: writer.bytes_written, writer.finish)
-
-
-def _bag_recorder(writer: BagWriter) -> _Recorder:
-    def add_topic(topic: str, message_type: str) -> _Topic:
-        md5sum, definition = definitions.ros1_md5(message_type), definitions.ros1_definition(message_type)
-        return _Topic(message_type, writer.add_connection(topic, message_type, md5sum=md5sum, definition=definition))
-
-    return _Recorder(add_topic, writer.add_message, lambda: writer.bytes_written, writer.finish)
-
-
-def _db3_recorder(writer: Db3Writer) -> _Recorder:
-    def add_topic(topic: str, message_type: str) -> _Topic:
-        name = definitions.ros2_name(message_type)
-        return _Topic(name, writer.add_topic(topic, name))
-
-    return _Recorder(add_topic, writer.add_message, lambda: writer.bytes_written, writer.finish)
+    topics = _record(plan, seed, Encoding.cdr, faults, _Recorder(add_topic, writer.add_message, writer))
+    return _truth(writer.path, topics, faults)
 
 
 def _plan(size_bytes: int | None, duration_s: float | None) -> _Plan:
     """Choose the bulk: full size where the size allows for 10 seconds or more, else less of it."""
     if (size_bytes is not None and size_bytes <= 0) or (duration_s is not None and duration_s <= 0):
         raise ValueError("size and duration of a sample must be positive")
-    if size_bytes is None:
-        return _Plan(_CAMERA_BYTES, _LIDAR_POINTS, duration_s or DEFAULT_DURATION_S, None)
-    full = _CAMERA_BYTES + _LIDAR_POINTS * _POINT_BYTES
     seconds = duration_s or DEFAULT_DURATION_S
+    if size_bytes is None:
+        return _Plan(_CAMERA_BYTES, _LIDAR_POINTS, seconds, None)
+    full = _CAMERA_BYTES + _LIDAR_POINTS * _POINT_BYTES
     bulk = (size_bytes / seconds - _SMALL_BYTES_PER_S) / _BULK_HZ
     scale = max(0.0, bulk / full) if duration_s else min(1.0, max(0.0, bulk / full))
     return _Plan(
@@ -198,32 +213,40 @@ def _plan(size_bytes: int | None, duration_s: float | None) -> _Plan:
     )
 
 
-def _vehicle(plan: _Plan, seed: int, encoding: Encoding, faults: Faults) -> Vehicle:
-    return Vehicle(
-        seed=seed,
-        encoding=encoding,
-        camera_bytes=plan.camera_bytes,
-        lidar_points=plan.lidar_points,
-        faults=faults,
+def _record(plan: _Plan, seed: int, encoding: Encoding, faults: Faults, recorder: _Recorder) -> tuple[TopicTruth, ...]:
+    """Record a drive; return its topics by name."""
+    vehicle = Vehicle(
+        seed=seed, encoding=encoding, camera_bytes=plan.camera_bytes, lidar_points=plan.lidar_points, faults=faults
     )
-
-
-def _record(vehicle: Vehicle, plan: _Plan, recorder: _Recorder) -> TruthKeeper:
-    truth = TruthKeeper()
-    numbers: dict[str, int] = {}
+    types: dict[str, tuple[str, int]] = {}
+    stamps: dict[str, list[int]] = {stream.topic: [] for stream in vehicle.streams}
     for stream in vehicle.streams:
-        message_type, numbers[stream.topic] = recorder.add_topic(stream.topic, stream.message_type)
-        truth.add_topic(stream.topic, message_type)
-    for sample in vehicle.drive(plan.duration_s):
-        recorder.write(numbers[sample.topic], sample.log_time_ns, sample.payload)
-        truth.add(sample.topic, sample.log_time_ns)
-        if plan.size_bytes is not None and recorder.bytes_written() >= plan.size_bytes:
+        types[stream.topic] = recorder.add_topic(stream.topic, stream.message_type)
+    for message in vehicle.drive(plan.duration_s):
+        recorder.write(types[message.topic][1], message.log_time_ns, message.payload)
+        stamps[message.topic].append(message.log_time_ns)
+        if plan.size_bytes is not None and recorder.writer.bytes_written >= plan.size_bytes:
             break
-    recorder.finish()
-    return truth
+    recorder.writer.finish()
+    topics = []
+    for name in sorted(stamps):
+        in_file, in_time = stamps[name], sorted(stamps[name])
+        gap = max((after - before for before, after in pairwise(in_time)), default=0)
+        out_of_order = sum(stamp < highest for stamp, highest in zip(in_file, accumulate(in_file, max), strict=True))
+        topics.append(TopicTruth(name, types[name][0], len(in_file), in_time[0], in_time[-1], gap, out_of_order))
+    return tuple(topics)
 
 
-def _finish(path: Path, truth: TruthKeeper, faults: Faults) -> FileTruth:
+def _truth(path: Path, topics: tuple[TopicTruth, ...], faults: Faults) -> FileTruth:
+    """Cut the finished file if it is to be cut, and say what is in it."""
     if faults.truncate_to is not None:
         os.truncate(path, int(path.stat().st_size * faults.truncate_to))
-    return truth.file(path, truncated=faults.truncate_to is not None)
+    return FileTruth(
+        path=path,
+        size_bytes=path.stat().st_size,
+        truncated=faults.truncate_to is not None,
+        message_count=sum(topic.count for topic in topics),
+        start_ns=min(topic.first_ns for topic in topics),
+        end_ns=max(topic.last_ns for topic in topics),
+        topics=topics,
+    )

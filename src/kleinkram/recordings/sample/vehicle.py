@@ -9,13 +9,13 @@ from __future__ import annotations
 import heapq
 import math
 import random
+import struct
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from kleinkram.recordings.sample.jpeg import mosaic_jpeg, padded
-from kleinkram.recordings.sample.layout import Encoding, Item, Layout, diagonal, given, header
+from kleinkram.recordings.sample.messages import Encoding, Item, Layout, diagonal, header, variable
 
 START_NS = 1_714_550_400_000_000_000
 RADIUS_M = 25.0
@@ -62,12 +62,7 @@ class ClockJump:
 
 @dataclass(frozen=True)
 class Faults:
-    """What goes wrong in a sample mission.
-
-    Attributes:
-        dropped_topic: is missing altogether.
-        truncate_to: share of each data file that is left of it, such as 0.6.
-    """
+    """What goes wrong in a sample mission. `truncate_to`: share of each data file that is left, such as 0.6."""
 
     dropped_topic: str | None = None
     gap: TopicGap | None = None
@@ -85,7 +80,7 @@ class Stream(NamedTuple):
     latency_ns: int
 
 
-class Sample(NamedTuple):
+class RecordedMessage(NamedTuple):
     """One recorded message."""
 
     log_time_ns: int
@@ -123,7 +118,7 @@ class Vehicle:
             "/tf": self._tf(),
         }
 
-    def drive(self, duration_s: float | None) -> Iterator[Sample]:
+    def drive(self, duration_s: float | None) -> Iterator[RecordedMessage]:
         """Yield the messages in the order in which they are recorded; without end if `duration_s` is None."""
         ticks = heapq.merge(*(self._ticks(number, stream) for number, stream in enumerate(self.streams)))
         jump = self._faults.clock_jump
@@ -134,7 +129,7 @@ class Vehicle:
             shift = round(jump.by_s * 1e9) if jump is not None and seconds >= jump.at_s else 0
             topic = self.streams[order].topic
             payload = self._makers[topic](k, seconds, START_NS + true_ns + shift)
-            yield Sample(START_NS + recorded_ns + shift, order, topic, payload)
+            yield RecordedMessage(START_NS + recorded_ns + shift, order, topic, payload)
 
     def _ticks(self, order: int, stream: Stream) -> Iterator[tuple[int, int, int, int]]:
         """Yield (recorded, order, number, true time) of one topic, in nanoseconds since the start."""
@@ -198,7 +193,7 @@ class Vehicle:
 
     def _imu(self) -> Maker:
         layout = self._layout(
-            header("imu", self._encoding), given(4), diagonal(3, 1e-4), given(3), diagonal(3, 1e-6), given(3),
+            header("imu", self._encoding), variable(4), diagonal(3, 1e-4), variable(3), diagonal(3, 1e-6), variable(3),
             diagonal(3, 1e-3),
         )  # fmt: skip
         noise = self._random("imu noise").gauss
@@ -212,7 +207,7 @@ class Vehicle:
 
     def _gps(self) -> Maker:
         status: list[Item] = [("b", 0), ("H", 1)]
-        layout = self._layout(header("gps", self._encoding), status, given(3), diagonal(3, 0.04), [("B", 2)])
+        layout = self._layout(header("gps", self._encoding), status, variable(3), diagonal(3, 0.04), [("B", 2)])
         noise = self._random("gps noise").gauss
         metres_per_degree_east = _METRES_PER_DEGREE * math.cos(math.radians(LATITUDE_DEG))
 
@@ -227,7 +222,7 @@ class Vehicle:
     def _odometry(self) -> Maker:
         twist: list[Item] = [("d", SPEED_M_S), *[("d", 0.0)] * 4, ("d", TURN_RAD_S)]
         layout = self._layout(
-            header("odom", self._encoding), [("s", "base_link")], given(7), diagonal(6, 1e-3), twist,
+            header("odom", self._encoding), [("s", "base_link")], variable(7), diagonal(6, 1e-3), twist,
             diagonal(6, 1e-3),
         )  # fmt: skip
         noise = self._random("odometry noise").gauss
@@ -240,7 +235,7 @@ class Vehicle:
         return make
 
     def _tf(self) -> Maker:
-        layout = self._layout([("I", 1)], header("odom", self._encoding), [("s", "base_link")], given(7))
+        layout = self._layout([("I", 1)], header("odom", self._encoding), [("s", "base_link")], variable(7))
 
         def make(_k: int, seconds: float, stamp_ns: int) -> bytes:
             return layout.pack(*_stamp(stamp_ns), *_place(seconds), 0.0, *_orientation(seconds))
@@ -297,3 +292,53 @@ def _scan(chance: random.Random, points: int) -> bytes:
         level = distance * math.cos(tilt)
         flat.extend((level * math.cos(angle), level * math.sin(angle), distance * math.sin(tilt), 255 * noise()))
     return flat.tobytes()
+
+
+_BLOCK = 8
+# Annex K.3 of ITU-T T.81, luminance DC: how many codes of each length, and the categories in their order.
+_DC_LENGTHS = bytes([0, 1, 5, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0])
+_DC_CATEGORIES = bytes(range(12))
+# The only AC code is "end of block".
+_AC_LENGTHS = bytes([1] + [0] * 15)
+_AC_SYMBOLS = b"\x00"
+_MOST_IN_SEGMENT = 65533
+_SOI, _EOI = b"\xff\xd8", b"\xff\xd9"
+
+
+def mosaic_jpeg(tiles: Sequence[Sequence[int]]) -> bytes:
+    """Return a grey baseline JPEG of 8x8 tiles, DC coefficients only; `tiles`: rows of brightness, 0 to 255."""
+    frame = struct.pack(">BHHBBBB", 8, len(tiles) * _BLOCK, len(tiles[0]) * _BLOCK, 1, 1, 0x11, 0)
+    segments = (
+        _segment(0xDB, b"\x00" + bytes([_BLOCK] * 64)),
+        _segment(0xC0, frame),
+        _segment(0xC4, b"\x00" + _DC_LENGTHS + _DC_CATEGORIES),
+        _segment(0xC4, b"\x10" + _AC_LENGTHS + _AC_SYMBOLS),
+        _segment(0xDA, bytes([1, 1, 0x00, 0, 63, 0])),
+    )
+    codes: list[str] = []
+    code = 0
+    for length, count in enumerate(_DC_LENGTHS, start=1):
+        codes += [format(code + number, f"0{length}b") for number in range(count)]
+        code = (code + count) << 1
+    bits: list[str] = []
+    before = 0
+    for brightness in (brightness for row in tiles for brightness in row):
+        # The DC coefficient is 8 times the mean above 128; quantised by 8, it is that mean itself.
+        difference, before = brightness - 128 - before, brightness - 128
+        category = abs(difference).bit_length()
+        value = difference if difference > 0 else difference + (1 << category) - 1
+        bits.append(codes[category] + (format(value, f"0{category}b") if category else "") + "0")
+    text = "".join(bits)
+    text += "1" * (-len(text) % 8)
+    scan = int(text, 2).to_bytes(len(text) // 8, "big").replace(b"\xff", b"\xff\x00")
+    return b"".join((_SOI, *segments, scan, _EOI))
+
+
+def padded(jpeg: bytes, noise: bytes) -> bytes:
+    """Return the same picture with `noise` in comment segments, so that it has the size of a real camera's."""
+    comments = [_segment(0xFE, noise[at : at + _MOST_IN_SEGMENT]) for at in range(0, len(noise), _MOST_IN_SEGMENT)]
+    return b"".join((_SOI, *comments, jpeg[len(_SOI) :]))
+
+
+def _segment(marker: int, body: bytes) -> bytes:
+    return struct.pack(">BBH", 0xFF, marker, len(body) + 2) + body

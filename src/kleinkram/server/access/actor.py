@@ -1,18 +1,20 @@
-"""Who is asking: found from the credential, once a request. What they may do with it: `operations` and `visible`."""
+"""The actor of a request, found from its credential, and the secrets of credentials."""
 
 import datetime
 import enum
 import hashlib
+import secrets
 import uuid
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
 from sqlalchemy import ColumnElement, Row, Select, bindparam, case, exists, func, or_, select, update
 
+from kleinkram.contract.access import Right, Scope, TokenKind
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.rights import Right, Scope, TokenKind
+from kleinkram.contract.tokens import SecretKind, is_whole, with_checksum
 from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID, OWNER_TOKEN_NAME
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import membership, mission, person, project, session, share, share_file, token, token_limit
@@ -238,3 +240,32 @@ def _guest(row: Row[Any]) -> Actor:
         scopes=frozenset({Scope.read}),
         limits=limits,
     )
+
+
+_RANDOM_BYTES = 32
+# Enough to recognise one's own token in a list, and no help in guessing the rest.
+_SHOWN_CHARACTERS = 4
+
+
+@dataclass(frozen=True)
+class NewSecret:
+    """A secret that nobody has seen yet: shown once, to whoever asked for it."""
+
+    text: str = field(repr=False)
+    prefix: str
+
+    @property
+    def sha256(self) -> bytes:
+        """What is kept of it."""
+        return secret_hash(self.text)
+
+
+def new_secret(kind: SecretKind) -> NewSecret:
+    """Return a secret of 256 random bits."""
+    text = with_checksum(f"klein_{kind.value}_{secrets.token_urlsafe(_RANDOM_BYTES)}")
+    return NewSecret(text, beginning(text))
+
+
+def beginning(secret: str) -> str:
+    """Return how a secret of ours begins, as lists show it; nothing of one that is not in this form."""
+    return secret[: secret.index("_", len("klein_")) + 1 + _SHOWN_CHARACTERS] if is_whole(secret) else ""

@@ -1,16 +1,43 @@
-"""The groups that every account needs: its own, and that of the admins. The rest of groups is a feature of its own."""
+"""The groups that accounts need: a person's own, those of an e-mail address, and the admins'."""
 
 import uuid
 
 from sqlalchemy import func, insert, select
 from sqlalchemy.dialects.postgresql import insert as upsert
 
-from kleinkram.contract.emails import email_key
+from kleinkram.contract.access import GroupKind, Right
 from kleinkram.contract.names import name_key
-from kleinkram.contract.rights import GroupKind, Right
-from kleinkram.server.access.email_groups import join_email_groups
+from kleinkram.contract.people import email_domain, email_key
 from kleinkram.server.db import Connection
-from kleinkram.server.tables import access_grant, access_group, membership, person, person_email
+from kleinkram.server.tables import access_grant, access_group, affiliation_domain, membership, person, person_email
+
+
+async def join_email_groups(db: Connection, person_id: uuid.UUID, email: str) -> None:
+    """Put somebody into the groups that follow from an address which was just verified to be theirs."""
+    await _join(db, await email_group(db, email), person_id)
+    domains = select(affiliation_domain.c.group_id).where(affiliation_domain.c.domain == email_domain(email))
+    for group_id in (await db.execute(domains.order_by(affiliation_domain.c.group_id))).scalars().all():
+        await _join(db, group_id, person_id)
+
+
+async def email_group(db: Connection, email: str) -> uuid.UUID:
+    """Return the group of an address, made where there is none; whoever has verified the address is in it."""
+    key = email_key(email)
+    made = {"id": uuid.uuid4(), "kind": GroupKind.email.value, "name": key, "name_key": key}
+    # Whoever makes it at the same time is waited for, so that neither the grant nor the member is missed.
+    await db.execute(upsert(access_group).values(made).on_conflict_do_nothing())
+    same = (access_group.c.kind == GroupKind.email.value) & (access_group.c.name_key == key)
+    group_id: uuid.UUID = (await db.execute(select(access_group.c.id).where(same))).scalar_one()
+    verified = (person_email.c.email_key == key) & person_email.c.verified_at.is_not(None)
+    person_id = (await db.execute(select(person_email.c.person_id).where(verified))).scalar_one_or_none()
+    if person_id is not None:
+        await _join(db, group_id, person_id)
+    return group_id
+
+
+async def _join(db: Connection, group_id: uuid.UUID, person_id: uuid.UUID) -> None:
+    await db.execute(upsert(membership).values(group_id=group_id, person_id=person_id).on_conflict_do_nothing())
+
 
 # Fixed, and made with the schema.
 ADMINS_ID = uuid.UUID("61646d69-6e73-4000-8000-000000000001")

@@ -1,145 +1,154 @@
-"""Whether somebody may do something: what a credential is for at all, and what right its carrier has on a place."""
+"""Permission checks: what a credential is for, its holder's right on a place, and that every project keeps an owner.
+
+A permanent owner is an active person in a group without an end, which has DELETE on the project without an end. Grants
+to an address do not count: whether anybody has it is not revealed to the granter.
+"""
 
 import uuid
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Collection, Sequence
+from typing import NamedTuple
 
-from sqlalchemy import Row, Select, func, select
+from sqlalchemy import Select, exists, func, insert, select
 
-from kleinkram.contract.errors import Forbidden, NotAuthenticated, NotFound, ScopeMissing, SignInTooOld
-from kleinkram.contract.rights import Right, Scope
-from kleinkram.server.access.actor import Actor, ActorKind, find_person
+from kleinkram.contract.access import GroupKind, Right, Scope
+from kleinkram.contract.errors import (
+    Forbidden,
+    LastAdmin,
+    LastOwner,
+    NotAuthenticated,
+    NotFound,
+    ScopeMissing,
+    SignInTooOld,
+)
+from kleinkram.server.access.actor import Actor, ActorKind, find_person, unexpired
+from kleinkram.server.access.groups import ADMINS_ID, own_group, own_project
 from kleinkram.server.access.operations import OPERATIONS, ResourceKind
 from kleinkram.server.access.visible import level_on_mission, level_on_project, visible_missions, visible_projects
 from kleinkram.server.db import Connection
-from kleinkram.server.tables import mission, person, project, share
+from kleinkram.server.settings import Creators
+from kleinkram.server.tables import (
+    access_grant,
+    access_group,
+    affiliation,
+    affiliation_domain,
+    membership,
+    mission,
+    person,
+    project,
+    share,
+)
 
-# Held for the length of a transaction by whatever takes rights away, so that two cannot each leave the other's.
-_TAKING = 0x6B6C5247
+_RIGHTS_LOCK = 0x6B6C5247
 _COUNTABLE = frozenset({"action", "file", "grant", "group", "mission", "project", "recording", "run", "share", "token"})
 
 
-def admit(actor: Actor, operation: str) -> None:
-    """See that a credential may be used for an operation at all, whatever its carrier's rights are.
+class OwnedProject(NamedTuple):
+    """A project whose ownership changed."""
 
-    Raises:
-        NotAuthenticated: it takes an account, and there is none.
-        ScopeMissing: the token, or the link, is not for this.
-        Forbidden: it is for admins.
+    id: uuid.UUID
+    name: str
+
+
+def admit(actor: Actor, operation: str) -> None:
+    """Check that a credential may be used for an operation, whatever the rights of its holder.
+
+    Raises NotAuthenticated, ScopeMissing or Forbidden.
     """
-    need = OPERATIONS[operation]
-    if actor.kind is ActorKind.stranger and not need.guests:
+    permission = OPERATIONS[operation]
+    missing = None
+    if actor.kind is ActorKind.stranger and not permission.guests:
         raise NotAuthenticated(reason="this requires an account")
-    if actor.kind is ActorKind.share and not need.guests:
-        raise ScopeMissing(operation=_words(operation), needs="an account")
-    if actor.kind is ActorKind.runner and not need.runners:
-        raise ScopeMissing(operation=_words(operation), needs="a personal token")
-    if need.only_runners and actor.kind is not ActorKind.runner:
-        raise ScopeMissing(operation=_words(operation), needs="a runner's token")
-    if not need.scopes & actor.scopes and actor.kind is not ActorKind.runner:
-        raise ScopeMissing(operation=_words(operation), needs=f"a token with the scope {_any_of(need.scopes)}")
-    if need.reads and Scope.read not in actor.scopes:
-        needs = f"a token with the scopes `read` and {_any_of(need.scopes)}"
-        raise ScopeMissing(operation=_words(operation), needs=needs)
-    if need.browsers and actor.session_id is None:
-        raise ScopeMissing(operation=_words(operation), needs="a browser session")
-    if need.on is ResourceKind.server and not actor.is_admin:
-        raise Forbidden(noun="server", operation=_words(operation), needs="admin rights")
-    if (need.boundless or need.on is ResourceKind.server) and actor.limits is not None:
-        raise ScopeMissing(operation=_words(operation), needs="a token without limits")
+    if actor.kind is ActorKind.share and not permission.guests:
+        missing = "an account"
+    elif actor.kind is ActorKind.runner and not permission.runners:
+        missing = "a personal token"
+    elif permission.only_runners and actor.kind is not ActorKind.runner:
+        missing = "a runner's token"
+    elif not permission.scopes & actor.scopes and actor.kind is not ActorKind.runner:
+        missing = f"a token with the scope {_any_of(permission.scopes)}"
+    elif permission.reads and Scope.read not in actor.scopes:
+        missing = f"a token with the scopes `read` and {_any_of(permission.scopes)}"
+    elif permission.browsers and actor.session_id is None:
+        missing = "a browser session"
+    if missing is not None:
+        raise ScopeMissing(operation=_phrase(operation), needs=missing)
+    if permission.on is ResourceKind.server and not actor.is_admin:
+        raise Forbidden(noun="server", operation=_phrase(operation), needs="admin rights")
+    if (permission.boundless or permission.on is ResourceKind.server) and actor.limits is not None:
+        raise ScopeMissing(operation=_phrase(operation), needs="a token without limits")
 
 
 def require_fresh_sign_in(actor: Actor, operation: str, *, within_s: float) -> None:
-    """See that `actor` proved who they are a short while ago.
-
-    Raises:
-        SignInTooOld: it is longer ago, or not known.
-    """
+    """Check that the actor signed in recently. Raises SignInTooOld."""
     if actor.sign_in_age_s is None or actor.sign_in_age_s > within_s:
-        raise SignInTooOld(operation=_words(operation), minutes=round(within_s / 60, 1))
+        raise SignInTooOld(operation=_phrase(operation), minutes=round(within_s / 60, 1))
 
 
 def is_public_endpoint(operation: str) -> bool:
-    """Say whether an operation is for whoever comes, about nothing that is there: signing in."""
-    need = OPERATIONS[operation]
-    return need.guests and need.on is ResourceKind.nothing
+    """Whether an operation, such as signing in, is open to everybody and about no stored object."""
+    permission = OPERATIONS[operation]
+    return permission.guests and permission.on is ResourceKind.nothing
 
 
 async def require_project(db: Connection, actor: Actor, operation: str, project_id: uuid.UUID) -> None:
-    """See that `actor` may do `operation` on a project.
-
-    Raises:
-        NotFound: it is not there, or not for this actor.
-        Forbidden: they may see it, but the operation takes more.
-    """
-    row = (await db.execute(_project_level(actor, project_id))).one_or_none()
-    _require(row, operation, noun="project", ref=project_id)
+    """Check that the actor may perform an operation on a project. Raises NotFound or Forbidden."""
+    levels = visible_projects(actor).with_only_columns(level_on_project(actor)).where(project.c.id == project_id)
+    level: int | None = (await db.execute(levels)).scalar_one_or_none()
+    _require_level(level, operation, noun="project", noun_id=project_id)
 
 
 async def require_mission(db: Connection, actor: Actor, operation: str, mission_id: uuid.UUID) -> None:
-    """See that `actor` may do `operation` on a mission.
-
-    Raises:
-        NotFound: it is not there, or not for this actor.
-        Forbidden: they may see it, but the operation takes more.
-    """
-    row = (await db.execute(_mission_level(actor, mission_id))).one_or_none()
-    _require(row, operation, noun="mission", ref=mission_id)
+    """Check that the actor may perform an operation on a mission. Raises NotFound or Forbidden."""
+    level: int | None = (await db.execute(_mission_level(actor, mission_id))).scalar_one_or_none()
+    _require_level(level, operation, noun="mission", noun_id=mission_id)
 
 
 async def still_shares(db: Connection, guest: Actor) -> bool:
-    """Say whether whoever made the link by which `guest` came may make such a link still: they know its secret."""
-    made = select(share.c.created_by_id, share.c.mission_id).where(share.c.id == guest.share_id)
-    row = (await db.execute(made)).one()
-    maker = await find_person(db, row.created_by_id)
-    if maker is None:
+    """Whether the creator of a guest's link might still create it: they know its secret."""
+    stmt = select(share.c.created_by_id, share.c.mission_id).where(share.c.id == guest.share_id)
+    row = (await db.execute(stmt)).one()
+    creator = await find_person(db, row.created_by_id)
+    if creator is None:
         return False
-    level: int | None = (await db.execute(_mission_level(maker, row.mission_id))).scalar_one_or_none()
+    level: int | None = (await db.execute(_mission_level(creator, row.mission_id))).scalar_one_or_none()
     return (level or 0) >= (OPERATIONS["create_share"].right or Right.read).level
 
 
 async def ensure_active_person(db: Connection, person_id: uuid.UUID | None) -> None:
-    """Before a credential is made for somebody, see that they have not left, and keep them until this transaction ends.
+    """Check, before a credential is created, that a person is active, and keep them so until the transaction ends.
 
-    Who leaves while it is made would find it good when they are back.
-
-    Raises:
-        NotAuthenticated: they left.
+    Otherwise the credential of a person who is deactivated meanwhile would be valid again once they are reactivated.
+    Raises NotAuthenticated.
     """
-    here = select(person.c.id).where(person.c.id == person_id, person.c.deactivated_at.is_(None))
-    if (await db.execute(here.with_for_update(read=True, key_share=True))).first() is None:
+    active = select(person.c.id).where(person.c.id == person_id, person.c.deactivated_at.is_(None))
+    if (await db.execute(active.with_for_update(read=True, key_share=True))).first() is None:
         raise NotAuthenticated(reason="the account was deactivated")
 
 
 async def lock_person(db: Connection, person_id: uuid.UUID) -> None:
-    """Keep credentials from being made for somebody until this transaction ends: those that end are all there are."""
+    """Prevent credentials from being created for a person until this transaction ends."""
     await db.execute(select(person.c.id).where(person.c.id == person_id).with_for_update())
 
 
 async def lock_rights(db: Connection) -> None:
-    """Keep everybody else from taking rights away until this transaction ends."""
-    await db.execute(select(func.pg_advisory_xact_lock(_TAKING)))
+    """Serialize the transactions that take rights away, so that two cannot each remove one of the last two owners."""
+    await db.execute(select(func.pg_advisory_xact_lock(_RIGHTS_LOCK)))
 
 
-def _project_level(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
-    levels = visible_projects(actor).with_only_columns(level_on_project(actor))
-    return levels.where(project.c.id == project_id)
-
-
-def _mission_level(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
+def _mission_level(actor: Actor, mission_id: uuid.UUID) -> Select[tuple[int]]:
     levels = visible_missions(actor).with_only_columns(level_on_mission(actor), maintain_column_froms=True)
     return levels.where(mission.c.id == mission_id)
 
 
-def _require(row: Row[Any] | None, operation: str, *, noun: str, ref: uuid.UUID) -> None:
-    if row is None:
-        raise NotFound(noun=noun, ref=str(ref))
+def _require_level(level: int | None, operation: str, *, noun: str, noun_id: uuid.UUID) -> None:
+    if level is None:
+        raise NotFound(noun=noun, ref=str(noun_id))
     needed = OPERATIONS[operation].right or Right.read
-    if row[0] < needed.level:
-        raise Forbidden(noun=noun, operation=_words(operation), needs=needed.value)
+    if level < needed.level:
+        raise Forbidden(noun=noun, operation=_phrase(operation), needs=needed.value)
 
 
-def _words(operation: str) -> str:
+def _phrase(operation: str) -> str:
     """Return an operation's id as an English phrase: `delete_mission` is "delete a mission"."""
     verb, *rest = operation.split("_")
     if rest and rest[-1] in _COUNTABLE:
@@ -147,5 +156,97 @@ def _words(operation: str) -> str:
     return " ".join([verb, *rest])
 
 
-def _any_of(scopes: Iterable[Scope]) -> str:
+def _any_of(scopes: Collection[Scope]) -> str:
     return " or ".join(f"`{scope}`" for scope in sorted(scope.value for scope in scopes))
+
+
+def owned_by_groups(group_ids: Collection[uuid.UUID]) -> Select[tuple[uuid.UUID]]:
+    """Return the ids of the projects that groups own without an end."""
+    lasting = (access_grant.c.level == Right.delete.level) & access_grant.c.expires_at.is_(None)
+    return select(access_grant.c.project_id).where(
+        lasting, access_grant.c.project_id.is_not(None), access_grant.c.group_id.in_(group_ids)
+    )
+
+
+async def ensure_owner_remains(db: Connection, project_ids: Sequence[uuid.UUID]) -> None:
+    """Check that projects, also in the trash, still have a permanent owner. Raises LastOwner."""
+    if unowned := await _unowned(db, project_ids):
+        raise LastOwner(projects=[each.name for each in unowned])
+
+
+async def ensure_admin_remains(db: Connection) -> None:
+    """Check, after admin rights were taken away, that an active person is a permanent admin. Raises LastAdmin."""
+    lasting = (membership.c.group_id == ADMINS_ID) & membership.c.expires_at.is_(None)
+    admins = select(person.c.id).join_from(membership, person, person.c.id == membership.c.person_id)
+    if (await db.execute(admins.where(lasting, person.c.deactivated_at.is_(None)).limit(1))).first() is None:
+        raise LastAdmin
+
+
+async def give_to_admins(db: Connection, project_ids: Sequence[uuid.UUID]) -> list[OwnedProject]:
+    """Make the admins owners of those projects that nobody owns any more, and return these."""
+    unowned = await _unowned(db, project_ids)
+    for each in unowned:
+        await own_project(db, project_id=each.id, group_id=ADMINS_ID)
+    return unowned
+
+
+async def _unowned(db: Connection, project_ids: Sequence[uuid.UUID]) -> list[OwnedProject]:
+    await lock_rights(db)
+    is_owned = (
+        exists()
+        .where(
+            access_grant.c.project_id == project.c.id,
+            access_grant.c.level == Right.delete.level,
+            access_grant.c.expires_at.is_(None),
+            access_group.c.id == access_grant.c.group_id,
+            access_group.c.kind != GroupKind.email.value,
+            membership.c.group_id == access_grant.c.group_id,
+            membership.c.expires_at.is_(None),
+            person.c.id == membership.c.person_id,
+            person.c.deactivated_at.is_(None),
+        )
+        .correlate(project)
+    )
+    stmt = select(project.c.id, project.c.name).where(project.c.id.in_(project_ids), ~is_owned)
+    return [OwnedProject(*row) for row in await db.execute(stmt.order_by(project.c.name, project.c.id))]
+
+
+async def require_creator(db: Connection, actor: Actor, creators: Creators, *, noun: str) -> bool:
+    """Check that the actor may create a project or group; returns whether that required admin rights.
+
+    Without affiliations in the settings, everybody counts as affiliated. Raises Forbidden.
+    """
+    operation = f"create a {noun}"
+    if actor.limits is not None:
+        raise Forbidden(noun="server", operation=operation, needs="a token without limits")
+    if creators == "everybody":
+        return False
+    if creators == "affiliated":
+        own = (membership.c.person_id == actor.person_id) & unexpired(membership.c.expires_at)
+        is_member = exists().where(
+            own, access_group.c.id == membership.c.group_id, access_group.c.kind == GroupKind.affiliation.value
+        )
+        is_affiliated = select(is_member | ~exists(select(affiliation_domain.c.domain)))
+        if (await db.execute(is_affiliated)).scalar_one():
+            return False
+    if actor.is_admin:
+        return True
+    needs = "admin rights" if creators == "admins" else "an affiliation with the lab"
+    raise Forbidden(noun="server", operation=operation, needs=needs)
+
+
+async def grant_first_rights(db: Connection, actor: Actor, project_id: uuid.UUID) -> dict[str, Right]:
+    """Make the creator of a project its owner, and give affiliation groups their default rights; returns the latter.
+
+    Raises LastOwner if the creator was deactivated meanwhile.
+    """
+    await lock_rights(db)
+    await own_project(db, project_id=project_id, group_id=await own_group(db, actor.person_id))
+    stmt = select(access_group.c.id, access_group.c.name, affiliation.c.default_level).join(affiliation)
+    rows = (await db.execute(stmt.where(affiliation.c.default_level.is_not(None)))).all()
+    if rows:
+        place = {"project_id": project_id, "granted_by_id": actor.person_id}
+        grants = [{"group_id": row.id, "level": row.default_level, "id": uuid.uuid4(), **place} for row in rows]
+        await db.execute(insert(access_grant), grants)
+    await ensure_owner_remains(db, [project_id])
+    return {row.name: Right.of_level(row.default_level) for row in rows}

@@ -28,7 +28,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects.postgresql import aggregate_order_by
 
-from kleinkram.contract.rights import GroupKind, Right, Scope
+from kleinkram.contract.access import GroupKind, Right, Scope
 from kleinkram.server.access.actor import Actor, ActorKind, unexpired
 from kleinkram.server.db import among
 from kleinkram.server.tables import (

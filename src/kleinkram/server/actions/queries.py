@@ -5,10 +5,10 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Row, Select, false, func, literal, or_, select
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.actions import ActionDefinition, ActionFilter, ActionRead, ActionVersionRead
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
-from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.visible import visible_projects
 from kleinkram.server.filters.patterns import matches_key

@@ -13,10 +13,10 @@ from kleinkram.contract.actions import (
     ActionVersionRead,
     VersionCreate,
 )
-from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.server.actions import service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Reading, Transaction
-from kleinkram.server.http.etags import IfMatch
+from kleinkram.server.http.headers import IfMatch
 from kleinkram.server.paging import PageRequest
 
 router = APIRouter(prefix="/api/v1/actions", tags=["actions"])

@@ -16,17 +16,16 @@ from kleinkram.contract.actions import (
     ActionRead,
     ActionVersionRead,
 )
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import FieldProblem, Forbidden, InvalidRequest, NameTaken, NotFound
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
-from kleinkram.contract.paging import Page
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.creation import require_creator
-from kleinkram.server.access.rights import require_project
+from kleinkram.server.access.rights import require_creator, require_project
 from kleinkram.server.actions import queries
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
-from kleinkram.server.http.etags import require_match
+from kleinkram.server.http.headers import require_match
 from kleinkram.server.paging import PageRequest, fetch_page
 from kleinkram.server.settings import Creators
 from kleinkram.server.tables import action, action_version

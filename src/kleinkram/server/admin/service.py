@@ -1,9 +1,9 @@
-"""What admins see of the whole server. Who may is decided by the table of operations."""
+"""What admins see of the whole server: store, jobs, scrubs, health and settings."""
 
 import datetime
 from typing import Any
 
-from sqlalchemy import Row, Select
+from sqlalchemy import Select, exists, func, select, text
 
 import kleinkram
 from kleinkram.contract.admin import (
@@ -22,78 +22,124 @@ from kleinkram.contract.admin import (
 )
 from kleinkram.contract.errors import NotAuthenticated, NotFound
 from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.runs import RunState
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.admin import queries
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.blobs import scrub
 from kleinkram.server.blobs.scrub import ScrubRow
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
-from kleinkram.server.health.readiness import readiness
-from kleinkram.server.health.worker_heartbeat import find_workers
+from kleinkram.server.health.readiness import find_workers, readiness
 from kleinkram.server.home.service import is_low, store_use
 from kleinkram.server.migrations import HEAD
 from kleinkram.server.runners.eligibility import (
+    Needs,
     has_single_person,
     invitation_warning,
     known_runners,
     runs_problem,
 )
 from kleinkram.server.settings import Settings, is_secret
+from kleinkram.server.tables import blob, file, mission, project, run, upload
+from kleinkram.server.tables.upload import UNDER_WAY
+
+_QUEUE = text(
+    "SELECT j.task_name AS kind, j.status::text AS state, count(*) AS count,"
+    " min(e.at) FILTER (WHERE j.status = 'todo') AS oldest_at FROM procrastinate_jobs j"
+    " LEFT JOIN procrastinate_events e ON e.job_id = j.id AND e.type = 'deferred'"
+    " WHERE j.status IN ('todo', 'doing', 'failed') GROUP BY 1, 2 ORDER BY 1, 2"
+)
+_FAILED = text(
+    "SELECT j.id, j.task_name AS kind, j.args ->> 'ref' AS ref, j.attempts, why.sentence AS error,"
+    " (SELECT max(e.at) FROM procrastinate_events e WHERE e.job_id = j.id AND e.type = 'failed') AS failed_at"
+    " FROM procrastinate_jobs j LEFT JOIN job_error why ON why.job_id = j.id"
+    " WHERE j.status = 'failed' ORDER BY j.id DESC LIMIT 100"
+)
+_RETRYING = text(
+    "SELECT j.id, j.task_name AS kind, j.args ->> 'ref' AS ref, j.attempts, why.sentence AS error,"
+    " j.scheduled_at AS next_attempt_at FROM procrastinate_jobs j LEFT JOIN job_error why ON why.job_id = j.id"
+    " WHERE j.status = 'todo' AND j.attempts > 0 ORDER BY j.id LIMIT 100"
+)
+_RETRY = text(
+    "UPDATE procrastinate_jobs SET status = 'todo', attempts = 0, scheduled_at = NULL, worker_id = NULL"
+    " WHERE id = :id AND status = 'failed' RETURNING task_name"
+)
+_RETRY_ALL = text(
+    "WITH retried AS (UPDATE procrastinate_jobs SET status = 'todo', attempts = 0, scheduled_at = NULL,"
+    " worker_id = NULL WHERE status = 'failed' RETURNING 1) SELECT count(*) FROM retried"
+)
+_SERVER = text(
+    "SELECT clock_timestamp() AS now, current_setting('server_version') AS version,"
+    " pg_database_size(current_database()) AS size_bytes"
+)
+_NUMBER = func.count().label("number")
+_BLOB_BYTES = func.coalesce(func.sum(blob.c.size_bytes), 0).label("size_bytes")
+_UPLOAD_BYTES = func.coalesce(func.sum(upload.c.size_bytes), 0).label("size_bytes")
 
 
 async def get_storage(db: Connection, settings: Settings) -> AdminStorage:
-    """Return what the store keeps."""
-    store = await store_use(db, settings)
-    rows = (await db.execute(queries.blobs_by_state())).all()
+    """Return what is in the store, by state."""
+    blobs = select(_NUMBER, _BLOB_BYTES).where(blob.c.doomed_at.is_(None))
+    of_blob = exists().where(file.c.blob_id == blob.c.id)
+    is_live = of_blob.where(
+        file.c.deleted_at.is_(None),
+        mission.c.id == file.c.mission_id,
+        mission.c.deleted_at.is_(None),
+        project.c.id == mission.c.project_id,
+        project.c.deleted_at.is_(None),
+    )
+    by_state = blobs.add_columns(blob.c.state).group_by(blob.c.state).order_by(blob.c.state)
+    garbage = select(_NUMBER, _BLOB_BYTES).where(blob.c.doomed_at.is_not(None))
+    uploads = select(_NUMBER, _UPLOAD_BYTES).where(upload.c.state.in_(UNDER_WAY))
     return AdminStorage(
-        store=store,
+        store=await store_use(db, settings),
         is_low=is_low(settings),
-        blobs=[_amount(row.state, row) for row in rows],
-        trash=await _sum(db, "trash", queries.trashed_blobs()),
-        uploads=await _sum(db, "under_way", queries.open_uploads()),
-        doomed=await _sum(db, "doomed", queries.doomed_blobs()),
+        blobs=[
+            StateAmount(state=row.state, count=row.number, size_bytes=int(row.size_bytes))
+            for row in await db.execute(by_state)
+        ],
+        trash=await _amount(db, "trash", blobs.where(of_blob, ~is_live)),
+        uploads=await _amount(db, "under_way", uploads),
+        doomed=await _amount(db, "doomed", garbage),
     )
 
 
+async def _amount(db: Connection, state: str, stmt: Select[Any]) -> StateAmount:
+    row = (await db.execute(stmt)).one()
+    return StateAmount(state=state, count=row.number, size_bytes=int(row.size_bytes))
+
+
 async def get_jobs(db: Connection) -> AdminJobs:
-    """Return the queue, the jobs that wait for another attempt, and those that were given up last."""
-    queue = (await db.execute(queries.QUEUE)).all()
-    failed = (await db.execute(queries.FAILED)).all()
-    retrying = (await db.execute(queries.RETRYING)).all()
+    """Return the queue, the jobs that wait for another attempt, and the last failed ones."""
     return AdminJobs(
-        queue=[JobAmount(kind=row.kind, state=row.state, count=row.number, oldest_at=row.oldest_at) for row in queue],
-        failed=[FailedJob.model_validate(row._asdict()) for row in failed],
-        retrying=[RetryingJob.model_validate(row._asdict()) for row in retrying],
+        queue=[JobAmount.model_validate(row._asdict()) for row in await db.execute(_QUEUE)],
+        failed=[FailedJob.model_validate(row._asdict()) for row in await db.execute(_FAILED)],
+        retrying=[RetryingJob.model_validate(row._asdict()) for row in await db.execute(_RETRYING)],
     )
 
 
 async def retry_job(db: Connection, actor: Actor, job_id: int) -> None:
-    """Put a job that was given up back into the queue.
-
-    Raises:
-        NotFound: there is no such job, or it was not given up.
-    """
-    kind = (await db.execute(queries.RETRY, {"id": job_id})).scalar_one_or_none()
+    """Put a failed job back into the queue. Raises NotFound."""
+    kind = (await db.execute(_RETRY, {"id": job_id})).scalar_one_or_none()
     if kind is None:
         raise NotFound(noun="failed job", ref=str(job_id))
     await record(db, actor, Event("job.retry", "job", None, kind, None, after={"job": job_id}, by_power=True))
 
 
 async def retry_jobs(db: Connection, actor: Actor) -> RetriedJobs:
-    """Put all jobs that were given up back into the queue, and return how many."""
-    count: int = (await db.execute(queries.RETRY_ALL)).scalar_one()
+    """Put all failed jobs back into the queue, and return their number."""
+    count: int = (await db.execute(_RETRY_ALL)).scalar_one()
     if count:
         await record(db, actor, Event("job.retry", "job", None, "all", None, after={"jobs": count}, by_power=True))
     return RetriedJobs(count=count)
 
 
 async def get_scrub(db: Connection, settings: Settings) -> ScrubState:
-    """Return the last scrub, and how the blobs are."""
+    """Return the last scrub, and the blobs by state."""
     last = await scrub.last_scrub(db, settings.store_id)
     rows = await scrub.blobs_by_state(db)
     return ScrubState(
-        last=None if last is None else _scrub(last),
+        last=None if last is None else _to_scrub(last),
         every_hours=settings.scrub_hours,
         again_after_days=settings.reverify_days,
         oldest_verification_at=await scrub.oldest_verification(db),
@@ -102,36 +148,39 @@ async def get_scrub(db: Connection, settings: Settings) -> ScrubState:
 
 
 async def begin_scrub(db: Connection, actor: Actor, settings: Settings, *, believe: bool) -> ScrubRead:
-    """Have the store's list compared with the database, and return the scrub: the one under way, or one that begins."""
+    """Request a scrub and return it, or the one that is already running."""
     if actor.person_id is None:
         raise NotAuthenticated(reason="starting a scrub requires an account")
     row = await scrub.request_scrub(db, settings.store_id, by_id=actor.person_id, believes=believe)
     after: Metadata = {"believe": believe}
     await record(db, actor, Event("store.scrub", "store", None, settings.store_id, None, after=after, by_power=True))
-    return _scrub(row)
+    return _to_scrub(row)
 
 
 async def get_health(context: AppContext, *, takes_pages: bool) -> AdminHealth:
-    """Return how the server is; asks the store without holding a connection."""
-    found = await readiness(context.database, context.storage)
+    """Return the state of the server; asks the store without holding a connection."""
+    ready = await readiness(context.database, context.storage)
+    live = (mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None), run.c.state == RunState.queued.value)
+    needs = [mission.c.project_id, *(run.c[name] for name in Needs._fields if name != "project_id")]
+    queued = select(*needs, _NUMBER).join_from(run, mission).join(project).where(*live).group_by(*needs)
     async with context.database.begin() as db:
-        server = (await db.execute(queries.SERVER)).one()
-        here = datetime.datetime.now(datetime.timezone.utc)
+        server = (await db.execute(_SERVER)).one()
+        now = datetime.datetime.now(datetime.timezone.utc)
         workers = await find_workers(db)
         known, alone = await known_runners(db), await has_single_person(db)
-        queued = (await db.execute(queries.queued_runs())).all()
+        queued_runs = (await db.execute(queued.order_by(_NUMBER.desc()).limit(200))).all()
     return AdminHealth(
-        not_ready=found.missing,
-        warnings=list(found.warnings),
+        not_ready=ready.missing,
+        warnings=list(ready.warnings),
         version=kleinkram.__version__,
         schema_version=HEAD,
         database_version=server.version,
         database_bytes=server.size_bytes,
-        now=here,
-        clock_skew_s=(here - server.now).total_seconds(),
+        now=now,
+        clock_skew_s=(now - server.now).total_seconds(),
         workers_at=workers.seen_at,
         worker_last_at=workers.last_seen_at,
-        runs_problem=runs_problem(queued, known, single_person=alone),
+        runs_problem=runs_problem(queued_runs, known, single_person=alone),
         invitation_warning=invitation_warning(known, single_person=alone),
         store_checksum=context.storage.checksum.value,
         store_writes_once=context.storage.capabilities.writes_once,
@@ -140,28 +189,20 @@ async def get_health(context: AppContext, *, takes_pages: bool) -> AdminHealth:
 
 
 def get_settings(settings: Settings) -> AdminSettings:
-    """Return every setting in force; of secrets, that they are set."""
-    said = settings.model_dump(mode="json")
+    """Return every setting in force; of secrets, only whether they are set."""
+    values = settings.model_dump(mode="json")
     return AdminSettings(
         settings=[
             SettingRead(
                 name=f"KLEINKRAM_{name.upper()}",
-                value=None if is_secret(name) else said[name],
+                value=None if is_secret(name) else values[name],
                 is_set=name in settings.model_fields_set,
                 is_secret=is_secret(name),
             )
-            for name in sorted(said)
+            for name in sorted(values)
         ]
     )
 
 
-def _scrub(row: ScrubRow) -> ScrubRead:
+def _to_scrub(row: ScrubRow) -> ScrubRead:
     return ScrubRead.model_validate({name: getattr(row, name) for name in ScrubRead.model_fields})
-
-
-async def _sum(db: Connection, state: str, statement: Select[Any]) -> StateAmount:
-    return _amount(state, (await db.execute(statement)).one())
-
-
-def _amount(state: str, row: Row[Any]) -> StateAmount:
-    return StateAmount(state=state, count=row.number, size_bytes=int(row.size_bytes))

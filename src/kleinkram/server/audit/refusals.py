@@ -1,9 +1,8 @@
-"""Failed sign-ins and denials: noted in a transaction of their own, since the request that failed keeps none.
+"""Audits failed sign-ins and denied requests, in a transaction of their own, since a failed request is rolled back.
 
-Anybody can have themselves refused, as often as they like. So a process notes at most `PER_MINUTE` refusals a minute of
-each who is known, and as many of all strangers together: their noise hides nobody's denial. How many were left
-out stands in one row at the minute's end, and the log of requests has every refusal. A token is never noted, nor
-anything else that the request brought along beside its address.
+Anybody can cause refusals at any rate, so each process audits at most `PER_MINUTE` refusals a minute per known actor,
+and as many of all guests together; one entry at the end of the minute counts the rest. The request log has them all.
+No token is ever recorded, nor anything else from the request except its address.
 """
 
 import asyncio
@@ -12,18 +11,17 @@ import time
 import uuid
 from collections import Counter
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from kleinkram.contract.errors import DatabaseUnavailable, ErrorCode
 from kleinkram.contract.metadata import Metadata
 from kleinkram.server.access.actor import STRANGER, Actor, ActorKind
-from kleinkram.server.audit.places import Named, whereabouts
+from kleinkram.server.audit.queries import RequestTarget, target_place
 from kleinkram.server.audit.service import Event, record
-from kleinkram.server.db import Connection, Database
+from kleinkram.server.db import Database
 
 PER_MINUTE = 20
 MINUTE_S = 60.0
-# Refusals that have another status than 401 and 403: who asks too often, and codes that are not, or no longer, good.
+# Refusals with a status other than 401 and 403.
 ALSO_REFUSALS = {
     ErrorCode.rate_limited: "rate.limited",
     ErrorCode.code_gone: "auth.refused",
@@ -34,7 +32,7 @@ _log = logging.getLogger("kleinkram.audit")
 
 @dataclass(frozen=True)
 class Refusal:
-    """A request that was refused: why, by the fields of its error; by whom, as far as that is known; and from where."""
+    """A refused request: who sent it, if known, and the fields of the error."""
 
     actor: Actor | None
     code: ErrorCode
@@ -42,11 +40,11 @@ class Refusal:
     why: Metadata
     address: str | None
     request_id: str | None
-    about: Named | None = None
+    target: RequestTarget | None = None
 
     @property
     def operation(self) -> str:
-        """What the record calls it."""
+        """The operation in the audit log."""
         if self.code in ALSO_REFUSALS:
             return ALSO_REFUSALS[self.code]
         is_known = self.actor is not None and self.actor.kind is not ActorKind.stranger
@@ -54,77 +52,69 @@ class Refusal:
 
     @property
     def who(self) -> Actor:
-        """Whoever it was; whatever power they have, it did not help."""
+        """The actor in the audit log, without admin rights."""
         if self.actor is not None:
             return self.actor.without_power()
         return STRANGER.asking("", request_id=self.request_id, address=self.address)
 
 
 class Refusals:
-    """How many were noted in the minute that runs: for each who is known, and for all strangers together."""
+    """The numbers of refusals in the current minute: for each known actor, and for all guests together."""
 
     def __init__(self) -> None:
-        self._began_at = float("-inf")
-        self._noted: Counter[uuid.UUID | None] = Counter()
+        self._started_at = float("-inf")
+        self._counts: Counter[uuid.UUID | None] = Counter()
         self._left_out = 0
-        self._summing: asyncio.Task[None] | None = None
+        self._summary: asyncio.Task[None] | None = None
 
-    def admits(self, whose: uuid.UUID | None, now: float) -> bool:
-        """Say whether a refusal of somebody known, or with None of a stranger, may be noted at `now`, in seconds.
+    def admits(self, actor_id: uuid.UUID | None, now: float) -> bool:
+        """Count a refusal of a known actor, or with None of a guest, and return whether it may be audited."""
+        if now - self._started_at >= MINUTE_S:
+            self._started_at = now
+            self._counts.clear()
+        self._counts[actor_id] += 1
+        return self._counts[actor_id] <= PER_MINUTE
 
-        It is counted either way.
-        """
-        if now - self._began_at >= MINUTE_S:
-            self._began_at = now
-            self._noted.clear()
-        self._noted[whose] += 1
-        return self._noted[whose] <= PER_MINUTE
-
-    async def note(self, database: Database, refusal: Refusal) -> None:
-        """Note a refusal; the answer is the same where that cannot be done."""
+    async def audit(self, database: Database, refusal: Refusal) -> None:
+        """Audit a refusal; if that fails, the response stays the same."""
         who = refusal.who
         now = time.monotonic()
         if self.admits(who.person_id or who.share_id, now):
             try:
-                await _note_one(database, refusal)
+                await _write(database, refusal)
             except DatabaseUnavailable:
-                _log.warning("refusal not noted", extra={"fields": {"request_id": refusal.request_id}})
+                _log.warning("refusal not audited", extra={"fields": {"request_id": refusal.request_id}})
             return
         self._left_out += 1
-        if self._summing is None:
-            self._summing = asyncio.create_task(self._sum_up(database, self._began_at + MINUTE_S - now))
+        if self._summary is None:
+            self._summary = asyncio.create_task(self._write_summary(database, self._started_at + MINUTE_S - now))
 
-    async def _sum_up(self, database: Database, after_s: float) -> None:
-        """Write the one row of a minute for the refusals that were not noted one by one."""
+    async def _write_summary(self, database: Database, after_s: float) -> None:
         await asyncio.sleep(after_s)
-        count, self._left_out, self._summing = self._left_out, 0, None
+        count, self._left_out, self._summary = self._left_out, 0, None
         after: Metadata = {"left_out": count, "within_s": MINUTE_S}
-        event = Event("auth.refused", "request", None, "left out", None, after=after)
         try:
             async with database.begin() as db:
-                await record(db, STRANGER, event)
+                await record(db, STRANGER, Event("auth.refused", "request", None, "left out", None, after=after))
         except DatabaseUnavailable:
             _log.warning("refusals not summed up", extra={"fields": {"left_out": count}})
 
 
-async def _note_one(database: Database, refusal: Refusal) -> None:
+async def _write(database: Database, refusal: Refusal) -> None:
+    project_id = mission_id = None
     async with database.begin() as db:
-        at = await _found(db, refusal)
-        place = refusal.place
+        # The owners of the place see the entry; requests of guests have none.
+        if refusal.actor is not None and refusal.target is not None:
+            row = (await db.execute(target_place(refusal.target))).one_or_none()
+            if row is not None:
+                project_id, mission_id = row.project_id, row.mission_id
         event = Event(
-            refusal.operation, "request", None, place, at.project_id, after=refusal.why, mission_id=at.mission_id
+            refusal.operation,
+            "request",
+            None,
+            refusal.place,
+            project_id,
+            after=refusal.why,
+            mission_id=mission_id,
         )
         await record(db, refusal.who, event)
-
-
-class _At(NamedTuple):
-    project_id: uuid.UUID | None = None
-    mission_id: uuid.UUID | None = None
-
-
-async def _found(db: Connection, refusal: Refusal) -> _At:
-    """Return where somebody was denied something, for the owners of that place; whoever is unknown was nowhere."""
-    if refusal.actor is None or refusal.about is None:
-        return _At()
-    row = (await db.execute(whereabouts(refusal.about))).one_or_none()
-    return _At() if row is None else _At(row.project_id, row.mission_id)

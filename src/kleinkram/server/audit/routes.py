@@ -1,4 +1,4 @@
-"""The record over HTTP: it can be read, and nothing else."""
+"""Routes of the audit log, which is read-only."""
 
 from collections.abc import AsyncIterator
 from typing import Annotated
@@ -7,29 +7,26 @@ from fastapi import APIRouter, Query
 from fastapi.responses import StreamingResponse
 
 from kleinkram.contract.audit import AuditFilter, AuditRead
-from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.base import Page
 from kleinkram.server.audit import service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, Transaction
-from kleinkram.server.paging import PageRequest
+from kleinkram.server.paging import PageQuery
 
 router = APIRouter(prefix="/api/v1/audit", tags=["audit"])
 
 _JSON_LINES = "application/jsonl"
 
 
-class AuditListQuery(AuditFilter):
-    """The query of a list of events."""
-
-    limit: PageSize = 100
-    cursor: Cursor | None = None
+class AuditListQuery(AuditFilter, PageQuery):
+    """Query parameters of the list of events."""
 
 
 @router.get("", operation_id="list_audit_events")
 async def list_audit_events(
     query: Annotated[AuditListQuery, Query()], db: Transaction, actor: CurrentActor
 ) -> Page[AuditRead]:
-    """List what happened, latest first."""
-    return await service.list_events(db, actor, matching=query, page=PageRequest(query.limit, query.cursor))
+    """List audit events, latest first."""
+    return await service.list_events(db, actor, matching=query, page=query.page)
 
 
 @router.get(
@@ -41,7 +38,7 @@ async def list_audit_events(
 async def export_audit_events(
     query: Annotated[AuditFilter, Query()], database: CurrentDatabase, actor: CurrentActor
 ) -> StreamingResponse:
-    """Give all events that match, oldest first, one JSON object a line."""
+    """Return all events that match, oldest first, one JSON object a line."""
 
     async def lines() -> AsyncIterator[str]:
         async for event in service.export_events(database, actor, matching=query):

@@ -1,36 +1,38 @@
-"""Writing the record, and reading it."""
+"""Writing and reading the audit log."""
 
 import uuid
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass, field
 
-from sqlalchemy import Insert, Integer, column, insert, select
+from sqlalchemy import Integer, column, insert, select
 
-from kleinkram.contract.audit import AuditFilter, AuditRead
-from kleinkram.contract.events import ChangeKind
+from kleinkram.contract.access import Right
+from kleinkram.contract.audit import AuditFilter, AuditRead, ChangeKind
+from kleinkram.contract.base import Page
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.paging import Page
-from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.operations import OPERATIONS, ResourceKind
-from kleinkram.server.audit import queries
+from kleinkram.server.audit.queries import AUDIT_ORDER, EventPlace, lacks_own_right, matching_events, to_event
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection, Database, insert_rows, unnest_rows
-from kleinkram.server.paging import PageRequest, fetch_page
+from kleinkram.server.paging import PageRequest, read_page
 from kleinkram.server.tables import audit_event
 
-_AT_ONCE = 500
-_NO_RIGHT = 0
-# More than anybody holds: what only admins may do.
-_POWER = Right.delete.level + 1
+_EXPORT_BATCH = 500
+# Above every level of a right: only admins may.
+_ADMIN_LEVEL = Right.delete.level + 1
+# What the verbs of operations change; requests, reads and refusals change nothing, all others change an object.
+_CREATED = frozenset({"create", "give", "upload", "link", "arrive", "restore", "bootstrap", "put_back"})
+_REMOVED = frozenset({"delete", "revoke", "leave", "abort", "purge"})
+_NO_CHANGE = frozenset({"download", "verify", "look", "denied", "refused", "limited", "approve", "reset_link"})
 
 
 @dataclass(frozen=True)
 class Event:
-    """What happened to one thing: `operation` is `<noun>.<verb>`; before and after hold only what changed.
+    """What happened to an object: `operation` is `<noun>.<verb>`; before and after contain only what changed.
 
-    `takes` is the row of the table of operations whose right it took here, where that is not the request's own.
-    `by_power` says that only an admin could do it, where that is no question of a right on project or mission.
+    `takes` is the operation of `access/operations.py` whose right was required, if not the request's own.
+    `by_power`: only an admin could do it, if that does not depend on a right on a project or mission.
     """
 
     operation: str
@@ -46,107 +48,78 @@ class Event:
 
 
 async def record(db: Connection, actor: Actor | None, *events: Event) -> None:
-    """Add events to the record, as part of the caller's transaction; `actor` is None for the server's own jobs.
+    """Add events to the audit log in the caller's transaction; `actor` is None for jobs of the server.
 
-    Where nobody knows who asked, it is a stranger (`STRANGER.asking(...)`), so that request and address are kept.
+    For unknown requesters, pass `STRANGER.asking(...)`, which keeps the request id and the address.
     """
     await record_all(db, actor, events)
 
 
 async def record_all(db: Connection, actor: Actor | None, events: Sequence[Event]) -> None:
-    """Add many events to the record, as part of the caller's transaction.
+    """Add many events to the audit log, and publish the changes once the transaction commits.
 
-    What an admin did is marked where they could not have done it by their own rights, as these are when it is recorded.
-    What changed by it is told to whoever listens, once the transaction is through.
+    Events of admins are marked where their own rights, at the time of this call, would not have sufficed.
     """
     if not events:
         return
-    rows = [_values(actor, event) for event in events]
-    if actor is not None and actor.is_admin:
-        await db.execute(_insert_marked(actor, rows, [_place(actor, event) for event in events]))
-    else:
+    rows = [_to_row(actor, event) for event in events]
+    if actor is None or not actor.is_admin:
         await db.execute(insert_rows(audit_event, rows))
-    await publish(db, [notice for event in events if (notice := _notice(actor, event)) is not None])
+    else:
+        places = [EventPlace(event.project_id, event.mission_id, _needed_level(actor, event)) for event in events]
+        numbers = {place: number for number, place in enumerate(dict.fromkeys(places), start=1)}
+        numbered = [{**row, "place": numbers[place]} for row, place in zip(rows, places, strict=True)]
+        values = unnest_rows([*(audit_event.c[key] for key in rows[0]), column("place", Integer)], numbered)
+        marks = lacks_own_right(actor, [*numbers])
+        marked = select(*(values.c[key] for key in rows[0]), marks[values.c.place])
+        await db.execute(insert(audit_event).from_select([*rows[0], "as_admin"], marked))
+    changes = []
+    for event in events:
+        verb = event.operation.partition(".")[2]
+        if verb not in _NO_CHANGE:
+            kind = ChangeKind.created if verb in _CREATED else ChangeKind.changed
+            kind = ChangeKind.removed if verb in _REMOVED else kind
+            by_id = actor.person_id if actor is not None and event.project_id is None else None
+            changes.append(ChangeEvent(event.noun, kind, event.noun_id, event.project_id, event.mission_id, by_id))
+    await publish(db, changes)
 
 
-def _insert_marked(admin: Actor, rows: Sequence[Mapping[str, object]], places: Sequence[queries.Place]) -> Insert:
-    """Return what inserts rows with the mark of what took an admin's power, each by where it happened."""
-    numbers = {place: number for number, place in enumerate(dict.fromkeys(places), start=1)}
-    numbered = [{**row, "place": numbers[place]} for row, place in zip(rows, places, strict=True)]
-    said = unnest_rows([*(audit_event.c[key] for key in rows[0]), column("place", Integer)], numbered)
-    marks = queries.lacks_own_right(admin, [*numbers])
-    values = select(*(said.c[key] for key in rows[0]), marks[said.c.place])
-    return insert(audit_event).from_select([*rows[0], "as_admin"], values)
+def _to_row(actor: Actor | None, event: Event) -> dict[str, object]:
+    row: dict[str, object] = {name: value for name, value in vars(event).items() if name in audit_event.c}
+    if actor is not None:
+        row["actor_id"] = actor.person_id
+        row |= {name: getattr(actor, name) for name in ("token_id", "session_id", "share_id", "address", "request_id")}
+    return row
 
 
-_CREATED = frozenset({"create", "give", "upload", "link", "arrive", "restore", "bootstrap", "put_back"})
-_REMOVED = frozenset({"delete", "revoke", "leave", "abort", "purge"})
-# What is only asked for, looked at or refused leaves all as it was.
-_NO_CHANGE = frozenset({"download", "verify", "look", "denied", "refused", "limited", "approve", "reset_link"})
-
-
-def _notice(actor: Actor | None, event: Event) -> ChangeEvent | None:
-    verb = event.operation.partition(".")[2]
-    if verb in _NO_CHANGE:
-        return None
-    kind = ChangeKind.created if verb in _CREATED else ChangeKind.removed if verb in _REMOVED else ChangeKind.changed
-    by_id = actor.person_id if actor is not None and event.project_id is None else None
-    return ChangeEvent(event.noun, kind, event.noun_id, event.project_id, event.mission_id, by_id)
-
-
-def _values(actor: Actor | None, event: Event) -> dict[str, object]:
-    values: dict[str, object] = {name: value for name, value in vars(event).items() if name in audit_event.c}
-    if actor is None:
-        return values
-    who: dict[str, object] = {
-        "actor_id": actor.person_id,
-        "token_id": actor.token_id,
-        "session_id": actor.session_id,
-        "share_id": actor.share_id,
-        "address": actor.address,
-        "request_id": actor.request_id,
-    }
-    return values | who
-
-
-def _place(actor: Actor, event: Event) -> queries.Place:
-    return queries.Place(event.project_id, event.mission_id, _needed(actor, event))
-
-
-def _needed(actor: Actor, event: Event) -> int:
-    """Return the level that an event took on its place."""
+def _needed_level(actor: Actor, event: Event) -> int:
     operation = event.takes or actor.operation
-    need = None if operation is None else OPERATIONS[operation]
-    if event.by_power or (need is not None and need.on is ResourceKind.server):
-        return _POWER
-    if need is None:
-        return Right.delete.level  # nobody said what it took: no less is enough
-    return _NO_RIGHT if need.right is None else need.right.level
+    permission = None if operation is None else OPERATIONS[operation]
+    if event.by_power or (permission is not None and permission.on is ResourceKind.server):
+        return _ADMIN_LEVEL
+    if permission is None:
+        return Right.delete.level  # unknown, so no less suffices
+    return 0 if permission.right is None else permission.right.level
 
 
 async def list_events(db: Connection, actor: Actor, *, matching: AuditFilter, page: PageRequest) -> Page[AuditRead]:
-    """Return a page of the events that match, latest first.
-
-    Raises:
-        InvalidCursor: the cursor is not of this list.
-    """
-    rows = await fetch_page(db, queries.matching_events(actor, matching), queries.AUDIT_ORDER, page)
-    return Page(items=[queries.to_event(row, actor) for row in rows.items], next=rows.next, total=rows.total)
+    """Return a page of the events that match, latest first. Raises InvalidCursor."""
+    return await read_page(db, matching_events(actor, matching), AUDIT_ORDER, page, lambda row: to_event(row, actor))
 
 
 async def export_events(database: Database, actor: Actor, *, matching: AuditFilter) -> AsyncIterator[AuditRead]:
-    """Yield the events that match, oldest first, `_AT_ONCE` in memory.
+    """Yield the events that match, oldest first, with at most `_EXPORT_BATCH` in memory.
 
-    Each portion is read in a transaction of its own, so that a slow reader holds no connection. What is recorded
-    meanwhile may or may not be among them.
+    Each batch has its own transaction, so that a slow reader holds no connection. Events that are recorded meanwhile
+    may or may not be included.
     """
-    last = 0
+    last_id = 0
     while True:
+        stmt = matching_events(actor, matching).where(audit_event.c.id > last_id)
         async with database.begin() as db:
-            statement = queries.events_after(actor, matching, event_id=last, limit=_AT_ONCE)
-            rows = (await db.execute(statement)).all()
+            rows = (await db.execute(stmt.order_by(audit_event.c.id).limit(_EXPORT_BATCH))).all()
         for row in rows:
-            yield queries.to_event(row, actor)
-        if len(rows) < _AT_ONCE:
+            yield to_event(row, actor)
+        if len(rows) < _EXPORT_BATCH:
             return
-        last = rows[-1].id
+        last_id = rows[-1].id

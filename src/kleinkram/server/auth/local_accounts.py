@@ -26,7 +26,6 @@ from kleinkram.contract.accounts import (
     PasswordReset,
     PasswordSignIn,
 )
-from kleinkram.contract.emails import email_key
 from kleinkram.contract.errors import (
     FieldProblem,
     Forbidden,
@@ -38,6 +37,7 @@ from kleinkram.contract.errors import (
     SlowDown,
 )
 from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.people import email_key
 from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.access.groups import add_person, prove_address
 from kleinkram.server.access.rights import lock_person
@@ -76,30 +76,20 @@ class PasswordHasher:
         self._waiting = 0
 
     async def hash(self, password: str) -> str:
-        """Return the hash of a password.
-
-        Raises:
-            SlowDown: too many requests wait.
-        """
+        """Return the hash of a password. Raises SlowDown."""
         return await self._run(lambda: _argon2.hash(password))
 
     async def hash_new(self, password: str, *, field: str, about: tuple[str | None, ...]) -> str:
         """Return the hash of a newly chosen password; `about` are the person's names and addresses.
 
-        Raises:
-            InvalidRequest: the password is common or easy to guess.
-            SlowDown: too many requests wait.
+        Raises InvalidRequest or SlowDown.
         """
         refuse_obvious_password(password, field=field, about=about)
         await self._run(lambda: _refuse_weak(password, field=field, about=about))
         return await self.hash(password)
 
     async def verify(self, hashed: str | None, password: str) -> bool:
-        """Whether a password matches a hash; with None, take equally long and return False.
-
-        Raises:
-            SlowDown: too many requests wait.
-        """
+        """Whether a password matches a hash; with None, take equally long and return False. Raises SlowDown."""
         return await self._run(lambda: _matches(hashed or _unknown_hash(), password)) and hashed is not None
 
     @staticmethod
@@ -133,8 +123,7 @@ def _unknown_hash() -> str:
 def refuse_obvious_password(password: str, *, field: str, about: tuple[str | None, ...]) -> None:
     """Refuse a password that is little more than a name or address of the person, or of this software.
 
-    Raises:
-        InvalidRequest: it is.
+    Raises InvalidRequest.
     """
     folded = "".join(letter for letter in password.casefold() if letter.isalnum())
     rest = folded
@@ -176,9 +165,7 @@ class VerifiedPassword:
 async def verify_password(database: Database, hasher: PasswordHasher, sign_in: PasswordSignIn) -> VerifiedPassword:
     """Return the person with this address and password; a hash with old parameters is renewed.
 
-    Raises:
-        SignInFailed: no active person has this address and password.
-        SlowDown: too many people sign in at the moment.
+    Raises SignInFailed or SlowDown.
     """
     active = person.c.deactivated_at.is_(None) & person_email.c.verified_at.is_not(None)
     stmt = select(person.c.id, password.c.hash).join_from(person_email, person).join(password)
@@ -197,11 +184,7 @@ async def verify_password(database: Database, hasher: PasswordHasher, sign_in: P
 
 
 async def require_unchanged_password(db: Connection, verified: VerifiedPassword) -> None:
-    """Check that a password has not changed since it was verified.
-
-    Raises:
-        SignInFailed: it has.
-    """
+    """Check that a password has not changed since it was verified. Raises SignInFailed."""
     stmt = select(password.c.hash).where(password.c.person_id == verified.person_id).with_for_update(read=True)
     if (await db.execute(stmt)).scalar_one_or_none() != verified.password_hash:
         raise SignInFailed
@@ -210,11 +193,7 @@ async def require_unchanged_password(db: Connection, verified: VerifiedPassword)
 async def verify_own_password(
     database: Database, hasher: PasswordHasher, actor: Actor, entered: str
 ) -> VerifiedPassword:
-    """Verify the password of the signed-in person.
-
-    Raises:
-        SignInFailed: it is wrong, or they have none.
-    """
+    """Verify the password of the signed-in person. Raises SignInFailed."""
     async with database.begin() as db:
         stmt = select(password.c.hash).where(password.c.person_id == actor.person_id)
         password_hash: str | None = (await db.execute(stmt)).scalar_one_or_none()
@@ -226,12 +205,7 @@ async def verify_own_password(
 async def change_password(
     db: Connection, actor: Actor, *, verified: VerifiedPassword, new: str, password_hash: str
 ) -> None:
-    """Change the actor's password and sign their other browsers out.
-
-    Raises:
-        InvalidRequest: it is a name or address of the person.
-        SignInFailed: the password was changed meanwhile.
-    """
+    """Change the actor's password and sign their other browsers out. Raises InvalidRequest or SignInFailed."""
     await require_unchanged_password(db, verified)
     await _set_checked_password(
         db, verified.person_id, name=actor.name, new=new, password_hash=password_hash, field="new_password"
@@ -245,9 +219,7 @@ async def create_invitation(
 ) -> OneTimeLink:
     """Return a link that invites a person to an account; earlier ones for the address become invalid.
 
-    Raises:
-        Forbidden: the server has neither local accounts nor providers.
-        NameTaken: an account has this address.
+    Raises Forbidden or NameTaken.
     """
     if not settings.local_accounts and not settings.oidc_providers:
         raise Forbidden(
@@ -274,10 +246,7 @@ async def accept_invitation(
 ) -> uuid.UUID:
     """Create the account that a link invites to; returns the person.
 
-    Raises:
-        CodeGone: the link is no longer valid.
-        SignInRefused: an account has this address by now.
-        InvalidRequest: the password is the name or the address.
+    Raises CodeGone, SignInRefused or InvalidRequest.
     """
     code = await use_code(db, accepted.code, CodePurpose.invitation)
     email = code.email or ""  # of invitations, never null
@@ -298,9 +267,7 @@ async def accept_invitation(
 async def create_reset_link(db: Connection, actor: Actor, *, person_id: uuid.UUID, settings: Settings) -> OneTimeLink:
     """Return a link with which a person chooses a new password; an earlier one becomes invalid.
 
-    Raises:
-        NotFound: no active person has this id.
-        Forbidden: the server has no local accounts.
+    Raises NotFound or Forbidden.
     """
     if not settings.local_accounts:
         raise Forbidden(
@@ -317,11 +284,7 @@ async def create_reset_link(db: Connection, actor: Actor, *, person_id: uuid.UUI
 
 
 async def get_reset_person(db: Connection, code: str) -> uuid.UUID:
-    """Return the person whose password a link resets, without using the link.
-
-    Raises:
-        CodeGone: the link is no longer valid.
-    """
+    """Return the person whose password a link resets, without using the link. Raises CodeGone."""
     return require_person(await get_code(db, code, CodePurpose.reset))
 
 
@@ -330,10 +293,7 @@ async def reset_password(db: Connection, guest: Actor, *, reset: PasswordReset, 
 
     Signs all browsers of the person out and revokes their personal tokens.
 
-    Raises:
-        CodeGone: the link is no longer valid.
-        SignInRefused: the account is deactivated.
-        InvalidRequest: the password is a name or address of the person.
+    Raises CodeGone, SignInRefused or InvalidRequest.
     """
     person_id = require_person(await use_code(db, reset.code, CodePurpose.reset))
     owner = await find_person(db, person_id)

@@ -23,7 +23,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, Va
 
 from kleinkram.contract.errors import ProviderUnavailable, SignInRefused
 from kleinkram.contract.names import check_text
-from kleinkram.server.auth.authorization_request import AuthorizationRequest, VerifiedIdentity
+from kleinkram.server.auth.provider_accounts import AuthorizationRequest, VerifiedIdentity
 from kleinkram.server.settings import OidcProvider
 
 T = TypeVar("T", bound=BaseModel)
@@ -89,8 +89,7 @@ class OpenIdProvider:
 
         To reauthenticate, the provider is asked for the password even if the person is signed in there.
 
-        Raises:
-            ProviderUnavailable: the provider does not answer.
+        Raises ProviderUnavailable.
 
         Source of `prompt` and `max_age`: OpenID Connect Core 1.0, section 3.1.2.1.
         """
@@ -113,9 +112,7 @@ class OpenIdProvider:
     async def verify_callback(self, code: str, request: AuthorizationRequest) -> VerifiedIdentity:
         """Exchange the code of a callback for an ID token and return the identity in it.
 
-        Raises:
-            ProviderUnavailable: the provider does not answer.
-            SignInRefused: it does not accept the code, or its ID token is not valid.
+        Raises ProviderUnavailable or SignInRefused.
         """
         discovery = await self._discover()
         tokens = await self._exchange_code(discovery, code, request)

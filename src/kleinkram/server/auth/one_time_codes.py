@@ -84,11 +84,7 @@ async def create_code(db: Connection, request: CodeRequest) -> NewCode:
 
 
 async def use_code(db: Connection, secret: str, purpose: CodePurpose) -> StoredCode:
-    """Return a code and mark it as used.
-
-    Raises:
-        CodeGone: it does not exist, was used, expired, or its creator is no longer an admin.
-    """
+    """Return a code and mark it as used. Raises CodeGone."""
     stmt = update(one_time_code).where(*_is_valid_code(secret), one_time_code.c.purpose == purpose.value)
     row = (await db.execute(stmt.values(used_at=func.now()).returning(*_STORED))).one_or_none()
     if row is None:
@@ -97,11 +93,7 @@ async def use_code(db: Connection, secret: str, purpose: CodePurpose) -> StoredC
 
 
 async def get_code(db: Connection, secret: str, purpose: CodePurpose) -> StoredCode:
-    """Return a code without using it.
-
-    Raises:
-        CodeGone: as `use_code`.
-    """
+    """Return a code without using it. Raises CodeGone."""
     stmt = select(*_STORED).where(*_is_valid_code(secret), one_time_code.c.purpose == purpose.value)
     row = (await db.execute(stmt)).one_or_none()
     if row is None:
@@ -123,11 +115,7 @@ async def revoke_codes(db: Connection, person_id: uuid.UUID) -> None:
 
 
 async def describe_code(db: Connection, secret: str) -> CodeRead:
-    """Return the purpose and recipient of a code without using it.
-
-    Raises:
-        CodeGone: as `use_code`.
-    """
+    """Return the purpose and recipient of a code without using it. Raises CodeGone."""
     columns = one_time_code.c.purpose, one_time_code.c.email, one_time_code.c.name, person.c.name.label("person_name")
     stmt = select(*columns).outerjoin(person, person.c.id == one_time_code.c.person_id).where(*_is_valid_code(secret))
     row = (await db.execute(stmt)).one_or_none()

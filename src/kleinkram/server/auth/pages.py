@@ -14,8 +14,8 @@ from fastapi.responses import HTMLResponse, RedirectResponse
 from pydantic import BaseModel, ConfigDict, Field
 
 from kleinkram.contract.errors import KleinkramError, NotFound, SignInRefused
-from kleinkram.server.auth import identities
-from kleinkram.server.auth.authorization_request import bound_browser, take_request
+from kleinkram.server.auth import provider_accounts
+from kleinkram.server.auth.provider_accounts import bound_browser, take_request
 from kleinkram.server.auth.sign_in import CurrentSignIn, SignInContext
 from kleinkram.server.http.dependencies import CurrentSettings
 from kleinkram.server.http.errors import record_refusal
@@ -207,14 +207,14 @@ async def _handle_callback(context: SignInContext, name: str, query: CallbackQue
     actor, settings = context.actor, provider.settings
     async with context.database.begin() as db:
         if request.session_id is None:
-            person_id = await identities.open_account(db, actor, verified=verified, provider=settings)
+            person_id = await provider_accounts.open_account(db, actor, verified=verified, provider=settings)
             await context.start_session(db, response, person_id=person_id, method=verified.issuer)
         elif request.session_id != actor.session_id:
             raise SignInRefused(reason="you signed out meanwhile, so nothing changed. Sign in and start again.")
         elif request.reauthenticates:
-            await identities.reauthenticate(db, actor, verified=verified, provider=settings)
+            await provider_accounts.reauthenticate(db, actor, verified=verified, provider=settings)
         else:
-            await identities.link_identity(db, actor, verified=verified, provider=settings)
+            await provider_accounts.link_identity(db, actor, verified=verified, provider=settings)
     return response
 
 

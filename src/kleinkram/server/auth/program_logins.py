@@ -14,12 +14,18 @@ from urllib.parse import urlencode
 from sqlalchemy import ColumnElement, delete, func, insert, or_, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
-from kleinkram.contract.accounts import DeviceRead, LoopbackApproval, LoopbackApproved
+from kleinkram.contract.access import Scope
+from kleinkram.contract.accounts import (
+    CliExchange,
+    DeviceCode,
+    DeviceRead,
+    LoopbackApproval,
+    LoopbackApproved,
+    SignedIn,
+)
 from kleinkram.contract.errors import CodeGone, SignInDenied, SignInExpired, SignInPending, SlowDown
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import MAX_LABEL_CHARACTERS, check_label
-from kleinkram.contract.rights import Scope
-from kleinkram.contract.signing_in import CliExchange, DeviceCode, SignedIn
 from kleinkram.contract.tokens import TokenCreate
 from kleinkram.server.access.actor import Actor, find_person, secret_hash
 from kleinkram.server.audit.service import Event, record
@@ -78,11 +84,7 @@ async def approve_loopback(db: Connection, actor: Actor, *, approval: LoopbackAp
 
 
 async def exchange_loopback(db: Connection, guest: Actor, *, exchange: CliExchange, settings: Settings) -> SignedIn:
-    """Exchange a code that a browser delivered to the loopback for a token.
-
-    Raises:
-        SignInExpired: the code is unknown, used, expired, or has another verifier.
-    """
+    """Exchange a code that a browser delivered to the loopback for a token. Raises SignInExpired."""
     from authlib.oauth2.rfc7636 import create_s256_code_challenge
 
     challenge: str = create_s256_code_challenge(exchange.code_verifier)
@@ -115,14 +117,7 @@ async def start_device_login(db: Connection, guest: Actor, *, client: str, setti
 
 
 async def exchange_device_code(database: Database, guest: Actor, *, device_code: str, settings: Settings) -> SignedIn:
-    """Exchange a device code for a token.
-
-    Raises:
-        SignInPending: it is not approved yet.
-        SlowDown: the program polls too often.
-        SignInDenied: it was denied.
-        SignInExpired: it is unknown, used or expired, or the person who approved it has signed out.
-    """
+    """Exchange a device code for a token. Raises SignInPending, SlowDown, SignInDenied or SignInExpired."""
     condition = (login_request.c.secret_sha256 == secret_hash(device_code)) & (
         login_request.c.kind == LoginKind.device.value
     )
@@ -144,11 +139,7 @@ async def exchange_device_code(database: Database, guest: Actor, *, device_code:
 
 
 async def get_device_login(db: Connection, user_code: str) -> DeviceRead:
-    """Return the program that shows a code.
-
-    Raises:
-        CodeGone: no undecided login has this code.
-    """
+    """Return the program that shows a code. Raises CodeGone."""
     columns = (login_request.c[name] for name in ("label", "address", "created_at", "expires_at"))
     row = (await db.execute(select(*columns).where(_is_undecided(user_code)))).one_or_none()
     if row is None:
@@ -157,11 +148,7 @@ async def get_device_login(db: Connection, user_code: str) -> DeviceRead:
 
 
 async def approve_device(db: Connection, actor: Actor, user_code: str) -> DeviceRead:
-    """Approve the program that shows a code.
-
-    Raises:
-        CodeGone: no undecided login has this code.
-    """
+    """Approve the program that shows a code. Raises CodeGone."""
     approval = {
         "approved_at": func.now(),
         "approved_by_id": actor.person_id,
@@ -171,11 +158,7 @@ async def approve_device(db: Connection, actor: Actor, user_code: str) -> Device
 
 
 async def deny_device(db: Connection, actor: Actor, user_code: str) -> DeviceRead:
-    """Deny the program that shows a code.
-
-    Raises:
-        CodeGone: no undecided login has this code.
-    """
+    """Deny the program that shows a code. Raises CodeGone."""
     return await _decide(db, actor, user_code, {"denied_at": func.now()}, "login.deny")
 
 

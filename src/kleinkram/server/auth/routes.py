@@ -13,15 +13,20 @@ from kleinkram.contract.accounts import (
     AccountRead,
     AdminBootstrap,
     BrowserSignedIn,
+    CliExchange,
     CodeRead,
     CodeSignIn,
+    DeviceBegin,
+    DeviceCode,
     DeviceDecision,
+    DeviceExchange,
     DeviceRead,
     IdentityRead,
     InvitationAccept,
     InvitationCreate,
     LoopbackApproval,
     LoopbackApproved,
+    MeRead,
     OneTimeLink,
     PasswordChange,
     PasswordReauthenticate,
@@ -31,25 +36,19 @@ from kleinkram.contract.accounts import (
     ProviderBegun,
     ProviderRef,
     RecoveryCodes,
+    SessionRead,
+    SignedIn,
     SignInMethods,
     TotpConfirm,
     TotpEnrolment,
 )
-from kleinkram.contract.paging import Cursor, Page, PageSize
-from kleinkram.contract.signing_in import (
-    CliExchange,
-    DeviceBegin,
-    DeviceCode,
-    DeviceExchange,
-    MeRead,
-    SessionRead,
-    SignedIn,
-)
+from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.server.auth import account as accounts
-from kleinkram.server.auth import bootstrap_admin, local_accounts, one_time_codes, program_logins, sessions, totp
-from kleinkram.server.auth.authorization_request import AuthorizationRequest, bind_browser, store_request
+from kleinkram.server.auth import bootstrap as bootstrap_module
+from kleinkram.server.auth import local_accounts, one_time_codes, program_logins, sessions
+from kleinkram.server.auth.account import require_second_factor
+from kleinkram.server.auth.provider_accounts import AuthorizationRequest, bind_browser, store_request
 from kleinkram.server.auth.sign_in import CurrentSignIn, SignInContext, delete_session_cookie
-from kleinkram.server.auth.totp import require_second_factor
 from kleinkram.server.http.dependencies import (
     CurrentActor,
     CurrentDatabase,
@@ -80,7 +79,7 @@ class SessionListQuery(BaseModel):
 async def list_sign_in_methods(db: Transaction, settings: CurrentSettings) -> SignInMethods:
     """List the methods with which people sign in to this server."""
     providers = [ProviderRef(name=provider.name, title=provider.title) for provider in settings.oidc_providers]
-    has_admin = await bootstrap_admin.has_admin(db)
+    has_admin = await bootstrap_module.has_admin(db)
     return SignInMethods(password=settings.local_accounts, providers=providers, bootstrap=not has_admin)
 
 
@@ -181,7 +180,7 @@ async def create_first_admin(bootstrap: AdminBootstrap, context: CurrentSignIn, 
         about = (bootstrap.name, bootstrap.email)
         password_hash = await context.hash_with_code(bootstrap.password, code=bootstrap.code, about=about)
     async with context.database.begin() as db:
-        person_id = await bootstrap_admin.bootstrap_admin(
+        person_id = await bootstrap_module.bootstrap_admin(
             db, context.actor, bootstrap=bootstrap, password_hash=password_hash
         )
         return await context.start_session(db, response, person_id=person_id, method="bootstrap")
@@ -214,7 +213,7 @@ async def begin_provider_reauthentication(
 @router.post("/owner-link", operation_id="create_owner_link")
 async def create_owner_link(db: Transaction, actor: CurrentActor, settings: CurrentSettings) -> OneTimeLink:
     """Create a link with which the owner of `klein up` signs in."""
-    return await bootstrap_admin.create_owner_link(db, actor, settings=settings)
+    return await bootstrap_module.create_owner_link(db, actor, settings=settings)
 
 
 @router.post("/sign-out", operation_id="sign_out", status_code=204, dependencies=_SAME_ORIGIN)
@@ -333,32 +332,32 @@ async def unlink_identity(
 @me_router.post("/totp", operation_id="begin_totp", status_code=201)
 async def begin_totp(db: Transaction, actor: CurrentActor, settings: CurrentSettings) -> TotpEnrolment:
     """Create a secret for an authenticator app; it takes effect once one of its codes is confirmed."""
-    return await totp.begin_totp(db, actor, settings=settings)
+    return await accounts.begin_totp(db, actor, settings=settings)
 
 
 @me_router.post("/totp/confirm", operation_id="confirm_totp")
 async def confirm_totp(confirmation: TotpConfirm, context: CurrentSignIn) -> RecoveryCodes:
     """Confirm your second factor; your other browsers are signed out. The recovery codes are shown only once."""
     await context.count_attempt(str(context.actor.person_id))
-    return await totp.confirm_totp(context.database, context.actor, code=confirmation.code)
+    return await accounts.confirm_totp(context.database, context.actor, code=confirmation.code)
 
 
 @me_router.post("/totp/recovery-codes", operation_id="renew_recovery_codes")
 async def renew_recovery_codes(db: Transaction, actor: CurrentActor) -> RecoveryCodes:
     """Replace your recovery codes."""
-    return await totp.renew_recovery_codes(db, actor)
+    return await accounts.renew_recovery_codes(db, actor)
 
 
 @me_router.delete("/totp", operation_id="disable_totp", status_code=204)
 async def disable_totp(db: Transaction, actor: CurrentActor) -> None:
     """Remove your second factor."""
-    await totp.disable_totp(db, actor)
+    await accounts.disable_totp(db, actor)
 
 
 @people_router.delete("/{person_id}/totp", operation_id="reset_totp", status_code=204)
 async def reset_totp(person_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> None:
     """Remove the second factor of a person who lost their device and recovery codes."""
-    await totp.reset_totp(db, actor, person_id=person_id)
+    await accounts.reset_totp(db, actor, person_id=person_id)
 
 
 @people_router.post("/invitations", operation_id="invite_person", status_code=201)

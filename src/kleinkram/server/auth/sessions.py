@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 from sqlalchemy import ColumnElement, func, insert, select, update
 
+from kleinkram.contract.accounts import SessionRead
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import NotFound, SignInRefused
-from kleinkram.contract.paging import Page
-from kleinkram.contract.signing_in import SessionRead
 from kleinkram.server.access.actor import Actor, find_person, secret_hash
 from kleinkram.server.access.rights import ensure_active_person
 from kleinkram.server.audit.service import Event, record
@@ -42,12 +42,7 @@ class NewSession:
 async def start_session(
     db: Connection, guest: Actor, *, person_id: uuid.UUID, method: str, browser: Browser, lifetime_s: float
 ) -> NewSession:
-    """Sign a browser in with a new secret and end its previous session.
-
-    Raises:
-        SignInRefused: the account is deactivated.
-        NotAuthenticated: it was deactivated just now.
-    """
+    """Sign a browser in with a new secret and end its previous session. Raises SignInRefused or NotAuthenticated."""
     person = await find_person(db, person_id)
     if person is None:
         raise SignInRefused(reason="this account is deactivated. Ask an admin of this server.")
@@ -87,11 +82,7 @@ async def renew_session(db: Connection, actor: Actor, *, method: str) -> None:
 
 
 async def list_sessions(db: Connection, actor: Actor, *, settings: Settings, page: PageRequest) -> Page[SessionRead]:
-    """Return a page of the actor's sessions, latest first.
-
-    Raises:
-        InvalidCursor: the cursor is not one of this list.
-    """
+    """Return a page of the actor's sessions, latest first. Raises InvalidCursor."""
     idle = datetime.timedelta(seconds=settings.session_idle_s)
     ends = func.least(session.c.expires_at, session.c.last_used_at + idle).label("ends_at")
     is_live = session.c.revoked_at.is_(None) & (ends > func.now())
@@ -114,11 +105,7 @@ async def list_sessions(db: Connection, actor: Actor, *, settings: Settings, pag
 
 
 async def end_session(db: Connection, actor: Actor, *, session_id: uuid.UUID) -> None:
-    """End one of the actor's sessions.
-
-    Raises:
-        NotFound: the actor has no active session with this id.
-    """
+    """End one of the actor's sessions. Raises NotFound."""
     own = (session.c.person_id == actor.person_id) & (session.c.id == session_id)
     if not await _end(db, actor, own):
         raise NotFound(noun="session", ref=str(session_id))

@@ -14,9 +14,9 @@ from kleinkram.contract.accounts import BrowserSignedIn
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.people import PersonRef
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.auth.authorization_request import Providers, set_cookie
 from kleinkram.server.auth.local_accounts import PasswordHasher
 from kleinkram.server.auth.one_time_codes import describe_code
+from kleinkram.server.auth.provider_accounts import Providers, set_cookie
 from kleinkram.server.auth.sessions import Browser, start_session
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, session_cookie
@@ -53,8 +53,7 @@ class SignInContext:
 
         Too many attempts from an address are refused; too many at an account only wait, so that nobody can lock it.
 
-        Raises:
-            RateLimited: there were too many within a minute.
+        Raises RateLimited.
         """
         limit = self.settings.sign_ins_per_minute
         if self.actor.address:
@@ -66,32 +65,20 @@ class SignInContext:
     async def hash_with_code(self, password: str, *, code: str, about: tuple[str | None, ...] = ()) -> str:
         """Hash a new password, if a one-time code is valid; the code is not used up.
 
-        Raises:
-            CodeGone: the code is not valid.
-            InvalidRequest: the password is common or easy to guess.
-            SlowDown: too many requests wait.
+        Raises CodeGone, InvalidRequest or SlowDown.
         """
         async with self.database.begin() as db:
             recipient = await describe_code(db, code)
         return await self.hash_new(password, field="password", about=(recipient.name, recipient.email, *about))
 
     async def hash_new(self, password: str, *, field: str, about: tuple[str | None, ...]) -> str:
-        """Hash a newly chosen password.
-
-        Raises:
-            InvalidRequest: the password is common or easy to guess.
-            SlowDown: too many requests wait.
-        """
+        """Hash a newly chosen password. Raises InvalidRequest or SlowDown."""
         return await self.hasher.hash_new(password, field=field, about=(*about, self.settings.lab_name))
 
     async def start_session(
         self, db: Connection, response: Response, *, person_id: uuid.UUID, method: str
     ) -> BrowserSignedIn:
-        """Sign the browser in, as part of the caller's transaction.
-
-        Raises:
-            SignInRefused: the account is deactivated.
-        """
+        """Sign the browser in, as part of the caller's transaction. Raises SignInRefused."""
         cookie = session_cookie(self.settings)
         browser = Browser(self.request.headers.get("user-agent"), self.request.cookies.get(cookie))
         session = await start_session(
@@ -101,11 +88,7 @@ class SignInContext:
         return BrowserSignedIn(person=PersonRef(id=person_id, name=session.actor.name))
 
     def require_local_accounts(self) -> None:
-        """Check that this server has local accounts.
-
-        Raises:
-            NotFound: it does not.
-        """
+        """Check that this server has local accounts. Raises NotFound."""
         if not self.settings.local_accounts:
             raise NotFound(noun="sign-in method", ref="password")
 

@@ -33,12 +33,11 @@ from kleinkram.server.blobs.summaries import record_read_failure, record_summari
 from kleinkram.server.blobs.verification import ObjectChecksums, Unreadable, read_through
 from kleinkram.server.context import AppContext
 from kleinkram.server.http.rate_limit import delete_expired_counts
+from kleinkram.server.jobs.attempts import ATTEMPTS, PATIENTLY, app_context, courtesy_of, given
 from kleinkram.server.jobs.courtesy import SUMMARY_PATIENCE_S, VERIFY_PATIENCE_S
-from kleinkram.server.jobs.job_context import ATTEMPTS, PATIENTLY, app_context, courtesy_of, given
-from kleinkram.server.jobs.queue import Job, Urgency, hasten, queue
-from kleinkram.server.jobs.retention import forget_ended
+from kleinkram.server.jobs.queue import Job, Urgency, forget_ended, hasten, queue
 from kleinkram.server.recordings.service import regroup_forgotten
-from kleinkram.server.trash.emptying import empty_trash
+from kleinkram.server.trash.service import empty_trash
 
 _log = logging.getLogger("kleinkram.blobs")
 # A recording without an index must be read whole: at once up to this size, else when the verification reads it.

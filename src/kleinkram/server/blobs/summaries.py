@@ -9,7 +9,7 @@ from typing import overload
 
 from sqlalchemy import bindparam, delete, func, insert, select, update
 
-from kleinkram.contract.events import ChangeKind
+from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.files import ContentState, ReadDepth
 from kleinkram.recordings import RecordingSummary, TopicSummary
 from kleinkram.recordings.density import pack

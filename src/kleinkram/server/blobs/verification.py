@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 from aiohttp import ClientPayloadError
 
-from kleinkram.contract.checksums import crc64nvme
 from kleinkram.contract.errors import StoreUnavailable
+from kleinkram.contract.uploads import crc64nvme
 from kleinkram.server.blobs.queries import BlobRow
 from kleinkram.server.context import AppContext
 from kleinkram.server.s3.client import S3Error

@@ -129,11 +129,7 @@ class Hub:
         return f"{self._epoch}-{self._count}"
 
     def require_free_stream(self, person_id: uuid.UUID | None) -> None:
-        """Check that a person may open one more stream.
-
-        Raises:
-            TooManyStreams: the limit of the person or of the process is reached.
-        """
+        """Check that a person may open one more stream. Raises TooManyStreams."""
         own = Counter(self._streams.values())[person_id]
         if own >= MAX_STREAMS_PER_PERSON or len(self._streams) >= _MAX_STREAMS:
             raise TooManyStreams(limit=MAX_STREAMS_PER_PERSON)
@@ -152,11 +148,7 @@ class Hub:
 
     @contextmanager
     def long_poll(self, account_id: uuid.UUID | None, event_filter: EventFilter) -> Iterator[EventSubscription]:
-        """Subscribe a request that waits for an event.
-
-        Raises:
-            TooManyStreams: the limit of the account or of the process is reached.
-        """
+        """Subscribe a request that waits for an event. Raises TooManyStreams."""
         own = Counter(self._long_polls.values())[account_id]
         if own >= MAX_LONG_POLLS_PER_ACCOUNT or len(self._long_polls) >= _MAX_LONG_POLLS:
             raise TooManyStreams(limit=MAX_LONG_POLLS_PER_ACCOUNT)

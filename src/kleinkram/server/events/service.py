@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 from pydantic import BaseModel
 
+from kleinkram.contract.audit import Change, Refetch, RefetchReason
 from kleinkram.contract.errors import DatabaseUnavailable
-from kleinkram.contract.events import Change, Refetch, RefetchReason
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import reached_missions, reached_projects, standing
 from kleinkram.server.change_events import ChangeEvent, merge_events

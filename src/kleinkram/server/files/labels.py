@@ -6,11 +6,11 @@ from typing import Any
 
 from sqlalchemy import Row
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.errors import FieldProblem, Forbidden, InvalidRequest, KleinkramError, NotFound
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.problems import to_problem
-from kleinkram.contract.rights import Right
-from kleinkram.contract.searching import FileLabelled, LabelChange
+from kleinkram.contract.search import FileLabelled, LabelChange
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.audit.service import Event, record_all
 from kleinkram.server.db import Connection

@@ -26,8 +26,8 @@ from sqlalchemy import (
     update,
 )
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.files import FileFilter, FileRead, FileSort
-from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import (
     joined_files,

@@ -5,6 +5,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
+from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.contract.files import (
     DownloadLinks,
     DownloadRequest,
@@ -13,13 +14,12 @@ from kleinkram.contract.files import (
     FileUpdate,
     TopicRead,
 )
-from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.projects import Deleted
 from kleinkram.contract.query import whole
-from kleinkram.contract.searching import FileQuery, FilesLabelled, LabelChange
-from kleinkram.contract.trash import Deleted
+from kleinkram.contract.search import FileQuery, FilesLabelled, LabelChange
 from kleinkram.server.files import labels, service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
-from kleinkram.server.http.etags import IfMatch
+from kleinkram.server.http.headers import IfMatch
 from kleinkram.server.paging import PageRequest
 
 router = APIRouter(prefix="/api/v1", tags=["files"])

@@ -8,6 +8,7 @@ from typing import Any
 
 from sqlalchemy import Row, func
 
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import FileUnavailable, NotFound
 from kleinkram.contract.files import (
     BlobState,
@@ -21,8 +22,7 @@ from kleinkram.contract.files import (
 )
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
-from kleinkram.contract.paging import Page
-from kleinkram.contract.trash import Deleted
+from kleinkram.contract.projects import Deleted
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.service import Event, record, record_all
@@ -33,12 +33,12 @@ from kleinkram.server.files import queries
 from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.files.topics import TOPIC_ORDER, to_topics
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
-from kleinkram.server.http.etags import require_match
+from kleinkram.server.http.headers import require_match
 from kleinkram.server.missions import service as missions
 from kleinkram.server.paging import PageRequest, Rows, execute_after, fetch_page, values_after
-from kleinkram.server.quotas.service import Amount, project_of, require_room
+from kleinkram.server.quotas import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
-from kleinkram.server.shares.service import note_downloads
+from kleinkram.server.shares.service import count_downloads
 from kleinkram.server.tables import file
 
 _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
@@ -222,7 +222,7 @@ async def link_files(
             if row.state in _UNREADABLE:
                 raise FileUnavailable(path=row.path, state=row.state)
         await record_all(db, actor, [_event(_FETCHED[purpose], row) for row in rows])
-        await note_downloads(db, actor, files=len(rows), size_bytes=sum(row.size_bytes for row in rows))
+        await count_downloads(db, actor, files=len(rows), size_bytes=sum(row.size_bytes for row in rows))
     return [_link(context, row) for row in rows]
 
 

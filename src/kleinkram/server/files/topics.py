@@ -5,8 +5,7 @@ from typing import Any
 
 from sqlalchemy import Row, Select
 
-from kleinkram.contract.files import TopicRead
-from kleinkram.contract.topics import Density
+from kleinkram.contract.files import Density, TopicRead
 from kleinkram.recordings.density import unpack
 from kleinkram.server.db import by_name
 from kleinkram.server.paging import Order

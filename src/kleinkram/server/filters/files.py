@@ -27,14 +27,14 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects.postgresql import ARRAY, JSONB
 
+from kleinkram.contract.amounts import nanoseconds
 from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.missions import MissionFilter
 from kleinkram.contract.names import is_id
-from kleinkram.contract.query.parsing import parse_term
+from kleinkram.contract.query import parse_term
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
-from kleinkram.server.dates import nanoseconds
 from kleinkram.server.db import Written
 from kleinkram.server.filters.metadata import metadata_condition
 from kleinkram.server.filters.patterns import matches_any, matches_key

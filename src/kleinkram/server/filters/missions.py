@@ -6,7 +6,7 @@ from sqlalchemy import ColumnElement, Select, and_, func, literal, or_, select, 
 
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.missions import MissionFilter
-from kleinkram.contract.query.parsing import parse_term
+from kleinkram.contract.query import parse_term
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions, shown_files, shown_span, visible_files
 from kleinkram.server.db import Written

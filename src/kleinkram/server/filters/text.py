@@ -31,7 +31,7 @@ from sqlalchemy import (
 from sqlalchemy.dialects.postgresql import ARRAY, JSONPATH
 
 from kleinkram.contract.errors import InvalidQuery
-from kleinkram.contract.query.words import phrases
+from kleinkram.contract.query import phrases
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection, among

@@ -1,230 +1,204 @@
-"""Giving, changing and taking rights.
+"""Granting, changing and revoking rights.
 
-Nobody gives more, or for longer, than they hold themselves, nor touches a grant that is higher than what they hold.
-Whatever changes a grant begins with `lock_rights`.
+Nobody grants more, or for longer, than they have themselves, nor changes a grant of a higher right than their own.
+Every change begins with `lock_rights`.
 """
 
 import datetime
 import uuid
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from sqlalchemy import Row, delete, func, literal, select, update
+from sqlalchemy import delete, func, literal, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
-from kleinkram.contract.emails import email_key
+from kleinkram.contract.access import AccessRead, GrantCreate, GrantOn, GrantRead, GrantUpdate, Right
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import FieldProblem, Forbidden, InvalidRequest, NotFound, RightExceeded
-from kleinkram.contract.grants import AccessRead, GrantCreate, GrantOn, GrantRead, GrantUpdate
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.paging import Page
-from kleinkram.contract.rights import Right
+from kleinkram.contract.people import email_key
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.email_groups import email_group
-from kleinkram.server.access.groups import own_group
-from kleinkram.server.access.ownership import ensure_owner_remains
-from kleinkram.server.access.rights import lock_rights, require_mission, require_project
+from kleinkram.server.access.groups import email_group, own_group
+from kleinkram.server.access.rights import ensure_owner_remains, lock_rights, require_mission, require_project
 from kleinkram.server.access.visible import visible_groups, visible_people
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection
-from kleinkram.server.grants import queries
-from kleinkram.server.grants.access import access_on, to_access
-from kleinkram.server.grants.queries import Place
-from kleinkram.server.paging import PageRequest, fetch_page
+from kleinkram.server.grants.queries import (
+    GRANT_ORDER,
+    GrantPlace,
+    access_on,
+    grants_on,
+    level_until,
+    place_seen,
+    to_access,
+    to_grant,
+)
+from kleinkram.server.paging import PageRequest, read_page
 from kleinkram.server.tables import access_grant, access_group, person
 
 
-class Standing(NamedTuple):
-    """Where somebody is about to change rights, and the level that they hold there themselves."""
+class _Granter(NamedTuple):
+    """The actor of a change, the place it is on, and the level of their own right there."""
 
-    place: Place
+    actor: Actor
+    place: GrantPlace
     project_id: uuid.UUID
     level: int
 
 
-class Change(NamedTuple):
-    """What changes of one grant, as the record tells it; `name` is of whom it is to."""
+async def list_grants(db: Connection, actor: Actor, *, place: GrantPlace, page: PageRequest) -> Page[GrantRead]:
+    """Return a page of the grants on a place, by the name of the grantee.
 
-    grant_id: uuid.UUID
-    name: str
-    before: Metadata
-    after: Metadata
-
-
-async def list_grants(db: Connection, actor: Actor, *, place: Place, page: PageRequest) -> Page[GrantRead]:
-    """Return a page of the grants on a place, by the name of whom they are to.
-
-    Raises:
-        NotFound: the place is not there, or not for this actor.
-        Forbidden: they may see it, but not who may do what there.
-        InvalidCursor: the cursor is not of this list.
+    Raises NotFound, Forbidden, InvalidCursor.
     """
     await _require(db, actor, f"list_{place.on.value}_grants", place)
-    rows = await fetch_page(db, queries.grants_on(place), queries.grant_order(), page)
-    return Page(items=[queries.to_grant(row) for row in rows.items], next=rows.next, total=rows.total)
+    return await read_page(db, grants_on(place), GRANT_ORDER, page, to_grant)
 
 
-async def list_access(db: Connection, actor: Actor, *, place: Place, page: PageRequest) -> Page[AccessRead]:
-    """Return a page of who has a right on a place now, and by what; whoever holds less than WRITE sees their own part.
+async def list_access(db: Connection, actor: Actor, *, place: GrantPlace, page: PageRequest) -> Page[AccessRead]:
+    """Return a page of who has which right on a place and why; actors without WRITE see only their own.
 
-    Raises:
-        NotFound: the place is not there, or not for this actor.
-        InvalidCursor: the cursor is not of this list.
+    Raises NotFound, InvalidCursor.
     """
     await _require(db, actor, f"get_{place.on.value}_access", place)
-    rows = await fetch_page(db, *access_on(actor, place), page)
-    return Page(items=[to_access(row) for row in rows.items], next=rows.next, total=rows.total)
+    return await read_page(db, *access_on(actor, place), page, to_access)
 
 
-async def give(db: Connection, actor: Actor, *, place: Place, wanted: GrantCreate) -> GrantRead:
-    """Give a right, in place of the one that was given there to the same one before, and return it.
+async def create_grant(db: Connection, actor: Actor, *, place: GrantPlace, wanted: GrantCreate) -> GrantRead:
+    """Grant a right and return the grant; it replaces the grantee's earlier grant on the place.
 
-    To an address it is given in the same way and with the same answer whether or not anybody has it.
+    A grant to an address has the same effect and response whether or not anybody has the address.
 
-    Raises:
-        NotFound: the place, the person or the group is not there, or not for this actor.
-        Forbidden: they may not give rights here, or not touch the one that is there.
-        RightExceeded: it is more, or for longer, than they hold.
-        InvalidRequest: its end has passed already.
-        LastOwner: it takes the place of the last lasting owner's.
+    Raises NotFound, Forbidden, RightExceeded, InvalidRequest, LastOwner.
     """
-    standing = await _standing(db, actor, f"create_{place.on.value}_grant", place)
-    group_id, name = await _group_of(db, actor, wanted)
-    of_group = queries.grants_on(place).where(access_grant.c.group_id == group_id)
-    old = (await db.execute(of_group)).one_or_none()
-    if old is not None and _says(old, wanted.right, wanted.expires_at):
-        return queries.to_grant(old)
-    _see_that_it_may_be_touched(standing, old)
-    await _see_that_it_is_theirs_to_give(db, actor, standing, wanted.right, wanted.expires_at)
+    granter = await _lock_granter(db, actor, f"create_{place.on.value}_grant", place)
+    group_id, name = await _find_group(db, actor, wanted)
+    of_group = grants_on(place).where(access_grant.c.group_id == group_id)
+    row = (await db.execute(of_group)).one_or_none()
+    old = None if row is None else to_grant(row)
+    if old is not None and _is_same(old, wanted.right, wanted.expires_at):
+        return old
+    await _require_may_grant(db, granter, old, wanted.right, wanted.expires_at)
     grant_id = uuid.uuid4() if old is None else old.id
     operation = "grant.give" if old is None else "grant.change"
-    after = _told(wanted.right, wanted.expires_at)
-    await _record(db, actor, standing, operation, Change(grant_id, name, _of(old), after))
+    after = _audit_values(wanted.right, wanted.expires_at)
+    before = {} if old is None else _audit_values(old.right, old.expires_at)
+    await _record(db, granter, operation, grant_id, name, before, after)
     values = {"level": wanted.right.level, "expires_at": wanted.expires_at, "granted_by_id": actor.person_id}
-    given = upsert(access_grant).values(id=grant_id, group_id=group_id, **{place.key: place.id}, **values)
-    again = {**values, "created_at": func.now()}
-    await db.execute(given.on_conflict_do_update(index_elements=[place.key, "group_id"], set_=again))
-    await _see_owners(db, place)
-    return queries.to_grant((await db.execute(of_group)).one())
+    inserted = upsert(access_grant).values(id=grant_id, group_id=group_id, **{place.key: place.id}, **values)
+    changed = {**values, "created_at": func.now()}
+    await db.execute(inserted.on_conflict_do_update(index_elements=[place.key, "group_id"], set_=changed))
+    await _ensure_owner(db, place)
+    return to_grant((await db.execute(of_group)).one())
 
 
-async def change(db: Connection, actor: Actor, *, place: Place, grant_id: uuid.UUID, changes: GrantUpdate) -> GrantRead:
-    """Change what is given of a grant and return it.
+async def update_grant(
+    db: Connection, actor: Actor, *, place: GrantPlace, grant_id: uuid.UUID, changes: GrantUpdate
+) -> GrantRead:
+    """Change a grant and return it.
 
-    Raises:
-        NotFound: the place or the grant is not there, or not for this actor.
-        Forbidden, RightExceeded, InvalidRequest, LastOwner: as in `give`.
+    Raises NotFound, Forbidden, RightExceeded, InvalidRequest, LastOwner.
     """
-    standing = await _standing(db, actor, f"update_{place.on.value}_grant", place)
-    old = await _grant(db, place, grant_id)
-    right = changes.right or Right.of_level(old.level)
+    granter = await _lock_granter(db, actor, f"update_{place.on.value}_grant", place)
+    old = await _get_grant(db, place, grant_id)
+    right = changes.right or old.right
     expires_at = changes.expires_at if "expires_at" in changes.model_fields_set else old.expires_at
-    if _says(old, right, expires_at):
-        return queries.to_grant(old)
-    _see_that_it_may_be_touched(standing, old)
-    await _see_that_it_is_theirs_to_give(db, actor, standing, right, expires_at)
-    changed = Change(grant_id, old.grantee_name, _of(old), _told(right, expires_at))
-    await _record(db, actor, standing, "grant.change", changed)
+    if _is_same(old, right, expires_at):
+        return old
+    await _require_may_grant(db, granter, old, right, expires_at)
+    before, after = _audit_values(old.right, old.expires_at), _audit_values(right, expires_at)
+    await _record(db, granter, "grant.change", grant_id, old.to.name, before, after)
     values = {"level": right.level, "expires_at": expires_at}
     await db.execute(update(access_grant).where(access_grant.c.id == grant_id).values(values))
-    await _see_owners(db, place)
-    return queries.to_grant(await _grant(db, place, grant_id))
+    await _ensure_owner(db, place)
+    return await _get_grant(db, place, grant_id)
 
 
-async def revoke(db: Connection, actor: Actor, *, place: Place, grant_id: uuid.UUID) -> None:
-    """Take a right away.
+async def delete_grant(db: Connection, actor: Actor, *, place: GrantPlace, grant_id: uuid.UUID) -> None:
+    """Revoke a right.
 
-    Raises:
-        NotFound: the place or the grant is not there, or not for this actor.
-        Forbidden: they may not take rights away here, or not this one.
-        LastOwner: it is the last lasting owner's.
+    Raises NotFound, Forbidden, LastOwner.
     """
-    standing = await _standing(db, actor, f"delete_{place.on.value}_grant", place)
-    old = await _grant(db, place, grant_id)
-    _see_that_it_may_be_touched(standing, old)
-    await _record(db, actor, standing, "grant.revoke", Change(grant_id, old.grantee_name, _of(old), {}))
+    granter = await _lock_granter(db, actor, f"delete_{place.on.value}_grant", place)
+    old = await _get_grant(db, place, grant_id)
+    _require_not_higher(granter, old)
+    await _record(db, granter, "grant.revoke", grant_id, old.to.name, _audit_values(old.right, old.expires_at), {})
     await db.execute(delete(access_grant).where(access_grant.c.id == grant_id))
-    await _see_owners(db, place)
+    await _ensure_owner(db, place)
 
 
-async def _standing(db: Connection, actor: Actor, operation: str, place: Place) -> Standing:
+async def _lock_granter(db: Connection, actor: Actor, operation: str, place: GrantPlace) -> _Granter:
     await lock_rights(db)
     await _require(db, actor, operation, place)
-    row = (await db.execute(queries.place_seen(actor, place))).one()
-    return Standing(place, row.project_id, row.level)
+    row = (await db.execute(place_seen(actor, place))).one()
+    return _Granter(actor, place, row.project_id, row.level)
 
 
-async def _require(db: Connection, actor: Actor, operation: str, place: Place) -> None:
+async def _require(db: Connection, actor: Actor, operation: str, place: GrantPlace) -> None:
     require = require_project if place.on is GrantOn.project else require_mission
     await require(db, actor, operation, place.id)
 
 
-async def _group_of(db: Connection, actor: Actor, wanted: GrantCreate) -> tuple[uuid.UUID, str]:
+async def _find_group(db: Connection, actor: Actor, wanted: GrantCreate) -> tuple[uuid.UUID, str]:
     if wanted.email is not None:
         return await email_group(db, wanted.email), email_key(wanted.email)
     if wanted.person_id is not None:
-        found = visible_people(actor).where(person.c.id == wanted.person_id, person.c.deactivated_at.is_(None))
-        if (row := (await db.execute(found)).one_or_none()) is None:
+        stmt = visible_people(actor).where(person.c.id == wanted.person_id, person.c.deactivated_at.is_(None))
+        if (row := (await db.execute(stmt)).one_or_none()) is None:
             raise NotFound(noun="person", ref=str(wanted.person_id))
         return await own_group(db, wanted.person_id), row.name
-    found = visible_groups(actor).where(access_group.c.id == wanted.group_id)
-    if (row := (await db.execute(found)).one_or_none()) is None:
+    stmt = visible_groups(actor).where(access_group.c.id == wanted.group_id)
+    if (row := (await db.execute(stmt)).one_or_none()) is None:
         raise NotFound(noun="group", ref=str(wanted.group_id))
     return row.id, row.name
 
 
-async def _grant(db: Connection, place: Place, grant_id: uuid.UUID) -> Row[Any]:
-    found = queries.grants_on(place).where(access_grant.c.id == grant_id)
-    if (row := (await db.execute(found)).one_or_none()) is None:
+async def _get_grant(db: Connection, place: GrantPlace, grant_id: uuid.UUID) -> GrantRead:
+    row = (await db.execute(grants_on(place).where(access_grant.c.id == grant_id))).one_or_none()
+    if row is None:
         raise NotFound(noun="grant", ref=str(grant_id))
-    return row
+    return to_grant(row)
 
 
-def _says(grant: Row[Any], right: Right, expires_at: datetime.datetime | None) -> bool:
-    return bool(grant.level == right.level and grant.expires_at == expires_at and not grant.has_expired)
+def _is_same(grant: GrantRead, right: Right, expires_at: datetime.datetime | None) -> bool:
+    return grant.right is right and grant.expires_at == expires_at and not grant.has_expired
 
 
-def _see_that_it_may_be_touched(standing: Standing, grant: Row[Any] | None) -> None:
-    if grant is not None and grant.level > standing.level and not grant.has_expired:
-        needs = Right.of_level(grant.level).value
-        raise Forbidden(noun=standing.place.on.value, operation=f"change a grant of {needs}", needs=needs)
+def _require_not_higher(granter: _Granter, grant: GrantRead | None) -> None:
+    if grant is not None and grant.right.level > granter.level and not grant.has_expired:
+        needs = grant.right.value
+        raise Forbidden(noun=granter.place.on.value, operation=f"change a grant of {needs}", needs=needs)
 
 
-async def _see_that_it_is_theirs_to_give(
-    db: Connection, actor: Actor, standing: Standing, right: Right, expires_at: datetime.datetime | None
+async def _require_may_grant(
+    db: Connection, granter: _Granter, old: GrantRead | None, right: Right, expires_at: datetime.datetime | None
 ) -> None:
+    _require_not_higher(granter, old)
     if expires_at is not None and (await db.execute(select(literal(expires_at) <= func.now()))).scalar_one():
         raise InvalidRequest(problems=[FieldProblem(field="body.expires_at", message="has passed already")])
-    lasting = (await db.execute(queries.level_until(actor, standing.place, expires_at))).scalar_one()
+    lasting = (await db.execute(level_until(granter.actor, granter.place, expires_at))).scalar_one()
     if right.level > lasting:
         until = "without an end" if expires_at is None else f"until {expires_at:%Y-%m-%d %H:%M} UTC"
-        own = Right.of_level(standing.level).value + ("" if right.level > standing.level else ", not as long")
-        raise RightExceeded(noun=standing.place.on.value, requested=f"{right.value} {until}", own=own)
+        own = Right.of_level(granter.level).value + ("" if right.level > granter.level else ", not as long")
+        raise RightExceeded(noun=granter.place.on.value, requested=f"{right.value} {until}", own=own)
 
 
-async def _see_owners(db: Connection, place: Place) -> None:
+async def _ensure_owner(db: Connection, place: GrantPlace) -> None:
     if place.on is GrantOn.project:
         await ensure_owner_remains(db, [place.id])
 
 
-async def _record(db: Connection, actor: Actor, standing: Standing, operation: str, change: Change) -> None:
-    # Before the change itself, so that an admin's power is marked by the rights that they had until then.
-    place, highest = standing.place, Right.delete.value in (change.before.get("right"), change.after.get("right"))
+async def _record(
+    db: Connection, granter: _Granter, operation: str, grant_id: uuid.UUID, name: str, before: Metadata, after: Metadata
+) -> None:
+    # Before the change itself, so that the use of admin rights is judged by the actor's rights until then.
+    place, has_delete = granter.place, Right.delete.value in (before.get("right"), after.get("right"))
+    mission_id = place.id if place.on is GrantOn.mission else None
+    takes = f"delete_{place.on.value}" if has_delete else None
     event = Event(
-        operation,
-        "grant",
-        change.grant_id,
-        change.name,
-        standing.project_id,
-        change.before,
-        change.after,
-        mission_id=place.id if place.on is GrantOn.mission else None,
-        takes=f"delete_{place.on.value}" if highest else None,
+        operation, "grant", grant_id, name, granter.project_id, before, after, mission_id=mission_id, takes=takes
     )
-    await record(db, actor, event)
+    await record(db, granter.actor, event)
 
 
-def _of(grant: Row[Any] | None) -> Metadata:
-    return {} if grant is None else _told(Right.of_level(grant.level), grant.expires_at)
-
-
-def _told(right: Right, expires_at: datetime.datetime | None) -> Metadata:
+def _audit_values(right: Right, expires_at: datetime.datetime | None) -> Metadata:
     return {"right": right.value, "expires_at": None if expires_at is None else expires_at.isoformat()}

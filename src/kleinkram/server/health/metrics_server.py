@@ -24,8 +24,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.contract.files import BlobState
 from kleinkram.server.db import Database
-from kleinkram.server.health.recent import Recent
-from kleinkram.server.health.worker_heartbeat import Workers, find_workers
+from kleinkram.server.health.readiness import Recent, Workers, find_workers
 from kleinkram.server.metrics import REGISTRY
 from kleinkram.server.settings import Settings, plain_dsn
 from kleinkram.server.tables import blob, scrub, upload
@@ -120,11 +119,7 @@ class _SiteGauges:
 
 @asynccontextmanager
 async def serve_metrics(settings: Settings, database: Database) -> AsyncIterator[int | None]:
-    """Serve `/metrics` on a port of its own, where one is set; yields the port.
-
-    Raises:
-        MetricsPortUnusable: it is taken, or the address is none of this machine's.
-    """
+    """Serve `/metrics` on a port of its own, where one is set; yields the port. Raises MetricsPortUnusable."""
     if settings.metrics_port is None:
         yield None
         return

@@ -1,13 +1,123 @@
-"""Whether this process can serve, and what is wrong beside it."""
+"""Readiness of a process, and the heartbeats of workers."""
 
 import asyncio
+import datetime
+import logging
+import os
+import socket
+import time
+import uuid
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
+from sqlalchemy import delete, func, select
+from sqlalchemy.dialects.postgresql import insert as upsert
+from sqlalchemy.exc import SQLAlchemyError
+
+import kleinkram
 from kleinkram.contract.errors import DatabaseUnavailable, StoreUnavailable
-from kleinkram.server.db import Database
-from kleinkram.server.health.worker_heartbeat import find_workers
+from kleinkram.server.db import Connection, Database
 from kleinkram.server.migrations import schema_problem
 from kleinkram.server.s3.storage import Storage
+from kleinkram.server.tables import worker_process
+
+T = TypeVar("T")
+_LOOKUP_TIME_FACTOR = 10
+
+
+class Recent(Generic[T]):
+    """The last result of a lookup and when it expires. Failed lookups are not cached."""
+
+    def __init__(self, look_up: Callable[[], Awaitable[T]], *, holds_s: float) -> None:
+        self._look_up = look_up
+        self._lifetime_s = holds_s
+        self._lock = asyncio.Lock()
+        self._cached: tuple[float, T] | None = None
+
+    async def get(self) -> T:
+        """Return a value that has not expired; concurrent callers share one lookup."""
+        async with self._lock:
+            if self._cached is None or time.monotonic() > self._cached[0]:
+                started = time.monotonic()
+                value = await self._look_up()
+                took_s = time.monotonic() - started
+                self._cached = (time.monotonic() + max(self._lifetime_s, _LOOKUP_TIME_FACTOR * took_s), value)
+            return self._cached[1]
+
+
+_log = logging.getLogger("kleinkram.worker")
+_INTERVAL_S = 5.0
+# A worker without a heartbeat for this long counts as ended.
+ALIVE_WITHIN = datetime.timedelta(seconds=30)
+_RETENTION = datetime.timedelta(days=30)
+_SECONDS_A_MINUTE = 60
+
+
+@dataclass(frozen=True)
+class Workers:
+    """When each living worker process was last heard of, latest first, and when any was; by the database's clock."""
+
+    seen_at: list[datetime.datetime]
+    last_seen_at: datetime.datetime | None
+    now: datetime.datetime
+
+    @property
+    def warning(self) -> str | None:
+        """What is wrong in words where no worker is alive."""
+        if self.seen_at:
+            return None
+        heard = "no worker process was ever heard of"
+        if self.last_seen_at is not None:
+            silent_s = (self.now - self.last_seen_at).total_seconds()
+            minutes = max(1, round(silent_s / _SECONDS_A_MINUTE))
+            heard = f"no worker process was heard of for {minutes} min"
+        return f"{heard}: new files are not read or verified; start `python -m kleinkram.server worker`"
+
+
+async def find_workers(db: Connection) -> Workers:
+    """Return which worker processes are alive."""
+    process = worker_process.c
+    stmt = select(func.now().label("now"), func.max(process.seen_at).label("last_seen_at"))
+    whole = (await db.execute(stmt)).one()
+    alive = process.ended_at.is_(None) & (process.seen_at > func.now() - ALIVE_WITHIN)
+    rows = await db.execute(select(process.seen_at).where(alive).order_by(process.seen_at.desc()))
+    return Workers(list(rows.scalars()), whole.last_seen_at, whole.now)
+
+
+@asynccontextmanager
+async def heartbeat(database: Database) -> AsyncIterator[None]:
+    """Write a heartbeat every 5 s, and at the end that this process has ended."""
+    worker_id = uuid.uuid4()
+    task = asyncio.create_task(_send_heartbeats(database, worker_id))
+    try:
+        yield
+    finally:
+        task.cancel()
+        with suppress(asyncio.CancelledError):
+            await task
+        with suppress(DatabaseUnavailable, SQLAlchemyError):
+            async with database.begin() as db:
+                await db.execute(
+                    worker_process.update().where(worker_process.c.id == worker_id).values(ended_at=func.now())
+                )
+
+
+async def _send_heartbeats(database: Database, worker_id: uuid.UUID) -> None:
+    process = {"host": socket.gethostname(), "pid": os.getpid(), "version": kleinkram.__version__}
+    heartbeat_stmt = upsert(worker_process).values(id=worker_id, **process)
+    heartbeat_stmt = heartbeat_stmt.on_conflict_do_update(index_elements=["id"], set_={"seen_at": func.now()})
+    old = delete(worker_process).where(worker_process.c.seen_at < func.now() - _RETENTION)
+    while True:
+        try:
+            async with database.begin() as db:
+                await db.execute(heartbeat_stmt)
+                await db.execute(old)
+        except (DatabaseUnavailable, SQLAlchemyError) as error:  # away, or its schema is older than this program
+            _log.warning("heartbeat not written", extra={"fields": {"reason": str(error).partition("\n")[0]}})
+        await asyncio.sleep(_INTERVAL_S)
+
 
 _STORE_TIMEOUT_S = 2
 

@@ -6,12 +6,11 @@ from fastapi import APIRouter, Request, Response
 from fastapi.responses import PlainTextResponse
 
 import kleinkram
+from kleinkram.contract.access import TokenKind
 from kleinkram.contract.people import ServiceRead, ViewerRead
-from kleinkram.contract.rights import TokenKind
-from kleinkram.server.health.proxy_check import seen
-from kleinkram.server.health.readiness import Readiness, readiness
-from kleinkram.server.health.recent import Recent
+from kleinkram.server.health.readiness import Readiness, Recent, readiness
 from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, CurrentSettings, CurrentStorage
+from kleinkram.server.http.headers import seen
 from kleinkram.server.settings import Settings
 from kleinkram.server.tokens.service import default_days
 

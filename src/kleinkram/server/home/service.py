@@ -1,12 +1,13 @@
-"""Home, put together: a handful of statements in one transaction, then the store for what it holds of uploads."""
+"""The home page: recent missions, unfinished uploads, what needs attention, and storage. Every list is bounded."""
 
 import asyncio
 import shutil
 from typing import Any
 
-from sqlalchemy import Row
+from sqlalchemy import Row, Select, func, select, text, union
 
 from kleinkram.contract.errors import StoreUnavailable
+from kleinkram.contract.files import BlobState
 from kleinkram.contract.home import (
     Attention,
     HomeRead,
@@ -19,149 +20,265 @@ from kleinkram.contract.home import (
 )
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.projects import ProjectRef
+from kleinkram.contract.runs import RunState
 from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.visible import visible_files, visible_missions, visible_projects
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
-from kleinkram.server.home import queries
-from kleinkram.server.runners.eligibility import has_single_person, known_runners, reason_never_starts
+from kleinkram.server.missions.amounts import file_amounts
+from kleinkram.server.runners.eligibility import Needs, has_single_person, known_runners, reason_never_starts
+from kleinkram.server.runs.queries import visible_runs
 from kleinkram.server.settings import Settings
+from kleinkram.server.tables import action_version, blob, file, mission, project, run, scrub, upload
+from kleinkram.server.tables.upload import UNDER_WAY
+from kleinkram.server.uploads.queries import own_uploads
 
-_MISSIONS, _UPLOADS, _AILING, _PROJECTS = 10, 20, 20, 20
-# Kinds of queued runs that are looked at; one kind is one action on one mission.
-_QUEUED = 200
-_STORE_PATIENCE_S = 2.0
-# As `klein doctor` says.
+_MAX_MISSIONS, _MAX_ITEMS = 10, 20
+# Kinds of queued runs that are checked; one kind is one action on one mission.
+_MAX_QUEUED = 200
+# Recent missions are those of the newest so many files, and the newest ones themselves.
+_LAST_FILES = 2000
+_STORE_TIMEOUT_S = 2.0
+# The same limits as in `klein doctor`.
 _LOW_BYTES, _LOW_SHARE = 5 * 1024**3, 0.02
-# What is wrong with the bytes goes before what is wrong with what they say.
 _OF_STATE = {"corrupt": Need.files_corrupt, "lost": Need.files_lost}
 _OF_CONTENT = {"broken": Need.files_broken, "error": Need.files_unread, "recovered": Need.files_recovered}
+# In the words of the partial index.
+_IS_DAMAGED = text("(blob.state IN ('corrupt', 'lost') OR blob.content IN ('broken', 'recovered', 'error'))")
+_VERIFICATION_DUE_AFTER = text("interval '2 days'")
+_FAILURES_WITHIN = text("interval '7 days'")
+_FINISHED = (RunState.done.value, RunState.failed.value)
+_MISSION = (mission.c.id, mission.c.name, mission.c.project_id, project.c.name.label("project_name"))
+_NUMBER = func.count().label("number")
 
 
 async def get_home(context: AppContext, actor: Actor) -> HomeRead:
-    """Return what somebody finds when they come. A store that does not answer only leaves out what it holds."""
+    """Return the home page of an actor. If the store does not answer, only the bytes sent of uploads are missing."""
     async with context.database.begin() as db:
-        missions = (await db.execute(queries.recent_missions(actor, limit=_MISSIONS))).all()
-        uploads = (await db.execute(queries.unfinished_uploads(actor, limit=_UPLOADS))).all()
+        missions = (await db.execute(_recent_missions(actor))).all()
+        uploads = (await db.execute(_unfinished_uploads(actor))).all()
         attention = await _attention(db, actor)
-        if _sees_the_server(actor):
-            attention = [*await _of_server(db, context.settings), *attention]
+        if _sees_server(actor):
+            attention = [*await _server_attention(db, context.settings), *attention]
     sent = await asyncio.gather(*(_sent_bytes(context, row) for row in uploads))
     return HomeRead(
-        missions=[_recent(row) for row in missions],
-        uploads=[_unfinished(row, held) for row, held in zip(uploads, sent, strict=True)],
+        missions=[
+            RecentMission(
+                mission=_to_mission(row),
+                active_at=row.active_at,
+                file_count=row.files,
+                size_bytes=int(row.size_bytes),
+            )
+            for row in missions
+        ],
+        uploads=[
+            UnfinishedUpload(
+                id=row.id,
+                mission=MissionRef(
+                    id=row.mission_id,
+                    name=row.mission_name,
+                    project=ProjectRef(id=row.project_id, name=row.project_name),
+                ),
+                path=row.path,
+                size_bytes=row.size_bytes,
+                sent_bytes=sent_bytes,
+                created_at=row.created_at,
+                expires_at=row.expires_at,
+            )
+            for row, sent_bytes in zip(uploads, sent, strict=True)
+        ],
         attention=attention,
     )
 
 
 async def get_storage(db: Connection, actor: Actor, settings: Settings) -> HomeStorage:
-    """Return what is kept. To add it up takes longer than all that `get_home` says."""
-    rows = (await db.execute(queries.storage_by_project(actor, limit=_PROJECTS))).all()
-    store = await store_use(db, settings) if _sees_the_server(actor) else None
-    return HomeStorage(projects=[_storage(row) for row in rows], store=store)
-
-
-def _sees_the_server(actor: Actor) -> bool:
-    return actor.is_admin and actor.limits is None
+    """Return the size of the largest projects and, for admins, of the store."""
+    projects = [
+        ProjectStorage(
+            project=ProjectRef(id=row.id, name=row.name),
+            file_count=row.files,
+            size_bytes=int(row.size_bytes),
+            quota_bytes=row.quota_bytes,
+        )
+        for row in await db.execute(_storage_by_project(actor))
+    ]
+    return HomeStorage(projects=projects, store=await store_use(db, settings) if _sees_server(actor) else None)
 
 
 async def store_use(db: Connection, settings: Settings) -> StoreUse:
-    """Return what the store holds, and what is free on its disk where that is on this machine."""
-    used = int((await db.execute(queries.used_bytes())).scalar_one())
+    """Return the bytes in the store, each counted once, and the free bytes if its disk is on this machine."""
+    used = select(func.coalesce(func.sum(blob.c.size_bytes), 0)).where(blob.c.doomed_at.is_(None))
     free, total = _disk(settings) or (None, None)
-    return StoreUse(used_bytes=used, free_bytes=free, disk_bytes=total)
+    return StoreUse(used_bytes=int((await db.execute(used)).scalar_one()), free_bytes=free, disk_bytes=total)
 
 
 def is_low(settings: Settings) -> bool:
-    """Say whether the store's disk is about to be full, where that is on this machine."""
+    """Whether the store's disk, if it is on this machine, is almost full."""
     disk = _disk(settings)
     return disk is not None and disk[0] < max(_LOW_BYTES, _LOW_SHARE * disk[1])
 
 
+def _sees_server(actor: Actor) -> bool:
+    return actor.is_admin and actor.limits is None
+
+
 def _disk(settings: Settings) -> tuple[int, int] | None:
-    folder = settings.store_folder
-    if folder is None or not folder.is_dir():
+    if settings.store_folder is None or not settings.store_folder.is_dir():
         return None
-    disk = shutil.disk_usage(folder)
+    disk = shutil.disk_usage(settings.store_folder)
     return disk.free, disk.total
 
 
 async def _attention(db: Connection, actor: Actor) -> list[Attention]:
-    ailing = (await db.execute(queries.ailing_files(actor, limit=_AILING))).all()
-    lacking = (await db.execute(queries.unsatisfied_missions(actor, limit=_AILING))).all()
-    failed = (await db.execute(queries.failed_runs(actor, limit=_AILING))).all()
     counts: dict[tuple[Need, MissionRef], int] = {}
-    for row in ailing:
-        what = (_OF_STATE.get(row.state) or _OF_CONTENT[row.content], _mission(row))
-        counts[what] = counts.get(what, 0) + row.number
-    for row in await _runs_that_cannot_start(db, actor):
-        what = (Need.runs_cannot_start, _mission(row))
-        counts[what] = counts.get(what, 0) + row.number
-    found = [Attention(need=need, count=count, mission=where) for (need, where), count in counts.items()]
-    found += [Attention(need=Need.runs_failed, count=row.number, mission=_mission(row)) for row in failed]
-    found += [Attention(need=Need.metadata_missing, count=row.number, mission=_mission(row)) for row in lacking]
+
+    def count(need: Need, row: Row[Any]) -> None:
+        key = (need, _to_mission(row))
+        counts[key] = counts.get(key, 0) + row.number
+
+    for row in await db.execute(_damaged_files(actor)):
+        count(_OF_STATE.get(row.state) or _OF_CONTENT[row.content], row)
+    queued = (await db.execute(_queued_runs(actor))).all()
+    if queued:
+        known, alone = await known_runners(db), await has_single_person(db)
+        for row in queued:
+            if reason_never_starts(row, known, single_person=alone) is not None:
+                count(Need.runs_cannot_start, row)
+    for row in await db.execute(_failed_runs(actor)):
+        count(Need.runs_failed, row)
+    for row in await db.execute(_unsatisfied_missions(actor)):
+        count(Need.metadata_missing, row)
+    found = [Attention(need=need, count=number, mission=where) for (need, where), number in counts.items()]
     order = list(Need)
-    return sorted(found, key=lambda each: order.index(each.need))
+    return sorted(found, key=lambda attention: order.index(attention.need))
 
 
-async def _runs_that_cannot_start(db: Connection, actor: Actor) -> list[Row[Any]]:
-    queued = (await db.execute(queries.queued_runs(actor, limit=_QUEUED))).all()
-    if not queued:
-        return []
-    known, alone = await known_runners(db), await has_single_person(db)
-    return [row for row in queued if reason_never_starts(row, known, single_person=alone) is not None]
-
-
-async def _of_server(db: Connection, settings: Settings) -> list[Attention]:
-    failed = (await db.execute(queries.failed_jobs())).scalar_one()
-    late = (await db.execute(queries.overdue_verifications())).scalar_one()
-    stopped = (await db.execute(queries.stopped_scrubs(settings.store_id))).scalar_one()
+async def _server_attention(db: Connection, settings: Settings) -> list[Attention]:
+    ended = select(scrub.c.stopped).where(scrub.c.store_id == settings.store_id, scrub.c.ended_at.is_not(None))
+    last = ended.order_by(scrub.c.created_at.desc()).limit(1).subquery()
+    failed_jobs = select(func.count()).select_from(text("procrastinate_jobs")).where(text("status = 'failed'"))
+    unverified = (blob.c.state == BlobState.stored.value) & blob.c.doomed_at.is_(None)
+    is_overdue = unverified & (blob.c.created_at < func.now() - _VERIFICATION_DUE_AFTER)
+    overdue = select(func.count()).select_from(blob).where(is_overdue)
     counts = {
-        Need.scrub_stopped: stopped,
+        Need.scrub_stopped: (await db.execute(select(func.count(last.c.stopped)))).scalar_one(),
         Need.disk_low: int(is_low(settings)),
-        Need.jobs_failed: failed,
-        Need.verifications_overdue: late,
+        Need.jobs_failed: (await db.execute(failed_jobs)).scalar_one(),
+        Need.verifications_overdue: (await db.execute(overdue)).scalar_one(),
     }
-    return [Attention(need=need, count=count) for need, count in counts.items() if count]
+    return [Attention(need=need, count=number) for need, number in counts.items() if number]
 
 
 async def _sent_bytes(context: AppContext, row: Row[Any]) -> int | None:
     if row.multipart_id is None:
         return 0 if row.size_bytes > row.part_size_bytes or row.signed_checksum is None else None
     try:
-        held = await asyncio.wait_for(context.storage.list_parts(row.key, row.multipart_id), _STORE_PATIENCE_S)
+        parts = await asyncio.wait_for(context.storage.list_parts(row.key, row.multipart_id), _STORE_TIMEOUT_S)
     except (StoreUnavailable, asyncio.TimeoutError):
         return None
-    # A part sent twice may be listed twice.
-    return sum({part.number: part.size_bytes for part in held or ()}.values())
+    # A part that was sent twice may be listed twice.
+    return sum({part.number: part.size_bytes for part in parts or ()}.values())
 
 
-def _mission(row: Row[Any]) -> MissionRef:
+def _to_mission(row: Row[Any]) -> MissionRef:
     return MissionRef(id=row.id, name=row.name, project=ProjectRef(id=row.project_id, name=row.project_name))
 
 
-def _recent(row: Row[Any]) -> RecentMission:
-    return RecentMission(
-        mission=_mission(row), active_at=row.active_at, file_count=row.files, size_bytes=int(row.size_bytes)
+def _recent_missions(actor: Actor) -> Select[Any]:
+    files = visible_files(actor).with_only_columns(file.c.mission_id, maintain_column_froms=True)
+    last = files.order_by(file.c.created_at.desc(), file.c.id.desc()).limit(_LAST_FILES).subquery()
+    missions = visible_missions(actor).with_only_columns(mission.c.id.label("id"), maintain_column_froms=True)
+    newest = missions.order_by(mission.c.created_at.desc(), mission.c.id.desc()).limit(_MAX_MISSIONS).subquery()
+    candidates = union(select(last.c.mission_id.label("id")), select(newest.c.id)).subquery()
+    # First find the most recent missions, then count the files of those few.
+    live = file.c.deleted_at.is_(None)
+    # A maximum with a filter reads the mission's index; without one, PostgreSQL walks back from the newest file of all.
+    arrived_at = func.max(file.c.created_at).filter(live).label("at")
+    arrival = select(arrived_at).where(file.c.mission_id == mission.c.id).lateral()
+    active_at = func.greatest(mission.c.created_at, arrival.c.at).label("active_at")
+    recent = select(mission.c.id, mission.c.name, mission.c.project_id, active_at)
+    recent = recent.join_from(candidates, mission, mission.c.id == candidates.c.id).join(arrival, text("true"))
+    recent = recent.order_by(active_at.desc(), mission.c.id).limit(_MAX_MISSIONS)
+    active = recent.cte("active").prefix_with("MATERIALIZED")
+    counts = (func.count(file.c.id).label("files"), func.coalesce(func.sum(blob.c.size_bytes), 0).label("size_bytes"))
+    names = (active.c.id, active.c.name, active.c.project_id, project.c.name.label("project_name"))
+    return (
+        select(*names, active.c.active_at, *counts)
+        .join_from(active, project, project.c.id == active.c.project_id)
+        .outerjoin(file, (file.c.mission_id == active.c.id) & live)
+        .outerjoin(blob, blob.c.id == file.c.blob_id)
+        .group_by(*names, active.c.active_at)
+        .order_by(active.c.active_at.desc(), active.c.id)
     )
 
 
-def _unfinished(row: Row[Any], sent_bytes: int | None) -> UnfinishedUpload:
-    place = ProjectRef(id=row.project_id, name=row.project_name)
-    return UnfinishedUpload(
-        id=row.id,
-        mission=MissionRef(id=row.mission_id, name=row.mission_name, project=place),
-        path=row.path,
-        size_bytes=row.size_bytes,
-        sent_bytes=sent_bytes,
-        created_at=row.created_at,
-        expires_at=row.expires_at,
+def _unfinished_uploads(actor: Actor) -> Select[Any]:
+    names = (mission.c.name.label("mission_name"), mission.c.project_id, project.c.name.label("project_name"))
+    return (
+        own_uploads(actor)
+        .add_columns(upload.c.created_at, *names)
+        .join(mission, mission.c.id == upload.c.mission_id)
+        .join(project, project.c.id == mission.c.project_id)
+        .where(upload.c.state.in_(UNDER_WAY), upload.c.expires_at > func.now())
+        .order_by(upload.c.created_at.desc(), upload.c.id)
+        .limit(_MAX_ITEMS)
     )
 
 
-def _storage(row: Row[Any]) -> ProjectStorage:
-    return ProjectStorage(
-        project=ProjectRef(id=row.id, name=row.name),
-        file_count=row.files,
-        size_bytes=int(row.size_bytes),
-        quota_bytes=row.quota_bytes,
+def _damaged_files(actor: Actor) -> Select[Any]:
+    condition = (blob.c.state, blob.c.content)
+    stmt = visible_files(actor).with_only_columns(*_MISSION, *condition, _NUMBER, maintain_column_froms=True)
+    stmt = stmt.where(_IS_DAMAGED).group_by(mission.c.id, project.c.id, *condition)
+    return stmt.order_by(func.count().desc(), mission.c.id).limit(_MAX_ITEMS)
+
+
+def _unsatisfied_missions(actor: Actor) -> Select[Any]:
+    number = func.jsonb_array_length(mission.c.metadata_problems)
+    stmt = visible_missions(actor).with_only_columns(*_MISSION, number.label("number"), maintain_column_froms=True)
+    return stmt.where(number > 0).order_by(mission.c.created_at.desc(), mission.c.id).limit(_MAX_ITEMS)
+
+
+def _failed_runs(actor: Actor) -> Select[Any]:
+    """Return recent failures on each mission of actions whose last result it was.
+
+    Actions are identified by name, so that a script that was corrected and run from its folder again counts too.
+    """
+    later, later_version = run.alias("later"), action_version.alias("its_version")
+    name, later_name = action_version.c.definition["name"], later_version.c.definition["name"]
+    later_result = (
+        select(later.c.id)
+        .join(later_version, later_version.c.id == later.c.version_id)
+        .where(later.c.mission_id == run.c.mission_id, later_name == name)
+        .where((later.c.created_at > run.c.created_at) & later.c.state.in_(_FINISHED))
     )
+    stmt = visible_runs(actor).with_only_columns(*_MISSION, _NUMBER, maintain_column_froms=True)
+    is_recent = run.c.ended_at > func.now() - _FAILURES_WITHIN
+    stmt = stmt.where(run.c.state == RunState.failed.value, is_recent, ~later_result.exists())
+    last_first = func.max(run.c.ended_at).desc()
+    return stmt.group_by(mission.c.id, project.c.id).order_by(last_first, mission.c.id).limit(_MAX_ITEMS)
+
+
+def _queued_runs(actor: Actor) -> Select[Any]:
+    """Return the number of queued runs on each mission by what they need of a runner, named as in `Needs`."""
+    needs = [run.c[name] for name in Needs._fields if name != "project_id"]
+    stmt = visible_runs(actor).with_only_columns(*_MISSION, *needs, _NUMBER, maintain_column_froms=True)
+    stmt = stmt.where(run.c.state == RunState.queued.value).group_by(mission.c.id, project.c.id, *needs)
+    return stmt.order_by(_NUMBER.desc(), mission.c.id).limit(_MAX_QUEUED)
+
+
+def _storage_by_project(actor: Actor) -> Select[Any]:
+    files, in_bytes = file_amounts(actor)
+    inside = visible_missions(actor).with_only_columns(
+        mission.c.project_id,
+        func.sum(files).label("files"),
+        func.sum(in_bytes).label("size_bytes"),
+        maintain_column_froms=True,
+    )
+    sums = inside.group_by(mission.c.project_id).subquery()
+    size_bytes = func.coalesce(sums.c.size_bytes, 0)
+    columns = project.c.id, project.c.name, project.c.quota_bytes, func.coalesce(sums.c.files, 0).label("files")
+    stmt = visible_projects(actor).with_only_columns(
+        *columns, size_bytes.label("size_bytes"), maintain_column_froms=True
+    )
+    stmt = stmt.outerjoin(sums, sums.c.project_id == project.c.id)
+    return stmt.order_by(size_bytes.desc(), project.c.name, project.c.id).limit(_MAX_ITEMS)

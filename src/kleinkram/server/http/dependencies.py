@@ -11,8 +11,8 @@ from kleinkram.contract.errors import NotAuthenticated
 from kleinkram.server.access.actor import STRANGER, Actor, ActorKind, find_actor, find_signed_in
 from kleinkram.server.access.operations import OPERATIONS
 from kleinkram.server.access.rights import admit, is_public_endpoint, require_fresh_sign_in, still_shares
-from kleinkram.server.audit.admin_access import Looks
-from kleinkram.server.audit.places import named
+from kleinkram.server.audit.admin_access import AdminReads
+from kleinkram.server.audit.queries import request_target
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.http.rate_limit import limit_expensive
@@ -62,8 +62,8 @@ async def _actor(
     has_text = not request.query_params.keys().isdisjoint({"text", "query"})
     await limit_expensive(database, request.app.state.settings, actor, has_text=has_text)
     if actor.is_admin and request.method == "GET":
-        looks: Looks = request.app.state.looks
-        await looks.note(database, actor, named(request.path_params, request.query_params))
+        admin_reads: AdminReads = request.app.state.admin_reads
+        await admin_reads.audit(database, actor, request_target(request.path_params, request.query_params))
     return actor
 
 
@@ -124,8 +124,7 @@ def session_cookie(settings: Settings) -> str:
 def require_same_origin(request: Request) -> None:
     """Require that a change sent with a session cookie comes from a page of this server (CSRF).
 
-    Raises:
-        NotAuthenticated: the Origin header is missing or names another site.
+    Raises NotAuthenticated.
     """
     if request.method in {"GET", "HEAD", "OPTIONS"}:
         return

@@ -20,9 +20,8 @@ from kleinkram.contract.errors import (
     RateLimited,
     WrongClient,
 )
-from kleinkram.contract.problems import to_problem
-from kleinkram.contract.wording import message_of
-from kleinkram.server.audit.places import named
+from kleinkram.contract.problems import message_of, to_problem
+from kleinkram.server.audit.queries import request_target
 from kleinkram.server.audit.refusals import ALSO_REFUSALS, Refusal, Refusals
 from kleinkram.server.http.pages import app_page, is_original_api_path, wants_page
 from kleinkram.server.settings import Settings
@@ -71,9 +70,9 @@ async def record_refusal(request: Request, error: KleinkramError) -> None:
         why={name: str(value) for name, value in error.fields().items()},
         address=request.client.host if request.client else None,
         request_id=_request_id(request),
-        about=named(request.path_params, request.query_params),
+        target=request_target(request.path_params, request.query_params),
     )
-    await state.refusals.note(state.database, refusal)
+    await state.refusals.audit(state.database, refusal)
 
 
 def _request_id(request: Request) -> str | None:

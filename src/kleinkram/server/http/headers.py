@@ -1,14 +1,21 @@
 """Headers of requests and responses: the client address behind trusted proxies, and the security headers."""
 
+import hashlib
+import hmac
 import ipaddress
+import time
 from collections.abc import Iterable, Sequence
+from typing import Annotated
 
+from fastapi import Header, Request
+from pydantic import BaseModel, ConfigDict
 from starlette.types import Scope
 
-from kleinkram.server.settings import Network
+from kleinkram.contract.errors import EditConflict
+from kleinkram.server.settings import Network, Settings
 
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
-Header = tuple[bytes, bytes]
+RawHeader = tuple[bytes, bytes]
 
 # The API serves no pages; pages set a policy of their own.
 API_POLICY = "default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -17,7 +24,7 @@ PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; font-src 'self'; connect-src 'self'; "
     "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
 )
-_DEFAULTS: Sequence[Header] = (
+_DEFAULTS: Sequence[RawHeader] = (
     (b"content-security-policy", API_POLICY.encode()),
     (b"x-content-type-options", b"nosniff"),
     (b"x-frame-options", b"DENY"),
@@ -29,10 +36,10 @@ _DEFAULTS: Sequence[Header] = (
     (b"cache-control", b"no-store"),
 )
 _YEAR_S = 365 * 86_400
-_HSTS: Header = (b"strict-transport-security", f"max-age={_YEAR_S}".encode())
+_HSTS: RawHeader = (b"strict-transport-security", f"max-age={_YEAR_S}".encode())
 
 
-def with_security_headers(headers: Iterable[Header], *, is_https: bool) -> list[Header]:
+def with_security_headers(headers: Iterable[RawHeader], *, is_https: bool) -> list[RawHeader]:
     """Return a response's headers plus the security headers that it does not set itself."""
     own = list(headers)
     own_names = {name.lower() for name, _ in own}
@@ -70,7 +77,7 @@ def set_client_address(scope: Scope, trusted_proxies: Sequence[Network]) -> None
     client = scope.get("client")
     if client is None:
         return
-    headers: Sequence[Header] = scope["headers"]
+    headers: Sequence[RawHeader] = scope["headers"]
     is_proxy = is_trusted(client[0], trusted_proxies)
     forwarded_for = _list_values(headers, b"x-forwarded-for") if is_proxy else []
     scope["client"] = (client_address(client[0], forwarded_for, trusted_proxies), client[1])
@@ -89,6 +96,63 @@ def parse_address(text: str) -> Address | None:
     return mapped or address
 
 
-def _list_values(headers: Sequence[Header], name: bytes) -> list[str]:
+def _list_values(headers: Sequence[RawHeader], name: bytes) -> list[str]:
     values = [value.decode("latin-1") for key, value in headers if key == name]
     return [part.strip() for value in values for part in value.split(",")]
+
+
+IfMatch = Annotated[
+    str | None,
+    Header(alias="If-Match", max_length=1000, description="The `etag` of the object that was edited, in quotes."),
+]
+
+
+def require_match(if_match: str | None, etag: str, *, noun: str, name: str) -> None:
+    """Check that an object still has one of the ETags in an If-Match header; without a header, there is no check.
+
+    Raises EditConflict.
+    """
+    if if_match is None:
+        return
+    expected = {part.strip().removeprefix("W/").strip('"') for part in if_match.split(",")}
+    if not expected & {etag, "*"}:
+        raise EditConflict(noun=noun, name=name, etag=etag)
+
+
+CHECK_HEADER = "X-Kleinkram-Check"
+_GOOD_FOR_S = 300
+
+
+class Seen(BaseModel):
+    """What the API saw: `peer` connected to it; `address` and `scheme` are what it takes for the client's."""
+
+    model_config = ConfigDict(frozen=True)
+
+    peer: str
+    is_trusted: bool
+    forwarded: bool
+    address: str
+    scheme: str
+
+
+def proof(settings: Settings, *, at_s: float | None = None) -> str:
+    """Return a code that only who has these settings can make."""
+    period = int((time.time() if at_s is None else at_s) // _GOOD_FOR_S)
+    key = settings.s3_secret_key.get_secret_value().encode()
+    return hmac.new(key, f"kleinkram check {period}".encode(), hashlib.sha256).hexdigest()
+
+
+def seen(request: Request, settings: Settings) -> Seen | None:
+    """Return how a request reached this process; None for who has no proof."""
+    code = request.headers.get(CHECK_HEADER, "")
+    valid_codes = [proof(settings, at_s=time.time() - ago_s) for ago_s in (0, _GOOD_FOR_S)]
+    if request.client is None or not any(hmac.compare_digest(code.encode(), valid.encode()) for valid in valid_codes):
+        return None
+    peer: str = request.state.peer
+    return Seen(
+        peer=peer,
+        is_trusted=is_trusted(peer, settings.trusted_proxies),
+        forwarded="x-forwarded-for" in request.headers,
+        address=request.client.host,
+        scheme=request.url.scheme,
+    )

@@ -100,8 +100,7 @@ def built_file(request: Request, settings: Settings, name: str, *, caching: str)
 
     A script carries the app's policy too: where it runs as a worker, it is held to its own and not to the page's.
 
-    Raises:
-        NotFound: there is none of that name.
+    Raises NotFound.
     """
     headers = {"Content-Security-Policy": app_policy(settings), "Cache-Control": caching}
     path = _within(BUILT, name)
@@ -115,11 +114,7 @@ def built_file(request: Request, settings: Settings, name: str, *, caching: str)
 
 
 def static_file(name: str) -> Response:
-    """Return a file that the server's own pages share with the app.
-
-    Raises:
-        NotFound: there is none of that name.
-    """
+    """Return a file that the server's own pages share with the app. Raises NotFound."""
     path = _within(STATIC, name)
     return FileResponse(path, media_type=_TYPES[path.suffix], headers={"Cache-Control": HOUR})
 

@@ -82,8 +82,7 @@ class Count:
 async def enforce_limits(database: Database, *counts: Count) -> None:
     """Add one to each count in a transaction of its own, so that refused and failed requests count too.
 
-    Raises:
-        RateLimited: a count exceeds its limit.
+    Raises RateLimited.
     """
     by_key = {count.key: count for count in counts if count.limit > 0}
     for counted in await _increment(database, list(by_key)):
@@ -97,10 +96,7 @@ async def reserve_slot(database: Database, count: Count) -> float:
     """Add one to a count and return how many seconds the request must wait: 0 up to the limit.
 
     Beyond the limit, requests reserve slots, whoever sends them: an attacker slows the owner of an account down, but
-    does not lock them out.
-
-    Raises:
-        RateLimited: all slots of the next half minute are taken.
+    does not lock them out. Raises RateLimited.
     """
     counted = await _increment(database, [count.key] if count.limit > 0 else [])
     if all(row.requests <= count.limit for row in counted):
@@ -134,11 +130,7 @@ def counts_of(actor: Actor, what: str, limit: int) -> list[Count]:
 
 
 async def limit_expensive(database: Database, settings: Settings, actor: Actor, *, has_text: bool) -> None:
-    """Count an expensive request; lists are expensive if they search texts (`has_text`).
-
-    Raises:
-        RateLimited: the actor sent too many requests of its kind.
-    """
+    """Count an expensive request; lists are expensive if they search texts (`has_text`). Raises RateLimited."""
     kind = _OPERATION_KINDS.get(actor.operation or "")
     if kind is None and has_text and actor.operation in _LIST_OPERATIONS:
         kind = "searches"

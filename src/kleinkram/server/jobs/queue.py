@@ -121,3 +121,20 @@ def has_job(job: Job, ref: ColumnElement[uuid.UUID]) -> ColumnElement[bool]:
     alive = text("status IN ('todo', 'doing')")
     own = _jobs.c.args.op("->>")("ref") == cast(ref, Text)
     return exists(select(literal(1)).select_from(_jobs).where(_jobs.c.task_name == job.value, alive, own))
+
+
+_JOBS = text(
+    "DELETE FROM procrastinate_jobs j WHERE j.status IN ('failed', 'cancelled', 'aborted') AND NOT EXISTS"
+    " (SELECT 1 FROM procrastinate_events e WHERE e.job_id = j.id AND e.at > now() - interval '7 days')"
+)
+_UPLOADS = text("DELETE FROM upload WHERE cleaned_at < now() - interval '30 days'")
+
+_CODES = text("DELETE FROM one_time_code WHERE expires_at < now() - interval '30 days'")
+_LOGINS = text("DELETE FROM login_request WHERE expires_at < now() - interval '1 day'")
+_JOURNEYS = text("DELETE FROM oidc_login WHERE expires_at < now()")
+
+
+async def forget_ended(db: Connection) -> None:
+    """Drop failed jobs after a week; uploads that left nothing behind, and codes, after a month; logins under way."""
+    for statement in (_JOBS, _UPLOADS, _CODES, _LOGINS, _JOURNEYS):
+        await db.execute(statement)

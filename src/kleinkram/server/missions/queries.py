@@ -22,10 +22,10 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects.postgresql import JSONB
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.missions import MissionFilter, MissionOrder, MissionRead, MissionRef, MissionSort
 from kleinkram.contract.projects import ProjectRef
-from kleinkram.contract.rights import Right
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import (
     joined_missions,

@@ -5,6 +5,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
+from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.contract.missions import (
     MissionCreate,
     MissionFilter,
@@ -13,12 +14,11 @@ from kleinkram.contract.missions import (
     MissionSort,
     MissionUpdate,
 )
-from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.projects import Deleted
 from kleinkram.contract.query import parse
-from kleinkram.contract.searching import QueryText
-from kleinkram.contract.trash import Deleted
+from kleinkram.contract.search import QueryText
 from kleinkram.server.http.dependencies import CurrentActor, Reading, Transaction
-from kleinkram.server.http.etags import IfMatch
+from kleinkram.server.http.headers import IfMatch
 from kleinkram.server.missions import service
 from kleinkram.server.paging import PageRequest
 

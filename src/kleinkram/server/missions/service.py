@@ -14,6 +14,7 @@ from typing import Any
 from sqlalchemy import Row, Update, func, insert
 from sqlalchemy.exc import IntegrityError
 
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import NameTaken, NotFound
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.metadata import Metadata, MetadataFields
@@ -26,21 +27,20 @@ from kleinkram.contract.missions import (
     MissionUpdate,
 )
 from kleinkram.contract.names import name_key
-from kleinkram.contract.paging import Page
-from kleinkram.contract.trash import Deleted
+from kleinkram.contract.projects import Deleted
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission, require_project
 from kleinkram.server.access.visible import sees_whole_missions, visible_missions
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.filters.plan import ID_COUNT, NO_PLAN, SearchPlan, rounded
-from kleinkram.server.http.etags import require_match
+from kleinkram.server.http.headers import require_match
 from kleinkram.server.missions import queries
 from kleinkram.server.missions.amounts import NOTHING
 from kleinkram.server.missions.metadata import Judge, read_metadata, satisfying
 from kleinkram.server.missions.template import carried_over, defaults, write_template
 from kleinkram.server.paging import PageRequest, fetch_page
-from kleinkram.server.quotas.service import require_room_for_mission
+from kleinkram.server.quotas import require_room_for_mission
 from kleinkram.server.tables import mission
 from kleinkram.server.yaml_text import Document
 

@@ -4,11 +4,18 @@ import uuid
 
 from fastapi import APIRouter
 
+from kleinkram.contract.base import Cursor
 from kleinkram.contract.names import Term
-from kleinkram.contract.paging import Cursor
-from kleinkram.contract.stats import Buckets, Overview
-from kleinkram.contract.timelines import MAX_TIMELINE_FILES, MissionTimeline, TimelineSize
-from kleinkram.contract.topics import Bins, MissionTopics, MissionTopicsSize
+from kleinkram.contract.overviews import (
+    MAX_TIMELINE_FILES,
+    Bins,
+    Buckets,
+    MissionTimeline,
+    MissionTopics,
+    MissionTopicsSize,
+    Overview,
+    TimelineSize,
+)
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
 from kleinkram.server.overviews import service, stats, topics
 from kleinkram.server.paging import PageRequest

@@ -3,7 +3,7 @@
 import uuid
 
 from kleinkram.contract.errors import NotFound
-from kleinkram.contract.timelines import MissionTimeline
+from kleinkram.contract.overviews import MissionTimeline
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.db import Connection
 from kleinkram.server.overviews import queries

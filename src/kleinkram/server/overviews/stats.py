@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.metadata import FieldType, MetadataField
-from kleinkram.contract.stats import Bucket, Overview, StatsRow
+from kleinkram.contract.overviews import Bucket, Overview, StatsRow
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection

@@ -12,7 +12,7 @@ from typing import Any
 from sqlalchemy import Row, Select, delete, insert
 
 from kleinkram.contract.errors import NotFound
-from kleinkram.contract.topics import MissionTopic, MissionTopics, RecordingRef, TimeAxis
+from kleinkram.contract.overviews import MissionTopic, MissionTopics, RecordingRef, TimeAxis
 from kleinkram.recordings.density import on_axis, pack, unpack
 from kleinkram.recordings.model import MessageDensity
 from kleinkram.server.access.actor import Actor

@@ -1,40 +1,33 @@
-"""People over HTTP."""
+"""Routes of people."""
 
 import uuid
 from typing import Annotated
 
 from fastapi import APIRouter, Query
-from pydantic import BaseModel, ConfigDict
 
+from kleinkram.contract.base import Page
 from kleinkram.contract.names import Term
-from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.contract.people import Departure, PersonRead
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
-from kleinkram.server.paging import PageRequest
+from kleinkram.server.paging import CountedPageQuery
 from kleinkram.server.people import service
 
 router = APIRouter(prefix="/api/v1/people", tags=["people"])
 
 
-class PeopleListQuery(BaseModel):
-    """The query of a list of people. Every word of `text` is in their name, or in an address that one may know."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class PeopleListQuery(CountedPageQuery):
+    """Query parameters of the list of people. `text`: words in their names, or in addresses you may know."""
 
     text: Term | None = None
     active: bool | None = None
-    limit: PageSize = 100
-    cursor: Cursor | None = None
-    count: bool = False
 
 
 @router.get("", operation_id="list_people")
 async def list_people(
     query: Annotated[PeopleListQuery, Query()], db: Transaction, actor: CurrentActor
 ) -> Page[PersonRead]:
-    """List the people one may know of: who shares a group or a project; admins see all."""
-    page = PageRequest(query.limit, query.cursor, query.count)
-    return await service.list_people(db, actor, text=query.text, active=query.active, page=page)
+    """List the people who share a group or a project with you; admins see all."""
+    return await service.list_people(db, actor, text=query.text, active=query.active, page=query.page)
 
 
 @router.get("/{person_id}", operation_id="get_person")
@@ -45,23 +38,23 @@ async def get_person(person_id: uuid.UUID, db: Transaction, actor: CurrentActor)
 
 @router.post("/{person_id}/admin", operation_id="make_admin")
 async def make_admin(person_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> PersonRead:
-    """Make somebody an admin, without an end."""
-    return await service.appoint(db, actor, person_id)
+    """Make a person a permanent admin."""
+    return await service.appoint_admin(db, actor, person_id)
 
 
 @router.delete("/{person_id}/admin", operation_id="unmake_admin")
 async def unmake_admin(person_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> PersonRead:
-    """Take the power of an admin from somebody; the last lasting one keeps it."""
-    return await service.dismiss(db, actor, person_id)
+    """Remove a person from the admins, unless they are the last permanent one."""
+    return await service.dismiss_admin(db, actor, person_id)
 
 
 @router.post("/{person_id}/deactivate", operation_id="deactivate_person")
 async def deactivate_person(person_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> Departure:
-    """End somebody's sessions, tokens and links at once; what only they owned goes to the admins."""
+    """Deactivate a person: their sessions, tokens and links end; projects that only they owned go to the admins."""
     return await service.deactivate(db, actor, person_id)
 
 
 @router.post("/{person_id}/reactivate", operation_id="reactivate_person")
 async def reactivate_person(person_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> PersonRead:
-    """Let somebody who left sign in again; their tokens stay revoked."""
+    """Let a deactivated person sign in again; their tokens stay revoked."""
     return await service.reactivate(db, actor, person_id)

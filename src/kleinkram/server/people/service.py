@@ -1,127 +1,133 @@
-"""What may be done with people. Whatever takes the power of an admin, or somebody's account, begins with `lock_rights`.
+"""People: lists, admin rights, deactivation. What takes admin rights or an account away begins with `lock_rights`.
 
-Who leaves keeps their name in the record, their memberships and their grants: all of it is back when they are. What
-ends for good are their sessions, tokens and one-time codes, and the links they made: they know the secret of each.
+Deactivated people keep their name in the audit log, their memberships and grants, for when they are reactivated. Their
+sessions, tokens, one-time codes, and the links whose secret they know, end permanently.
 """
 
 import uuid
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import Row, Table, delete, func, select, update
+from sqlalchemy import Row, Select, Table, case, delete, exists, func, select, update
 
+from kleinkram.contract.access import Right
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.paging import Page
+from kleinkram.contract.names import name_key
 from kleinkram.contract.people import Departure, PersonRead, PersonRef
-from kleinkram.contract.rights import Right
-from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.access.groups import ADMINS_ID, make_admin
-from kleinkram.server.access.ownership import ensure_admin_remains, give_to_admins
-from kleinkram.server.access.rights import lock_rights
+from kleinkram.server.access.rights import ensure_admin_remains, give_to_admins, lock_rights
+from kleinkram.server.access.visible import knows_addresses, visible_people
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.auth.one_time_codes import revoke_codes
 from kleinkram.server.db import Connection
-from kleinkram.server.paging import PageRequest, fetch_page
-from kleinkram.server.people import queries
-from kleinkram.server.tables import membership, person, session, share, token
+from kleinkram.server.filters.patterns import holds_word
+from kleinkram.server.paging import Order, PageRequest, read_page
+from kleinkram.server.tables import access_grant, membership, mission, person, person_email, session, share, token
+
+_PEOPLE_ORDER = Order([person.c.name.collate("C"), person.c.id])
 
 
 async def list_people(
     db: Connection, actor: Actor, *, text: str | None, active: bool | None, page: PageRequest
 ) -> Page[PersonRead]:
-    """Return a page of the people that `actor` may know of, by name.
+    """Return a page of the visible people with every word of `text` in their name or an address the actor may know.
 
-    Raises:
-        InvalidCursor: the cursor is not of this list.
+    Raises InvalidCursor.
     """
-    rows = await fetch_page(db, queries.matching_people(actor, text=text, active=active), queries.PEOPLE_ORDER, page)
-    return Page(items=[queries.to_person(row) for row in rows.items], next=rows.next, total=rows.total)
+    stmt = _people_seen(actor)
+    for word in (text or "").split():
+        has_address = exists().where(
+            person_email.c.person_id == person.c.id,
+            person_email.c.verified_at.is_not(None),
+            person_email.c.email_key.contains(name_key(word), autoescape=True),
+        )
+        stmt = stmt.where(holds_word(person.c.name, word) | (knows_addresses(actor) & has_address))
+    if active is not None:
+        stmt = stmt.where(person.c.deactivated_at.is_(None) == active)
+    return await read_page(db, stmt, _PEOPLE_ORDER, page, _to_person)
 
 
 async def get_person(db: Connection, actor: Actor, person_id: uuid.UUID) -> PersonRead:
-    """Return somebody.
-
-    Raises:
-        NotFound: there is nobody of that id whom `actor` may know of.
-    """
-    row = (await db.execute(queries.people_seen(actor).where(person.c.id == person_id))).one_or_none()
+    """Return a visible person. Raises NotFound."""
+    row = (await db.execute(_people_seen(actor).where(person.c.id == person_id))).one_or_none()
     if row is None:
         raise NotFound(noun="person", ref=str(person_id))
-    return queries.to_person(row)
+    return _to_person(row)
 
 
-async def appoint(db: Connection, actor: Actor, person_id: uuid.UUID) -> PersonRead:
-    """Make somebody an admin for good; nothing happens where they are.
-
-    Raises:
-        NotFound: there is nobody of that id, or they left.
-    """
+async def appoint_admin(db: Connection, actor: Actor, person_id: uuid.UUID) -> PersonRead:
+    """Make an active person a permanent admin. Raises NotFound."""
     await lock_rights(db)
-    row = await _active(db, person_id)
-    mine = (membership.c.group_id == ADMINS_ID) & (membership.c.person_id == person_id)
-    held = (await db.execute(select(membership.c.expires_at).where(mine))).one_or_none()
-    if held is None or held.expires_at is not None:
-        await record(db, actor, Event("person.make_admin", "person", person_id, row.name, None, by_power=True))
+    name = await _lock_active(db, person_id)
+    own = (membership.c.group_id == ADMINS_ID) & (membership.c.person_id == person_id)
+    old = (await db.execute(select(membership.c.expires_at).where(own))).one_or_none()
+    if old is None or old.expires_at is not None:
+        await record(db, actor, Event("person.make_admin", "person", person_id, name, None, by_power=True))
         await make_admin(db, person_id)
     return await get_person(db, actor, person_id)
 
 
-async def dismiss(db: Connection, actor: Actor, person_id: uuid.UUID) -> PersonRead:
-    """Take the power of an admin from somebody; nothing happens where they have none.
-
-    Raises:
-        NotFound: there is nobody of that id.
-        LastAdmin: they are the last lasting one.
-    """
+async def dismiss_admin(db: Connection, actor: Actor, person_id: uuid.UUID) -> PersonRead:
+    """Remove a person from the admins, if they are one. Raises NotFound or LastAdmin."""
     await lock_rights(db)
     seen = await get_person(db, actor, person_id)
-    mine = (membership.c.group_id == ADMINS_ID) & (membership.c.person_id == person_id)
-    if (await db.execute(select(membership.c.group_id).where(mine))).first() is not None:
+    own = (membership.c.group_id == ADMINS_ID) & (membership.c.person_id == person_id)
+    if (await db.execute(select(membership.c.group_id).where(own))).first() is not None:
         await record(db, actor, Event("person.unmake_admin", "person", person_id, seen.name, None, by_power=True))
-        await db.execute(delete(membership).where(mine))
+        await db.execute(delete(membership).where(own))
         await ensure_admin_remains(db)
         seen = seen.model_copy(update={"is_admin": False})
     return seen
 
 
 async def deactivate(db: Connection, actor: Actor, person_id: uuid.UUID) -> Departure:
-    """End somebody's sessions, tokens and links, and give the projects that only they owned to the admins.
+    """End a person's sessions, tokens and links; projects that only they owned go to the admins.
 
-    Raises:
-        NotFound: there is nobody of that id, or they left already.
-        LastAdmin: they are the last lasting admin.
+    Raises NotFound or LastAdmin.
     """
     await lock_rights(db)
-    row = await _active(db, person_id)
+    name = await _lock_active(db, person_id)
     await db.execute(update(person).where(person.c.id == person_id).values(deactivated_at=func.now()))
     await ensure_admin_remains(db)
     await revoke_codes(db, person_id)
-    sessions = await _end(db, session, (await db.execute(queries.open_sessions(person_id))).all())
-    tokens = (await db.execute(queries.open_tokens(person_id))).all()
-    links = (await db.execute(queries.open_links(person_id))).all()
-    owned = (await db.execute(queries.owned_by_person(person_id))).scalars().all()
-    handed = await give_to_admins(db, owned)
+    open_sessions = select(session.c.id).where(session.c.person_id == person_id, session.c.revoked_at.is_(None))
+    open_tokens = select(token.c.id, token.c.name).where(token.c.person_id == person_id, token.c.revoked_at.is_(None))
+    links = select(share.c.id, share.c.name, share.c.mission_id, mission.c.project_id)
+    open_links = links.join(mission, mission.c.id == share.c.mission_id).where(
+        share.c.created_by_id == person_id, share.c.revoked_at.is_(None)
+    )
+    sessions = await _end(db, session, open_sessions)
+    tokens = await _end(db, token, open_tokens)
+    shares = await _end(db, share, open_links)
+    inherited = await give_to_admins(db, (await db.execute(_owned_projects(person_id))).scalars().all())
     departure = Departure(
-        person=PersonRef(id=person_id, name=row.name),
-        sessions=sessions,
-        tokens=await _end(db, token, tokens),
-        links=await _end(db, share, links),
-        projects=[project.name for project in handed],
+        person=PersonRef(id=person_id, name=name),
+        sessions=len(sessions),
+        tokens=len(tokens),
+        links=len(shares),
+        projects=[project.name for project in inherited],
     )
     after = departure.model_dump(mode="json", exclude={"person"})
-    left = Event("person.deactivate", "person", person_id, row.name, None, after=after, by_power=True)
-    events = [_token_ended(each) for each in tokens] + [_link_ended(each) for each in links]
-    await record_all(db, actor, [left, *events, *(_handed(each) for each in handed)])
+    owner_right: Metadata = {"right": Right.delete.value, "expires_at": None}
+    events = [Event("person.deactivate", "person", person_id, name, None, after=after, by_power=True)]
+    events += [Event("token.revoke", "token", row.id, row.name, None, by_power=True) for row in tokens]
+    events += [
+        Event("share.revoke", "share", row.id, row.name, row.project_id, mission_id=row.mission_id, by_power=True)
+        for row in shares
+    ]
+    events += [
+        Event("grant.give", "grant", None, "admins", project.id, after=owner_right, by_power=True)
+        for project in inherited
+    ]
+    await record_all(db, actor, events)
     return departure
 
 
 async def reactivate(db: Connection, actor: Actor, person_id: uuid.UUID) -> PersonRead:
-    """Let somebody sign in again, with the memberships and grants they have; nothing happens where they may.
-
-    Raises:
-        NotFound: there is nobody of that id.
-    """
+    """Let a deactivated person sign in again, with their memberships and grants. Raises NotFound."""
     await lock_rights(db)
     seen = await get_person(db, actor, person_id)
     if seen.deactivated_at is None:
@@ -131,27 +137,47 @@ async def reactivate(db: Connection, actor: Actor, person_id: uuid.UUID) -> Pers
     return await get_person(db, actor, person_id)
 
 
-async def _active(db: Connection, person_id: uuid.UUID) -> Row[Any]:
-    row = (await db.execute(queries.lock_person(person_id))).one_or_none()
+def _people_seen(actor: Actor) -> Select[Any]:
+    is_admin = exists().where(
+        membership.c.group_id == ADMINS_ID, membership.c.person_id == person.c.id, unexpired(membership.c.expires_at)
+    )
+    addresses = select(person_email.c.email).where(
+        person_email.c.person_id == person.c.id, person_email.c.verified_at.is_not(None)
+    )
+    verified = addresses.order_by(person_email.c.email_key).correlate_except(person_email).scalar_subquery()
+    emails = case((knows_addresses(actor), func.array(verified)), else_=None).label("emails")
+    return visible_people(actor).add_columns(is_admin.label("is_admin"), emails)
+
+
+def _to_person(row: Row[Any]) -> PersonRead:
+    return PersonRead(
+        id=row.id,
+        name=row.name,
+        emails=row.emails or [],
+        is_admin=row.is_admin,
+        created_at=row.created_at,
+        deactivated_at=row.deactivated_at,
+    )
+
+
+def _owned_projects(person_id: uuid.UUID) -> Select[tuple[uuid.UUID]]:
+    """Return the ids of the projects that a person owns permanently, by any group."""
+    lasting = (access_grant.c.level == Right.delete.level) & access_grant.c.expires_at.is_(None)
+    joined = select(access_grant.c.project_id).join(membership, membership.c.group_id == access_grant.c.group_id)
+    theirs = (membership.c.person_id == person_id) & membership.c.expires_at.is_(None)
+    return joined.where(lasting, theirs, access_grant.c.project_id.is_not(None)).distinct()
+
+
+async def _lock_active(db: Connection, person_id: uuid.UUID) -> str:
+    """Lock an active person, so that nothing is created for them meanwhile, and return their name."""
+    row = (await db.execute(select(person).where(person.c.id == person_id).with_for_update())).one_or_none()
     if row is None or row.deactivated_at is not None:
         raise NotFound(noun="active person", ref=str(person_id))
-    return row
+    return str(row.name)
 
 
-async def _end(db: Connection, table: Table, rows: Sequence[Row[Any]]) -> int:
-    ids = [row.id for row in rows]
-    await db.execute(update(table).where(table.c.id.in_(ids)).values(revoked_at=func.now()))
-    return len(ids)
-
-
-def _token_ended(row: Row[Any]) -> Event:
-    return Event("token.revoke", "token", row.id, row.name, None, by_power=True)
-
-
-def _link_ended(row: Row[Any]) -> Event:
-    return Event("share.revoke", "share", row.id, row.name, row.project_id, mission_id=row.mission_id, by_power=True)
-
-
-def _handed(row: Row[Any]) -> Event:
-    after: Metadata = {"right": Right.delete.value, "expires_at": None}
-    return Event("grant.give", "grant", None, "admins", row.id, after=after, by_power=True)
+async def _end(db: Connection, table: Table, stmt: Select[Any]) -> Sequence[Row[Any]]:
+    """Revoke the credentials that a select returns, and return its rows."""
+    rows = (await db.execute(stmt)).all()
+    await db.execute(update(table).where(table.c.id.in_([row.id for row in rows])).values(revoked_at=func.now()))
+    return rows

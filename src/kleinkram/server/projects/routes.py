@@ -1,35 +1,28 @@
-"""Projects over HTTP."""
+"""Routes of projects."""
 
 import uuid
 from typing import Annotated
 
 from fastapi import APIRouter, Query
-from pydantic import BaseModel, ConfigDict
 
+from kleinkram.contract.base import Page
 from kleinkram.contract.missions import MissionTemplate
 from kleinkram.contract.names import Term
-from kleinkram.contract.paging import Cursor, Page, PageSize
-from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
-from kleinkram.contract.trash import Deleted
+from kleinkram.contract.projects import Deleted, ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Reading, Transaction
-from kleinkram.server.http.etags import IfMatch
-from kleinkram.server.paging import PageRequest
+from kleinkram.server.http.headers import IfMatch
+from kleinkram.server.paging import CountedPageQuery
 from kleinkram.server.projects import service
 
 router = APIRouter(prefix="/api/v1/projects", tags=["projects"])
 
 
-class ProjectListQuery(BaseModel):
-    """The query of a list of projects. `name` may be a glob; `text` is found in names and descriptions."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class ProjectListQuery(CountedPageQuery):
+    """Query parameters of the list of projects. `name` may be a glob; `text` is searched in names and descriptions."""
 
     name: Term | None = None
     text: Term | None = None
     sort: ProjectSort = ProjectSort.name
-    limit: PageSize = 100
-    cursor: Cursor | None = None
-    count: bool = False
 
 
 @router.get("", operation_id="list_projects")
@@ -37,15 +30,14 @@ async def list_projects(
     query: Annotated[ProjectListQuery, Query()], db: Reading, actor: CurrentActor
 ) -> Page[ProjectRead]:
     """List the projects that match."""
-    page = PageRequest(query.limit, query.cursor, query.count)
-    return await service.list_projects(db, actor, name=query.name, text=query.text, sort=query.sort, page=page)
+    return await service.list_projects(db, actor, name=query.name, text=query.text, sort=query.sort, page=query.page)
 
 
 @router.post("", operation_id="create_project", status_code=201)
 async def create_project(
     wanted: ProjectCreate, db: Transaction, actor: CurrentActor, settings: CurrentSettings
 ) -> ProjectRead:
-    """Make a project."""
+    """Create a project."""
     return await service.create_project(db, actor, wanted=wanted, creators=settings.creators)
 
 
@@ -59,17 +51,17 @@ async def get_project(project_id: uuid.UUID, db: Reading, actor: CurrentActor) -
 async def update_project(
     project_id: uuid.UUID, changes: ProjectUpdate, db: Transaction, actor: CurrentActor, if_match: IfMatch = None
 ) -> ProjectRead:
-    """Rename or describe a project, or change its metadata fields; what is left out stays."""
+    """Rename or describe a project, or change its metadata fields; omitted fields stay."""
     return await service.update_project(db, actor, project_id=project_id, changes=changes, if_match=if_match)
 
 
 @router.delete("/{project_id}", operation_id="delete_project")
 async def delete_project(project_id: uuid.UUID, db: Transaction, actor: CurrentActor, dry_run: bool = False) -> Deleted:
-    """Move a project and all in it to the trash."""
+    """Move a project and everything in it to the trash."""
     return await service.delete_project(db, actor, project_id=project_id, dry_run=dry_run)
 
 
 @router.get("/{project_id}/template", operation_id="get_mission_template")
 async def get_mission_template(project_id: uuid.UUID, db: Transaction, actor: CurrentActor) -> MissionTemplate:
-    """Return what to fill in for the project's next mission, as YAML and as a form."""
+    """Return the form for the project's next mission, also as YAML."""
     return await service.get_template(db, actor, project_id)

@@ -1,87 +1,78 @@
-"""What may be done with projects."""
+"""Projects: creating, listing, changing and deleting them, and the metadata fields that they declare."""
 
 import asyncio
 import uuid
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import func, insert
+from pydantic import JsonValue, ValidationError
+from pydantic_core import ErrorDetails, SchemaError
+from sqlalchemy import func, insert, update
 from sqlalchemy.exc import IntegrityError
 
-from kleinkram.contract.errors import NameTaken, NotFound
-from kleinkram.contract.metadata import Metadata, MetadataFields
+from kleinkram.contract.base import Page
+from kleinkram.contract.errors import FieldProblem, FieldsInvalid, NameTaken, NotFound
+from kleinkram.contract.metadata import Metadata, MetadataField, MetadataFields
 from kleinkram.contract.missions import MissionTemplate
 from kleinkram.contract.names import name_key
-from kleinkram.contract.paging import Page
-from kleinkram.contract.projects import ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
-from kleinkram.contract.trash import Deleted
+from kleinkram.contract.problems import message_of
+from kleinkram.contract.projects import Deleted, ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.creation import grant_first_rights, require_creator
-from kleinkram.server.access.rights import admit, require_project
+from kleinkram.server.access.rights import admit, grant_first_rights, require_creator, require_project
+from kleinkram.server.access.visible import visible_projects
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
-from kleinkram.server.http.etags import require_match
+from kleinkram.server.filters.missions import filter_projects
+from kleinkram.server.http.headers import require_match
 from kleinkram.server.missions import service as missions
+from kleinkram.server.missions.metadata import Judge, Wrong
 from kleinkram.server.paging import PageRequest, fetch_page
-from kleinkram.server.projects import queries
-from kleinkram.server.projects.fields import read_fields, usable_fields
+from kleinkram.server.projects.queries import lock_project, project_order, project_rows, to_projects
 from kleinkram.server.settings import Creators
 from kleinkram.server.tables import project
+from kleinkram.server.yaml_text import Document, Path, read_yaml
 
-# What of a project is for its owners, and what for admins.
-_OF_RELEASE = {"is_public", "licence", "citation"}
-_OF_QUOTA = {"quota_bytes", "quota_files"}
+# Only owners change these, and only admins those.
+_PUBLICATION = {"is_public", "licence", "citation"}
+_QUOTA = {"quota_bytes", "quota_files"}
 
 
 async def get_project(db: Connection, actor: Actor, project_id: uuid.UUID) -> ProjectRead:
-    """Return one project and what it amounts to.
-
-    Raises:
-        NotFound: it is not there, or not for this actor.
-    """
-    row = (await db.execute(queries.project_by_id(actor, project_id))).one_or_none()
+    """Return one project. Raises NotFound."""
+    stmt = project_rows(actor, visible_projects(actor).where(project.c.id == project_id))
+    row = (await db.execute(stmt)).one_or_none()
     if row is None:
         raise NotFound(noun="project", ref=str(project_id))
-    return queries.to_projects([row])[0]
+    return to_projects([row])[0]
 
 
 async def list_projects(
     db: Connection, actor: Actor, *, name: str | None, text: str | None, sort: ProjectSort, page: PageRequest
 ) -> Page[ProjectRead]:
-    """Return a page of the projects that match.
-
-    Raises:
-        InvalidCursor: the cursor is not of this list.
-    """
-    matched = queries.matching_projects(actor, name=name, text=text)
-    rows = await fetch_page(db, matched, queries.project_order(sort), page)
-    return Page(items=queries.to_projects(rows.items), next=rows.next, total=rows.total)
+    """Return a page of the projects that match. Raises InvalidCursor."""
+    stmt = project_rows(actor, filter_projects(actor, visible_projects(actor), name=name, text=text))
+    rows = await fetch_page(db, stmt, project_order(sort), page)
+    return Page(items=to_projects(rows.items), next=rows.next, total=rows.total)
 
 
 async def create_project(db: Connection, actor: Actor, *, wanted: ProjectCreate, creators: Creators) -> ProjectRead:
-    """Make a project and return it.
-
-    Raises:
-        Forbidden: the settings let others make projects.
-        YamlInvalid: the field definitions cannot be read.
-        FieldsInvalid: they are not usable; names every problem.
-        NameTaken: there is a project of that name.
-    """
+    """Create a project and return it. Raises Forbidden, YamlInvalid, FieldsInvalid or NameTaken."""
     by_power = await require_creator(db, actor, creators, noun="project")
-    fields = await _declared(wanted) or MetadataFields()
+    fields = await _read_declaration(wanted) or MetadataFields()
     project_id = uuid.uuid4()
-    values = {"name": wanted.name, "name_key": name_key(wanted.name), "metadata_fields": _stored(fields)}
-    statement = insert(project).values(
-        id=project_id, description=wanted.description, created_by_id=actor.person_id, **values
-    )
+    values: Metadata = {
+        "name": wanted.name,
+        "description": wanted.description,
+        "metadata_fields": fields.model_dump(mode="json", exclude_none=True),
+    }
+    row = {**values, "id": project_id, "name_key": name_key(wanted.name), "created_by_id": actor.person_id}
     try:
-        await db.execute(statement)
+        await db.execute(insert(project).values(**row))
     except IntegrityError as error:
         raise _name_taken(error, wanted.name) from error
-    after = {"name": wanted.name, "description": wanted.description, "metadata_fields": values["metadata_fields"]}
-    given = await grant_first_rights(db, actor, project_id)
-    after |= {"grants": {name: right.value for name, right in given.items()}} if given else {}
-    event = Event("project.create", "project", project_id, wanted.name, project_id, after=after, by_power=by_power)
+    if grants := await grant_first_rights(db, actor, project_id):
+        values["grants"] = {name: right.value for name, right in grants.items()}
+    event = Event("project.create", "project", project_id, wanted.name, project_id, after=values, by_power=by_power)
     await record(db, actor, event)
     return await get_project(db, actor, project_id)
 
@@ -89,32 +80,28 @@ async def create_project(db: Connection, actor: Actor, *, wanted: ProjectCreate,
 async def update_project(
     db: Connection, actor: Actor, *, project_id: uuid.UUID, changes: ProjectUpdate, if_match: str | None = None
 ) -> ProjectRead:
-    """Change what is given and return the project. Missions that no longer satisfy new fields are reported, not broken.
+    """Change the given fields and return the project; missions that violate new metadata fields are only reported.
 
-    To publish it, or take that back, is for its owners; its quotas are for admins. A quota below what is used keeps
-    more from coming, and takes nothing away.
+    Only owners publish a project, and only admins set quotas. A quota below the current usage refuses new files.
 
-    Raises:
-        NotFound: it is not there, or not for this actor.
-        Forbidden: they may see it, but not change it, or not that of it.
-        ScopeMissing: the token is not for that change.
-        YamlInvalid: the field definitions cannot be read.
-        FieldsInvalid: they are not usable; names every problem.
-        NameTaken: there is a project of that name.
-        EditConflict: it is not of the ETag in `if_match` any more, and what is asked for is not so already.
+    Raises NotFound, Forbidden, ScopeMissing, YamlInvalid, FieldsInvalid, NameTaken or EditConflict.
     """
-    fields = await _declared(changes)
-    await db.execute(queries.lock_project(actor, project_id))
+    fields = await _read_declaration(changes)
+    await db.execute(lock_project(actor, project_id))
     await require_project(db, actor, "update_project", project_id)
     old = await get_project(db, actor, project_id)
-    before, after = _changes(old, changes, fields)
+    before, after = _changed_values(old, changes, fields)
     if not after:
         return old
     require_match(if_match, old.etag, noun="project", name=old.name)
-    await _see_that_it_may_change(db, actor, project_id, after)
+    if after.keys() & _PUBLICATION:
+        admit(actor, "publish_project")
+        await require_project(db, actor, "publish_project", project_id)
+    if after.keys() & _QUOTA:
+        admit(actor, "set_project_quota")
     values = after | ({"name_key": name_key(after["name"])} if "name" in after else {})
     try:
-        await db.execute(queries.change_project(project_id, **values))
+        await db.execute(update(project).where(project.c.id == project_id).values(**values))
     except IntegrityError as error:
         raise _name_taken(error, changes.name or old.name) from error
     if fields is not None and "metadata_fields" in after:
@@ -125,60 +112,57 @@ async def update_project(
 
 
 async def delete_project(db: Connection, actor: Actor, *, project_id: uuid.UUID, dry_run: bool) -> Deleted:
-    """Move a project and all in it to the trash; its name is free at once. As a dry run, only say what would go.
+    """Move a project to the trash, or with `dry_run` return what would be moved; its name becomes free at once.
 
-    Only the project itself is marked: what it holds is out of sight with it, and back with it.
-
-    Raises:
-        NotFound: it is not there, or not for this actor.
-        Forbidden: they may see it, but not delete it.
+    Only the project is marked: its contents disappear and come back with it. Raises NotFound or Forbidden.
     """
     if not dry_run:
-        await db.execute(queries.lock_project(actor, project_id))
+        await db.execute(lock_project(actor, project_id))
     await require_project(db, actor, "delete_project", project_id)
     seen = await get_project(db, actor, project_id)
     if not dry_run:
-        await db.execute(queries.change_project(project_id, deleted_at=func.now(), deleted_by_id=actor.person_id))
+        marked = update(project).where(project.c.id == project_id)
+        await db.execute(marked.values(deleted_at=func.now(), deleted_by_id=actor.person_id))
         before: Metadata = {"name": seen.name}
         await record(db, actor, Event("project.delete", "project", project_id, seen.name, project_id, before))
     return Deleted(missions=seen.mission_count, files=seen.file_count, size_bytes=seen.size_bytes, dry_run=dry_run)
 
 
 async def get_template(db: Connection, actor: Actor, project_id: uuid.UUID) -> MissionTemplate:
-    """Return what to fill in for the next mission, with what the last one said.
-
-    Raises:
-        NotFound: the project is not there, or not for this actor.
-    """
+    """Return the form for the next mission, filled in with the values of the last one. Raises NotFound."""
     return await missions.template_for(db, actor, project_id=project_id)
 
 
-async def _declared(said: ProjectCreate | ProjectUpdate) -> MetadataFields | None:
-    if said.metadata_fields is not None:
-        return await asyncio.to_thread(usable_fields, said.metadata_fields)
-    return None if said.fields_yaml is None else await asyncio.to_thread(read_fields, said.fields_yaml)
+async def _read_declaration(request: ProjectCreate | ProjectUpdate) -> MetadataFields | None:
+    if request.metadata_fields is not None:
+        return await asyncio.to_thread(usable_fields, request.metadata_fields)
+    return None if request.fields_yaml is None else await asyncio.to_thread(read_fields, request.fields_yaml)
 
 
-async def _see_that_it_may_change(
-    db: Connection, actor: Actor, project_id: uuid.UUID, changed: Mapping[str, object]
-) -> None:
-    if changed.keys() & _OF_RELEASE:
-        admit(actor, "publish_project")
-        await require_project(db, actor, "publish_project", project_id)
-    if changed.keys() & _OF_QUOTA:
-        admit(actor, "set_project_quota")
+def _changed_values(
+    old: ProjectRead, changes: ProjectUpdate, fields: MetadataFields | None
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the old and new values, as stored, of what changes."""
+    current = old.model_dump(mode="json", include={"name", "description", *_PUBLICATION, *_QUOTA})
+    current["metadata_fields"] = old.metadata_fields.model_dump(mode="json", exclude_none=True)
+    new: dict[str, Any] = changes.model_dump(exclude={"fields_yaml", "metadata_fields", *_QUOTA}, exclude_none=True)
+    new |= changes.model_dump(include=_QUOTA, exclude_unset=True)  # null removes a quota
+    if fields is not None:
+        new["metadata_fields"] = fields.model_dump(mode="json", exclude_none=True)
+    after = {name: value for name, value in new.items() if value != current[name]}
+    return {name: current[name] for name in after}, after
 
 
 def _events(new: ProjectRead, before: Metadata, after: Metadata) -> list[Event]:
-    """Return what the record says of a change: an event for each right that it took."""
-    released = "project.update"
+    """Return an audit event for each permission that a change required."""
+    publication = "project.update"
     if "is_public" in after:
-        released = "project.publish" if new.is_public else "project.unpublish"
-    kinds = {
-        ("project.update", "update_project"): after.keys() - _OF_RELEASE - _OF_QUOTA,
-        (released, "publish_project"): after.keys() & _OF_RELEASE,
-        ("project.set_quota", "set_project_quota"): after.keys() & _OF_QUOTA,
-    }
+        publication = "project.publish" if new.is_public else "project.unpublish"
+    groups = (
+        ("project.update", "update_project", after.keys() - _PUBLICATION - _QUOTA),
+        (publication, "publish_project", after.keys() & _PUBLICATION),
+        ("project.set_quota", "set_project_quota", after.keys() & _QUOTA),
+    )
     return [
         Event(
             operation,
@@ -190,28 +174,102 @@ def _events(new: ProjectRead, before: Metadata, after: Metadata) -> list[Event]:
             after={name: after[name] for name in after if name in names},
             takes=takes,
         )
-        for (operation, takes), names in kinds.items()
+        for operation, takes, names in groups
         if names
     ]
 
 
-def _stored(fields: MetadataFields) -> Any:  # Any: JSON, as the column takes it
-    return fields.model_dump(mode="json", exclude_none=True)
-
-
-def _changes(
-    old: ProjectRead, changes: ProjectUpdate, fields: MetadataFields | None
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    held = old.model_dump(mode="json", include={"name", "description", *_OF_RELEASE, *_OF_QUOTA})
-    held["metadata_fields"] = _stored(old.metadata_fields)
-    given: dict[str, Any] = changes.model_dump(
-        exclude={"fields_yaml", "metadata_fields", *_OF_QUOTA}, exclude_none=True
-    )
-    given |= changes.model_dump(include=_OF_QUOTA, exclude_unset=True)  # of these, null says something
-    given |= {} if fields is None else {"metadata_fields": _stored(fields)}
-    after = {name: value for name, value in given.items() if value != held[name]}
-    return {name: held[name] for name in after}, after
-
-
 def _name_taken(error: IntegrityError, name: str) -> Exception:
     return NameTaken(noun="project", name=name) if violated_constraint(error) == "uq_project_name_key_live" else error
+
+
+def read_fields(text: str | None) -> MetadataFields:
+    """Return the metadata fields that a `fields.yaml` declares; none for an empty text. Finds all problems.
+
+    Raises YamlInvalid or FieldsInvalid.
+    """
+    document = read_yaml(text or "")
+    if document.value is None:
+        return MetadataFields()
+    if not isinstance(document.value, dict):
+        message = "must say 'fields:' and below it the list of fields, one '- {name: ..., type: ...}' each"
+        raise FieldsInvalid(problems=[FieldProblem(field="fields.yaml", message=message)])
+    try:
+        fields = MetadataFields.model_validate(document.value)
+    except ValidationError as error:
+        problems = [
+            _problem_at(document, tuple(issue["loc"]), message_of(issue))
+            for issue in _merge_default_issues(error.errors())
+            if issue["loc"]
+        ]
+        raise FieldsInvalid(problems=[*problems, *_find_duplicates(document)]) from None
+    if problems := [_problem_at(document, path, message) for path, message in _unusable(fields)]:
+        raise FieldsInvalid(problems=problems)
+    return fields
+
+
+def usable_fields(fields: MetadataFields) -> MetadataFields:
+    """Return fields from a form if missions can be judged by them; names all problems. Raises FieldsInvalid."""
+    if unusable := _unusable(fields):
+        problems = [FieldProblem(field=".".join(map(str, path)), message=message) for path, message in unusable]
+        raise FieldsInvalid(problems=problems)
+    return fields
+
+
+def _merge_default_issues(issues: Sequence[ErrorDetails]) -> list[ErrorDetails]:
+    # A default can have many types; that it has none of them is one problem, not one for each.
+    first: dict[Path, ErrorDetails] = {}
+    for issue in issues:
+        path = issue["loc"]
+        if path[2:3] == ("default",):
+            issue = {**issue, "loc": path[:3], "msg": "must be a text, a number, true, false, a date or a location"}
+        first.setdefault(issue["loc"], issue)
+    return list(first.values())
+
+
+def _find_duplicates(document: Document) -> list[FieldProblem]:
+    fields = document.value.get("fields") if isinstance(document.value, dict) else None
+    seen: set[str] = set()
+    problems = []
+    for index, field in enumerate(fields if isinstance(fields, list) else []):
+        name = field.get("name") if isinstance(field, dict) else None
+        if isinstance(name, str):
+            if name.casefold() in seen:
+                problems.append(_problem_at(document, ("fields", index, "name"), "is declared twice"))
+            seen.add(name.casefold())
+    return problems
+
+
+def _problem_at(document: Document, path: Path, message: str) -> FieldProblem:
+    position = document.place(path)
+    where = {"line": position.line, "column": position.column} if position else {}
+    return FieldProblem(field=_format_path(document.value, path), message=message, **where)
+
+
+def _format_path(value: JsonValue, path: Path) -> str:
+    """Return a path with the names of fields, if they have one, instead of their numbers."""
+    if len(path) > 1 and path[0] == "fields" and isinstance(path[1], int) and isinstance(value, dict):
+        fields = value.get("fields")
+        field = fields[path[1]] if isinstance(fields, list) else None
+        name = field.get("name") if isinstance(field, dict) else None
+        return ".".join([str(name or f"fields.{path[1]}"), *(str(part) for part in path[2:])])
+    return ".".join(str(part) for part in path) or "fields.yaml"
+
+
+def _unusable(fields: MetadataFields) -> list[tuple[Path, str]]:
+    """Return the patterns and defaults that cannot be used, with the reason."""
+    problems = enumerate(_find_problem(field) for field in fields.fields)
+    return [(("fields", index, problem[0]), problem[1]) for index, problem in problems if problem is not None]
+
+
+def _find_problem(field: MetadataField) -> tuple[str, str] | None:
+    try:
+        judge = Judge(MetadataFields(fields=[field]))
+    except SchemaError as error:
+        reason = str(error).strip().splitlines()[-1].split("rror: ")[-1]
+        return "pattern", f"is not a regular expression: {reason}"
+    try:
+        judge.accept_default(field)
+    except Wrong as wrong:
+        return "default", str(wrong)
+    return None

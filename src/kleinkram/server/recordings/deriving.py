@@ -10,7 +10,7 @@ from typing import Any
 from sqlalchemy import ARRAY, Integer, Row, Uuid, bindparam, column, delete, func, literal, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
-from kleinkram.contract.events import ChangeKind
+from kleinkram.contract.audit import ChangeKind
 from kleinkram.recordings import (
     Content,
     Depth,

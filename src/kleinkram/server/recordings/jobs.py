@@ -7,8 +7,8 @@ import uuid
 from procrastinate import JobContext
 
 from kleinkram.recordings.recording_groups import METADATA_NAME
+from kleinkram.server.jobs.attempts import PATIENTLY, app_context, courtesy_of, given
 from kleinkram.server.jobs.courtesy import SUMMARY_PATIENCE_S
-from kleinkram.server.jobs.job_context import PATIENTLY, app_context, courtesy_of, given
 from kleinkram.server.jobs.queue import Job, enqueued_at, queue
 from kleinkram.server.missions import service as missions
 from kleinkram.server.overviews.topics import keep_topics

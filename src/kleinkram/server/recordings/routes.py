@@ -4,8 +4,8 @@ import uuid
 
 from fastapi import APIRouter
 
+from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.contract.files import RecordingRead
-from kleinkram.contract.paging import Cursor, Page, PageSize
 from kleinkram.server.http.dependencies import CurrentActor, Reading
 from kleinkram.server.paging import PageRequest
 from kleinkram.server.recordings import service

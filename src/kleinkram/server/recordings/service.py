@@ -5,9 +5,9 @@ import uuid
 
 from sqlalchemy import Text, cast, select, text, update
 
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import RecordingRead
-from kleinkram.contract.paging import Page
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.db import Connection
 from kleinkram.server.jobs.queue import Job, Urgency, enqueue, has_job

@@ -8,13 +8,13 @@ from typing import Any
 
 from sqlalchemy import Row, func, insert, select, update
 
+from kleinkram.contract.access import Right
+from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.errors import KleinkramError, NotFound, RunGone
-from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.files import ContentState
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
 from kleinkram.contract.reports import PutBack, Report, Severity
-from kleinkram.contract.rights import Right
 from kleinkram.contract.runners import (
     InputsRequest,
     InputUrls,
@@ -37,7 +37,7 @@ from kleinkram.server.files import queries as files
 from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.files.topics import to_topics, topic_rows
 from kleinkram.server.missions import service as missions
-from kleinkram.server.quotas.service import Amount, require_room
+from kleinkram.server.quotas import Amount, require_room
 from kleinkram.server.recordings import queries as recordings
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.runners import queries

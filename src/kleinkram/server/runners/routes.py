@@ -5,7 +5,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
 
-from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.contract.runners import (
     ArtifactUploadsCreate,
     Attempt,

@@ -8,12 +8,12 @@ from typing import Any
 from sqlalchemy import Row, exists, func, insert, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
+from kleinkram.contract.access import Right, Scope, TokenKind
 from kleinkram.contract.actions import ActionDefinition, Network
+from kleinkram.contract.audit import ChangeKind
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import Forbidden, NotFound
-from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.paging import Page
-from kleinkram.contract.rights import Right, Scope, TokenKind
 from kleinkram.contract.runners import (
     LEASE_S,
     AssignedInput,
@@ -29,9 +29,8 @@ from kleinkram.contract.runners import (
     RunnerRegistration,
 )
 from kleinkram.contract.runs import MAX_SAMPLES, ActionRef, EndReason, RunState
-from kleinkram.contract.secrets import SecretKind
-from kleinkram.server.access.actor import Actor, find_person, unexpired
-from kleinkram.server.access.secrets import new_secret
+from kleinkram.contract.tokens import SecretKind
+from kleinkram.server.access.actor import Actor, find_person, new_secret, unexpired
 from kleinkram.server.access.visible import level_on_mission, visible_missions
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.change_events import ChangeEvent, publish

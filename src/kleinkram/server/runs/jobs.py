@@ -5,7 +5,7 @@ from sqlalchemy import Row, delete, func, or_, select, text
 
 from kleinkram.server.blobs.garbage_collection import is_deletion_paused
 from kleinkram.server.context import AppContext
-from kleinkram.server.jobs.job_context import app_context
+from kleinkram.server.jobs.attempts import app_context
 from kleinkram.server.jobs.queue import Job, queue
 from kleinkram.server.runs.lifecycle import cancel_orphans, requeue_lost_runs
 from kleinkram.server.tables import log_chunk, run

@@ -9,6 +9,7 @@ from typing import Any
 
 from sqlalchemy import Row, false, func, insert, or_, select
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.actions import ActionDefinition, ParametersWrong, ParameterValues
 from kleinkram.contract.errors import (
     FieldProblem,
@@ -23,7 +24,6 @@ from kleinkram.contract.errors import (
 from kleinkram.contract.files import BlobState, FileFilter
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.problems import to_problem
-from kleinkram.contract.rights import Right
 from kleinkram.contract.runs import (
     CONTEXT_FILE,
     EndReason,

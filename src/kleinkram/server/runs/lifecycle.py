@@ -7,9 +7,9 @@ from typing import Any
 
 from sqlalchemy import Row, delete, func, or_, select, update
 
+from kleinkram.contract.access import Right
+from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.errors import Forbidden
-from kleinkram.contract.events import ChangeKind
-from kleinkram.contract.rights import Right
 from kleinkram.contract.runners import LEASE_S
 from kleinkram.contract.runs import EndReason, RunRead, RunState
 from kleinkram.contract.uploads import UploadState

@@ -6,12 +6,12 @@ from typing import Any
 
 from sqlalchemy import Column, ColumnElement, Row, Select, case, exists, false, func, select
 
+from kleinkram.contract.access import Right, Scope
 from kleinkram.contract.actions import ActionDefinition
 from kleinkram.contract.missions import MissionRef
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.reports import Finding, Metric, Severity
-from kleinkram.contract.rights import Right, Scope
 from kleinkram.contract.runs import (
     MAX_LISTED_METRICS,
     ActionRef,

@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request
 from pydantic import BaseModel, ConfigDict, Field
 
-from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.contract.runs import (
     ArtifactRead,
     ArtifactsRequest,

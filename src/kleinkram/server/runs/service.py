@@ -7,10 +7,10 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Row, or_, select
 
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import FileUnavailable, NotFound
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.paging import Page
 from kleinkram.contract.reports import Metric
 from kleinkram.contract.runs import (
     ArtifactRead,

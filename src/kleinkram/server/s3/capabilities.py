@@ -11,9 +11,8 @@ from xml.sax.saxutils import escape
 from sqlalchemy import func
 from sqlalchemy.dialects.postgresql import insert as upsert
 
-from kleinkram.contract.checksums import crc64nvme
 from kleinkram.contract.errors import StoreUnavailable
-from kleinkram.contract.uploads import ChecksumKind
+from kleinkram.contract.uploads import ChecksumKind, crc64nvme
 from kleinkram.server.db import Connection
 from kleinkram.server.s3.storage import CHECKSUM_HEADERS, Storage, StoreCapabilities, StoreMissing, StoreRefused
 from kleinkram.server.settings import Settings

@@ -8,7 +8,7 @@ from typing import Any
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.metadata import WHERE_EXPRESSION
 from kleinkram.contract.names import name_key
-from kleinkram.contract.query.keys import META
+from kleinkram.contract.query import META
 
 # Facet -> the field of the filter whose list it fills.
 LISTS = {

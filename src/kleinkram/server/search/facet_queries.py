@@ -38,7 +38,7 @@ from sqlalchemy import (
 from sqlalchemy.dialects.postgresql import JSONB
 
 from kleinkram.contract.files import FileFilter
-from kleinkram.contract.query.keys import META
+from kleinkram.contract.query import META
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions, visible_files
 from kleinkram.server.db import among

@@ -8,10 +8,8 @@ from sqlalchemy import CompoundSelect, Row, func
 from sqlalchemy.exc import DBAPIError
 
 from kleinkram.contract.files import FileFilter
-from kleinkram.contract.query import parse, render
-from kleinkram.contract.query.keys import META, is_glob
-from kleinkram.contract.query.rendering import in_words, terms, terms_of
-from kleinkram.contract.searching import Facet, FacetsRead, FacetValue
+from kleinkram.contract.query import META, in_words, is_glob, parse, render, terms, terms_of
+from kleinkram.contract.search import Facet, FacetsRead, FacetValue
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection

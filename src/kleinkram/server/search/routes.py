@@ -5,12 +5,12 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict
 
+from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.contract.files import FileSort, TopicRead
 from kleinkram.contract.names import Term
-from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.overviews import StatsRead
 from kleinkram.contract.query import whole
-from kleinkram.contract.searching import FacetsRead, FileQuery, QueryText, SearchRead
-from kleinkram.contract.stats import StatsRead
+from kleinkram.contract.search import FacetsRead, FileQuery, QueryText, SearchRead
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
 from kleinkram.server.paging import PageRequest
 from kleinkram.server.search import facets, service

@@ -15,7 +15,7 @@ from sqlalchemy import (
     text,
 )
 
-from kleinkram.contract.rights import GroupKind
+from kleinkram.contract.access import GroupKind
 from kleinkram.server.tables.base import created_at_column, id_column, metadata, one_of, sorted_text
 
 access_group = Table(

@@ -18,7 +18,7 @@ from sqlalchemy import (
     text,
 )
 
-from kleinkram.contract.rights import Right, Scope, TokenKind
+from kleinkram.contract.access import Right, Scope, TokenKind
 from kleinkram.server.tables.base import created_at_column, id_column, metadata, one_of, sorted_text
 
 person = Table(

@@ -1,37 +1,33 @@
-"""Tokens over HTTP."""
+"""Routes of tokens."""
 
 import uuid
 from typing import Annotated
 
 from fastapi import APIRouter, Query
-from pydantic import BaseModel, ConfigDict
 
-from kleinkram.contract.paging import Cursor, Page, PageSize
+from kleinkram.contract.base import Page
 from kleinkram.contract.tokens import TokenCreate, TokenMade, TokenRead
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Transaction
-from kleinkram.server.paging import PageRequest
+from kleinkram.server.paging import PageQuery
 from kleinkram.server.tokens import service
+from kleinkram.server.tokens.service import DerivedTokens
 
 router = APIRouter(prefix="/api/v1/tokens", tags=["tokens"])
 
 
-class TokenListQuery(BaseModel):
-    """The query of a list of tokens: one's own; for admins also another's, or everybody's."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class TokenListQuery(PageQuery):
+    """Query parameters of the list of tokens: your own; admins can list another person's, or everybody's."""
 
     person_id: uuid.UUID | None = None
     everybody: bool = False
     ended: bool = False
-    limit: PageSize = 100
-    cursor: Cursor | None = None
 
 
 @router.post("", operation_id="create_token", status_code=201)
 async def create_token(
     wanted: TokenCreate, db: Transaction, actor: CurrentActor, settings: CurrentSettings
 ) -> TokenMade:
-    """Make a token; its secret is shown here and never again."""
+    """Create a token; its secret is shown only once, in this response."""
     return await service.create_token(db, actor, wanted=wanted, settings=settings)
 
 
@@ -39,15 +35,14 @@ async def create_token(
 async def list_tokens(
     query: Annotated[TokenListQuery, Query()], db: Transaction, actor: CurrentActor
 ) -> Page[TokenRead]:
-    """List tokens, latest first; with `ended` also those that were revoked or have expired."""
-    whose = service.Whose(None if query.everybody else query.person_id or actor.person_id)
-    page = PageRequest(query.limit, query.cursor)
-    return await service.list_tokens(db, actor, whose=whose, with_ended=query.ended, page=page)
+    """List tokens, latest first; with `ended`, also revoked and expired ones."""
+    person_id = None if query.everybody else query.person_id or actor.person_id
+    return await service.list_tokens(db, actor, person_id=person_id, with_ended=query.ended, page=query.page)
 
 
 @router.delete("/{token_id}", operation_id="revoke_token", status_code=204)
 async def revoke_token(
-    token_id: uuid.UUID, db: Transaction, actor: CurrentActor, made: service.Made = service.Made.ended
+    token_id: uuid.UUID, db: Transaction, actor: CurrentActor, made: DerivedTokens = DerivedTokens.ended
 ) -> None:
-    """End a token and all that were made with it, from the next request on; with `made=kept` only itself."""
-    await service.revoke_token(db, actor, token_id=token_id, made=made)
+    """Revoke a token and all that were created with it, from the next request on; with `made=kept`, only itself."""
+    await service.revoke_token(db, actor, token_id=token_id, derived=made)

@@ -1,13 +1,15 @@
-"""What may be done with tokens. Their secrets leave the server once, in the answer that makes them."""
+"""Tokens: creating, listing, revoking. Secrets leave the server once, in the response that creates them."""
 
 import datetime
 import enum
 import uuid
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import Row, Select, func, insert, select, update
+from sqlalchemy import Row, Select, exists, func, insert, literal, select, union_all, update
 
+from kleinkram.contract.access import Scope, TokenKind
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import (
     FieldProblem,
     Forbidden,
@@ -18,71 +20,52 @@ from kleinkram.contract.errors import (
     TokenTooWide,
 )
 from kleinkram.contract.metadata import Metadata
-from kleinkram.contract.paging import Page
-from kleinkram.contract.rights import Scope, TokenKind
-from kleinkram.contract.secrets import SecretKind
-from kleinkram.contract.tokens import TokenCreate, TokenMade, TokenRead
-from kleinkram.server.access.actor import Actor
+from kleinkram.contract.people import PersonRef
+from kleinkram.contract.tokens import SecretKind, TokenCreate, TokenMade, TokenPlace, TokenRead, TokenRunner
+from kleinkram.server.access.actor import Actor, NewSecret, new_secret
 from kleinkram.server.access.rights import ensure_active_person, lock_person, require_fresh_sign_in
-from kleinkram.server.access.secrets import NewSecret, new_secret
+from kleinkram.server.access.visible import visible_missions, visible_projects
 from kleinkram.server.audit.service import Event, record, record_all
-from kleinkram.server.db import Connection
-from kleinkram.server.paging import PageRequest, Rows, fetch_page
+from kleinkram.server.db import Connection, among
+from kleinkram.server.paging import Order, PageRequest, fetch_page
 from kleinkram.server.settings import Settings
-from kleinkram.server.tables import token, token_limit
-from kleinkram.server.tokens import queries
+from kleinkram.server.tables import audit_event, mission, person, project, runner, token, token_limit
 
-_SECRETS = {
-    TokenKind.personal: SecretKind.personal,
-    TokenKind.robot: SecretKind.robot,
-    TokenKind.runner: SecretKind.runner,
-    TokenKind.run: SecretKind.run,
-}
+_TOKEN_ORDER = Order([token.c.created_at, token.c.id], descending=True)
 
 
-@dataclass(frozen=True)
-class Whose:
-    """Whose tokens a list shows: one person's, or with None everybody's."""
-
-    person_id: uuid.UUID | None
-
-
-class Made(str, enum.Enum):
-    """What becomes of the tokens that one made, when it ends."""
+class DerivedTokens(str, enum.Enum):
+    """What happens to the tokens that were created with a revoked token."""
 
     ended = "ended"
     kept = "kept"
 
 
 async def create_token(db: Connection, actor: Actor, *, wanted: TokenCreate, settings: Settings) -> TokenMade:
-    """Make a token for `actor` and return it with its secret.
+    """Create a token for the actor and return it with its secret.
 
-    Raises:
-        NotFound: a project or mission to limit it to is not there, or not for this actor.
-        Forbidden: only admins make tokens for runners.
-        TokenTooWide: it could do more than the token that it is made with.
-        InvalidRequest: it would have expired already, or be good for longer than the settings allow.
-        SignInTooOld: it has the scope admin, and `actor` signed in too long ago.
+    Raises NotFound, Forbidden, TokenTooWide, InvalidRequest or SignInTooOld.
     """
     if Scope.admin in wanted.chosen_scopes:
         require_fresh_sign_in(actor, "create_token_with_the_scope_admin", within_s=settings.fresh_sign_in_s)
     if wanted.kind is TokenKind.runner and not actor.is_admin:
         raise Forbidden(noun="server", operation="create a token for a runner", needs="admin rights")
-    await _see_that_places_are_there(db, actor, wanted)
-    expires_at = await _expiry(db, actor, wanted, settings)
-    _see_that_it_is_no_wider(actor, wanted)
+    await _require_visible_places(db, actor, wanted)
+    expires_at = await _find_expiry(db, actor, wanted, settings)
+    # Its scopes cannot be wider: creating tokens requires the scope that contains all.
+    if actor.limits is not None and not wanted.is_limited:
+        raise TokenTooWide(reason="it is limited itself; limit the new token to what it can reach")
     token_id, secret = await issue_token(
         db, actor.person_id, wanted=wanted, expires_at=expires_at, made_by=actor.token_id
     )
-    made = await get_token(db, actor, token_id)
-    after = made.model_dump(
-        mode="json", include={"kind", "scopes", "limits", "expires_at", "prefix", "runner", "runner_labels"}
+    created = (await _read_tokens(db, actor, [await _get_row(db, actor, token_id)]))[0]
+    shown = {"kind", "scopes", "limits", "expires_at", "prefix", "runner", "runner_labels"}
+    after = created.model_dump(mode="json", include=shown)
+    by_power = wanted.kind is TokenKind.runner
+    await record(
+        db, actor, Event("token.create", "token", token_id, created.name, None, after=after, by_power=by_power)
     )
-    event = Event(
-        "token.create", "token", token_id, made.name, None, after=after, by_power=wanted.kind is TokenKind.runner
-    )
-    await record(db, actor, event)
-    return TokenMade(token=made, secret=secret.text)
+    return TokenMade(token=created, secret=secret.text)
 
 
 async def issue_token(
@@ -93,19 +76,16 @@ async def issue_token(
     expires_at: datetime.datetime | None,
     made_by: uuid.UUID | None = None,
 ) -> tuple[uuid.UUID, NewSecret]:
-    """Put a token there for somebody; whether they may have it, and the record, are the caller's.
+    """Insert a token for a person, created with the token `made_by`; the caller checks permissions and audits it.
 
-    `made_by` is the token that it is made with, if any.
-
-    Raises:
-        NotAuthenticated: they left, or that token was revoked just now.
+    Raises NotAuthenticated if the person was deactivated or `made_by` was revoked just now.
     """
     await ensure_active_person(db, person_id)
-    ended = select(token.c.id).where(token.c.id == made_by, token.c.revoked_at.is_not(None))
-    if (await db.execute(ended)).first() is not None:
+    revoked = select(token.c.id).where(token.c.id == made_by, token.c.revoked_at.is_not(None))
+    if (await db.execute(revoked)).first() is not None:
         raise NotAuthenticated(reason="the token is not valid here")
     token_id = uuid.uuid4()
-    secret = new_secret(_SECRETS[wanted.kind])
+    secret = new_secret(SecretKind[wanted.kind.name])
     await db.execute(
         insert(token).values(
             id=token_id,
@@ -125,119 +105,158 @@ async def issue_token(
     limits = [{"project_id": each, "mission_id": None} for each in dict.fromkeys(wanted.project_ids)]
     limits += [{"project_id": None, "mission_id": each} for each in dict.fromkeys(wanted.mission_ids)]
     if limits:
-        rows = [{"id": uuid.uuid4(), "token_id": token_id, **limit} for limit in limits]
-        await db.execute(insert(token_limit), rows)
+        await db.execute(insert(token_limit), [{"id": uuid.uuid4(), "token_id": token_id, **limit} for limit in limits])
     return token_id, secret
 
 
-async def get_token(db: Connection, actor: Actor, token_id: uuid.UUID) -> TokenRead:
-    """Return one of `actor`'s tokens; admins may see anybody's.
-
-    Raises:
-        NotFound: it is not there, or not for this actor.
-    """
-    row = await _row(db, actor, token_id)
-    return (await _reads(db, actor, Rows([row], None, None)))[0]
-
-
 async def list_tokens(
-    db: Connection, actor: Actor, *, whose: Whose, with_ended: bool, page: PageRequest
+    db: Connection, actor: Actor, *, person_id: uuid.UUID | None, with_ended: bool, page: PageRequest
 ) -> Page[TokenRead]:
-    """Return a page of tokens, latest first; those that were revoked or have expired only `with_ended`.
-
-    Raises:
-        Forbidden: tokens of others are for admins.
-        InvalidCursor: the cursor is not of this list.
-    """
-    if whose.person_id != actor.person_id and not _sees_others(actor):
+    """Return a page of the tokens of a person (None: of all), latest first. Raises Forbidden or InvalidCursor."""
+    if person_id != actor.person_id and not _sees_others(actor):
         raise Forbidden(noun="server", operation="list tokens of others", needs="admin rights")
-    found = queries.tokens_of(whose.person_id)
-    rows = await fetch_page(db, found if with_ended else queries.still_usable(found), queries.TOKEN_ORDER, page)
-    return Page(items=await _reads(db, actor, rows), next=rows.next, total=rows.total)
+    stmt = _tokens_of(person_id)
+    if not with_ended:
+        is_unexpired = func.coalesce(token.c.expires_at > func.now(), True)
+        stmt = stmt.where(token.c.revoked_at.is_(None), is_unexpired)
+    rows = await fetch_page(db, stmt, _TOKEN_ORDER, page)
+    return Page(items=await _read_tokens(db, actor, rows.items), next=rows.next, total=rows.total)
 
 
-async def revoke_token(db: Connection, actor: Actor, *, token_id: uuid.UUID, made: Made = Made.ended) -> None:
-    """End a token, and those that it made and they made, from the next request on; what has ended stays so.
+async def revoke_token(
+    db: Connection, actor: Actor, *, token_id: uuid.UUID, derived: DerivedTokens = DerivedTokens.ended
+) -> None:
+    """Revoke a token and, recursively, those that were created with it, from the next request on.
 
-    Any token may end itself; to end another takes the scope admin, and no limits.
-
-    Raises:
-        NotFound: it is not there, or not for this actor.
-        ScopeMissing: it is another than the one that asks, and that is not for this.
+    Any token may revoke itself; another one requires the scope admin and no limits. Raises NotFound or ScopeMissing.
     """
     if token_id != actor.token_id and Scope.admin not in actor.scopes:
         raise ScopeMissing(operation="revoke another token", needs="a token with the scope `admin`")
     if token_id != actor.token_id and actor.limits is not None:
         raise ScopeMissing(operation="revoke another token", needs="a token without limits")
-    row = await _row(db, actor, token_id)
+    row = await _get_row(db, actor, token_id)
     await lock_person(db, row.person_id)
-    which = queries.made_from(token_id) if made is Made.ended else select(token.c.id).where(token.c.id == token_id)
-    stmt = update(token).where(token.c.id.in_(which), token.c.revoked_at.is_(None)).values(revoked_at=func.now())
-    ended = (await db.execute(stmt.returning(token.c.id, token.c.name, token.c.prefix))).all()
+    chosen = select(token.c.id).where(token.c.id == token_id)
+    if derived is DerivedTokens.ended:
+        line = chosen.cte("line", recursive=True)
+        line = line.union(select(token.c.id).join(line, token.c.made_by_token_id == line.c.id))
+        chosen = select(line.c.id)
     by_power = row.person_id != actor.person_id
     events = []
-    for each in ended:
-        after: Metadata = {"prefix": each.prefix, "person": row.person_name}
-        if each.id != token_id:
+    for ended in await _revoke(db, chosen):
+        after: Metadata = {"prefix": ended.prefix, "person": row.person_name}
+        if ended.id != token_id:
             after["made_with"] = row.name
-        events.append(Event("token.revoke", "token", each.id, each.name, None, after=after, by_power=by_power))
+        events.append(Event("token.revoke", "token", ended.id, ended.name, None, after=after, by_power=by_power))
     await record_all(db, actor, events)
 
 
 async def end_personal_tokens(db: Connection, actor: Actor) -> int:
-    """End all that stands for a person as themselves, such as by `klein login`, and return how many that were.
+    """Revoke the personal tokens that were created in the actor's name, such as by `klein login`; returns the number.
 
-    Those of robots and runners stay, so that these do not stop.
+    Tokens of robots and runners stay valid, and so does the token that the server itself created for its local owner.
     """
-    mine = token.c.id.in_(queries.carried_by(actor.person_id)) & token.c.revoked_at.is_(None)
-    stmt = update(token).where(mine).values(revoked_at=func.now())
-    ended = (await db.execute(stmt.returning(token.c.id, token.c.name, token.c.prefix))).all()
+    by_somebody = exists().where(
+        audit_event.c.noun_id == token.c.id,
+        audit_event.c.operation == "token.create",
+        audit_event.c.actor_id.is_not(None),
+    )
+    own = (token.c.person_id == actor.person_id) & (token.c.kind == TokenKind.personal.value)
+    ended = await _revoke(db, select(token.c.id).where(own, by_somebody))
     events = [
-        Event("token.revoke", "token", each.id, each.name, None, after={"prefix": each.prefix, "person": actor.name})
-        for each in ended
+        Event("token.revoke", "token", row.id, row.name, None, after={"prefix": row.prefix, "person": actor.name})
+        for row in ended
     ]
     await record_all(db, actor, events)
     return len(ended)
+
+
+async def _revoke(db: Connection, chosen: Select[tuple[uuid.UUID]]) -> Sequence[Row[Any]]:
+    stmt = update(token).where(token.c.id.in_(chosen), token.c.revoked_at.is_(None)).values(revoked_at=func.now())
+    return (await db.execute(stmt.returning(token.c.id, token.c.name, token.c.prefix))).all()
 
 
 def _sees_others(actor: Actor) -> bool:
     return actor.is_admin and actor.limits is None
 
 
-async def _row(db: Connection, actor: Actor, token_id: uuid.UUID) -> Row[Any]:
-    found: Select[Any] = queries.tokens_of(None if _sees_others(actor) else actor.person_id)
-    row = (await db.execute(found.where(token.c.id == token_id))).one_or_none()
+def _tokens_of(person_id: uuid.UUID | None) -> Select[Any]:
+    own = [column for column in token.c if column is not token.c.secret_sha256]
+    names = person.c.name.label("person_name"), runner.c.name.label("runner_name")
+    stmt = select(*own, *names).join_from(token, person).outerjoin(runner, runner.c.id == token.c.runner_id)
+    stmt = stmt.where(token.c.kind != TokenKind.run.value)
+    return stmt if person_id is None else stmt.where(token.c.person_id == person_id)
+
+
+async def _get_row(db: Connection, actor: Actor, token_id: uuid.UUID) -> Row[Any]:
+    stmt = _tokens_of(None if _sees_others(actor) else actor.person_id)
+    row = (await db.execute(stmt.where(token.c.id == token_id))).one_or_none()
     if row is None:
         raise NotFound(noun="token", ref=str(token_id))
     return row
 
 
-async def _reads(db: Connection, actor: Actor, rows: Rows) -> list[TokenRead]:
-    limited = [row.id for row in rows.items if row.is_limited]
-    places: dict[uuid.UUID, list[Row[Any]]] = {}
-    if limited:
-        for place in await db.execute(queries.places_of(actor, limited)):
-            places.setdefault(place.token_id, []).append(place)
-    return [queries.to_token(row, places.get(row.id, [])) for row in rows.items]
+async def _read_tokens(db: Connection, actor: Actor, rows: Sequence[Row[Any]]) -> list[TokenRead]:
+    limits: dict[uuid.UUID, list[TokenPlace]] = {row.id: [] for row in rows if row.is_limited}
+    if limits:
+        projects = visible_projects(actor).subquery("seen_project")
+        missions = visible_missions(actor).with_only_columns(mission.c.id, mission.c.name).subquery("seen_mission")
+        name = func.coalesce(projects.c.name, missions.c.name).label("name")
+        stmt = (
+            select(token_limit.c.token_id, token_limit.c.project_id, token_limit.c.mission_id, name)
+            .outerjoin(projects, projects.c.id == token_limit.c.project_id)
+            .outerjoin(missions, missions.c.id == token_limit.c.mission_id)
+            .where(among(token_limit.c.token_id, limits))
+        )
+        for row in await db.execute(stmt.order_by(token_limit.c.token_id, token_limit.c.id)):
+            noun = "project" if row.project_id else "mission"
+            place = TokenPlace(noun=noun, id=row.project_id or row.mission_id, name=row.name)
+            limits[row.token_id].append(place)
+    return [
+        TokenRead(
+            id=row.id,
+            person=PersonRef(id=row.person_id, name=row.person_name),
+            name=row.name,
+            kind=TokenKind(row.kind),
+            prefix=row.prefix,
+            scopes=[Scope(scope) for scope in row.scopes],
+            limits=limits.get(row.id),
+            created_at=row.created_at,
+            expires_at=row.expires_at,
+            last_used_at=row.last_used_at,
+            revoked_at=row.revoked_at,
+            runner=None if row.runner_id is None else TokenRunner(id=row.runner_id, name=row.runner_name),
+            runner_labels=row.runner_labels,
+        )
+        for row in rows
+    ]
 
 
-async def _see_that_places_are_there(db: Connection, actor: Actor, wanted: TokenCreate) -> None:
+async def _require_visible_places(db: Connection, actor: Actor, wanted: TokenCreate) -> None:
     if not wanted.is_limited:
         return
-    found = await db.execute(queries.reachable(actor, project_ids=wanted.project_ids, mission_ids=wanted.mission_ids))
-    there = {(row.noun, row.id) for row in found}
+    projects = visible_projects(actor).with_only_columns(literal("project").label("noun"), project.c.id)
+    missions = visible_missions(actor).with_only_columns(
+        literal("mission").label("noun"), mission.c.id, maintain_column_froms=True
+    )
+    stmt = union_all(
+        projects.where(among(project.c.id, wanted.project_ids)), missions.where(among(mission.c.id, wanted.mission_ids))
+    )
+    visible = {(row.noun, row.id) for row in await db.execute(stmt)}
     for noun, ids in (("project", wanted.project_ids), ("mission", wanted.mission_ids)):
         for each in ids:
-            if (noun, each) not in there:
+            if (noun, each) not in visible:
                 raise NotFound(noun=noun, ref=str(each))
 
 
-async def _expiry(db: Connection, actor: Actor, wanted: TokenCreate, settings: Settings) -> datetime.datetime | None:
-    """Return when the token will end: as wanted, else as the settings say; never after the one that it is made with."""
+async def _find_expiry(
+    db: Connection, actor: Actor, wanted: TokenCreate, settings: Settings
+) -> datetime.datetime | None:
+    """Return when a token ends: as requested, else by the settings; never after the token it is created with."""
     own = select(token.c.expires_at).where(token.c.id == actor.token_id).scalar_subquery()
     now, latest = (await db.execute(select(func.now(), own))).one()
     most = settings.token_days_max
-    # A minute of grace: whoever counts the days does so a little earlier.
+    # A minute of tolerance: the client computed the days a little earlier.
     longest = now + datetime.timedelta(days=most, minutes=1)
     if most and (wanted.no_end or (wanted.expires_at is not None and wanted.expires_at > longest)):
         message = f"a token of this server is good for {most} days at most (KLEINKRAM_TOKEN_DAYS_MAX)"
@@ -256,15 +275,9 @@ async def _expiry(db: Connection, actor: Actor, wanted: TokenCreate, settings: S
 
 
 def default_days(kind: TokenKind, settings: Settings) -> int | None:
-    """Return how long a token is good for of which nobody said how long; None for ever."""
+    """Return how many days a token is valid by default; None for no end."""
     most = settings.token_days_max or None
-    # A runner works by itself for long, and for no more than its own runs.
+    # Runners work unattended for long, and only on their own runs.
     if kind is TokenKind.runner:
         return most
     return settings.token_days_default if most is None else min(settings.token_days_default, most)
-
-
-def _see_that_it_is_no_wider(actor: Actor, wanted: TokenCreate) -> None:
-    # Of scopes none can be beyond its own: to make tokens takes the one that contains all.
-    if actor.limits is not None and not wanted.is_limited:
-        raise TokenTooWide(reason="it is limited itself; limit the new token to what it can reach")

@@ -1,25 +1,42 @@
-"""What may be done with the trash: look, and put things back. What empties it is a job (`blobs`)."""
+"""The trash: listing it, restoring things from it, and deleting permanently what has been in it for long enough."""
 
 import datetime
 import uuid
+from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import Row, Select, Table, update
+from sqlalchemy import (
+    ColumnElement,
+    Row,
+    Select,
+    Table,
+    and_,
+    delete,
+    exists,
+    func,
+    literal,
+    null,
+    select,
+    union_all,
+    update,
+)
 from sqlalchemy.exc import IntegrityError
 
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import NameTaken, NotFound
-from kleinkram.contract.paging import Page
-from kleinkram.contract.trash import TrashNoun, TrashRead
+from kleinkram.contract.people import PersonRef
+from kleinkram.contract.projects import TrashNoun, TrashRead
+from kleinkram.contract.uploads import UploadState
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.access.visible import trashed_files, trashed_missions, trashed_projects
+from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.missions.service import lock_mission
-from kleinkram.server.paging import PageRequest, fetch_page
-from kleinkram.server.quotas.service import Amount, project_of, require_room, require_room_for_mission
+from kleinkram.server.paging import Order, PageRequest, read_page
+from kleinkram.server.quotas import Amount, project_of, require_room, require_room_for_mission
 from kleinkram.server.recordings.service import regroup
-from kleinkram.server.tables import file, mission, project
-from kleinkram.server.trash import queries
+from kleinkram.server.tables import blob, file, mission, person, project, upload
 
 _NAME_RULES = {"uq_project_name_key_live", "uq_mission_name_key_live", "uq_file_path_key_live"}
 
@@ -27,46 +44,55 @@ _NAME_RULES = {"uq_project_name_key_live", "uq_mission_name_key_live", "uq_file_
 async def list_trash(
     db: Connection, actor: Actor, *, noun: TrashNoun | None, trash_days: int, page: PageRequest
 ) -> Page[TrashRead]:
-    """Return a page of what was deleted by itself and can still be had back, latest first.
+    """Return a page of what was deleted by itself and can still be restored, latest first. Raises InvalidCursor."""
+    selects = [*_SELECTS.values()] if noun is None else [_SELECTS[noun]]
+    things = union_all(*(select_trashed(actor, trash_days) for select_trashed in selects)).subquery("thing")
+    stmt = select(things, person.c.name.label("deleted_by_name"))
+    stmt = stmt.join_from(things, person, person.c.id == things.c.deleted_by_id)
+    order = Order([things.c.deleted_at, things.c.noun, things.c.id], descending=True)
 
-    Raises:
-        InvalidCursor: the cursor is not of this list.
-    """
-    statement, order = queries.in_trash(actor, noun=noun, trash_days=trash_days)
-    rows = await fetch_page(db, statement, order, page)
-    kept = datetime.timedelta(days=trash_days)
-    return Page(items=[queries.to_trash(row, kept=kept) for row in rows.items], next=rows.next, total=rows.total)
+    def read(row: Row[Any]) -> TrashRead:
+        return TrashRead(
+            noun=row.noun,
+            id=row.id,
+            name=row.name,
+            place=row.place,
+            size_bytes=int(row.size_bytes),
+            file_count=row.file_count,
+            deleted_at=row.deleted_at,
+            deleted_by=PersonRef(id=row.deleted_by_id, name=row.deleted_by_name),
+            swept_after=row.deleted_at + datetime.timedelta(days=trash_days),
+        )
+
+    return await read_page(db, stmt, order, page, read)
 
 
 async def restore(db: Connection, actor: Actor, *, noun: TrashNoun, noun_id: uuid.UUID, trash_days: int) -> None:
-    """Put a deleted thing back where it was, with all that went with it.
+    """Restore a deleted thing and everything that was deleted with it.
 
-    Raises:
-        NotFound: it is not in the trash, was there too long, or what held it is in the trash itself.
-        NameTaken: something else has its name by now.
-        QuotaExceeded: its project has no room for it any more.
-        PathConflict: a file's path is a folder by now, or needs a folder where a file is.
+    Raises NotFound (also if its project or mission is in the trash), NameTaken, QuotaExceeded or PathConflict.
     """
-    put_back = {
+    restore_noun = {
         TrashNoun.project: _restore_project,
         TrashNoun.mission: _restore_mission,
         TrashNoun.file: _restore_file,
     }
-    await put_back[noun](db, actor, noun_id, trash_days)
+    await restore_noun[noun](db, actor, noun_id, trash_days)
 
 
 async def _restore_project(db: Connection, actor: Actor, project_id: uuid.UUID, trash_days: int) -> None:
-    found = queries.trashed_project(actor, project_id, trash_days=trash_days)
-    row = await _found(db, found, TrashNoun.project, project_id)
+    stmt = trashed_projects(actor).where(project.c.id == project_id, _is_restorable(project, trash_days))
+    row = await _get_row(db, stmt.with_for_update(), TrashNoun.project, project_id)
     await _undelete(db, project, row, name=row.name)
     await record(db, actor, Event("project.restore", "project", project_id, row.name, project_id))
 
 
 async def _restore_mission(db: Connection, actor: Actor, mission_id: uuid.UUID, trash_days: int) -> None:
     await lock_mission(db, mission_id)
-    found = queries.trashed_mission(actor, mission_id, trash_days=trash_days)
-    row = await _found(db, found, TrashNoun.mission, mission_id)
-    _refuse_without_parent("project", row.project_name, row.project_deleted_at)
+    stmt = trashed_missions(actor).where(mission.c.id == mission_id, _is_restorable(mission, trash_days))
+    stmt = stmt.add_columns(project.c.name.label("project_name"), project.c.deleted_at.label("project_deleted_at"))
+    row = await _get_row(db, stmt, TrashNoun.mission, mission_id)
+    _require_parent("project", row.project_name, row.project_deleted_at)
     await require_room_for_mission(db, actor, project_id=row.project_id, mission_id=mission_id)
     await _undelete(db, mission, row, name=row.name)
     event = Event("mission.restore", "mission", mission_id, row.name, row.project_id, mission_id=mission_id)
@@ -74,15 +100,23 @@ async def _restore_mission(db: Connection, actor: Actor, mission_id: uuid.UUID, 
 
 
 async def _restore_file(db: Connection, actor: Actor, file_id: uuid.UUID, trash_days: int) -> None:
-    found = queries.trashed_file(actor, file_id, trash_days=trash_days)
-    row = await _found(db, found, TrashNoun.file, file_id)
+    parents = (
+        mission.c.name.label("mission_name"),
+        mission.c.deleted_at.label("mission_deleted_at"),
+        mission.c.project_id,
+        blob.c.size_bytes,
+        project.c.name.label("project_name"),
+        project.c.deleted_at.label("project_deleted_at"),
+    )
+    stmt = trashed_files(actor).where(file.c.id == file_id, _is_restorable(file, trash_days)).add_columns(*parents)
+    row = await _get_row(db, stmt, TrashNoun.file, file_id)
     await lock_mission(db, row.mission_id)
     project_id = await project_of(db, row.mission_id)
     await require_room(db, actor, project_id=project_id, asked=Amount(1, row.size_bytes))
-    # Once more, now that its mission is held; the sweep of single files holds no mission, so the file is locked too.
-    row = await _found(db, found.with_for_update(of=file), TrashNoun.file, file_id)
-    _refuse_without_parent("project", row.project_name, row.project_deleted_at)
-    _refuse_without_parent("mission", row.mission_name, row.mission_deleted_at)
+    # Again, now that the mission is locked. `empty_trash` locks no mission for single files, so lock the file too.
+    row = await _get_row(db, stmt.with_for_update(of=file), TrashNoun.file, file_id)
+    _require_parent("project", row.project_name, row.project_deleted_at)
+    _require_parent("mission", row.mission_name, row.mission_deleted_at)
     await check_path_free(db, row.mission_id, row.path)
     await regroup(db, row.mission_id)
     await _undelete(db, file, row, name=row.path)
@@ -90,14 +124,14 @@ async def _restore_file(db: Connection, actor: Actor, file_id: uuid.UUID, trash_
     await record(db, actor, event)
 
 
-async def _found(db: Connection, statement: Select[Any], noun: TrashNoun, noun_id: uuid.UUID) -> Row[Any]:
-    row = (await db.execute(statement)).one_or_none()
+async def _get_row(db: Connection, stmt: Select[Any], noun: TrashNoun, noun_id: uuid.UUID) -> Row[Any]:
+    row = (await db.execute(stmt)).one_or_none()
     if row is None:
         raise NotFound(noun=f"{noun.value} in the trash", ref=str(noun_id))
     return row
 
 
-def _refuse_without_parent(noun: str, name: str, deleted_at: datetime.datetime | None) -> None:
+def _require_parent(noun: str, name: str, deleted_at: datetime.datetime | None) -> None:
     if deleted_at is not None:
         raise NotFound(noun=noun, ref=f"{name} (it is in the trash too; restore it first)")
 
@@ -109,3 +143,108 @@ async def _undelete(db: Connection, table: Table, row: Row[Any], *, name: str) -
         if violated_constraint(error) in _NAME_RULES:
             raise NameTaken(noun=table.name, name=name) from error
         raise
+
+
+def _is_restorable(table: Table, trash_days: int) -> ColumnElement[bool]:
+    # What is due may be half deleted already: it is out of reach from then on, whenever `empty_trash` runs.
+    return table.c.deleted_at > func.now() - datetime.timedelta(days=trash_days)
+
+
+def _select_trashed(
+    stmt: Select[Any], table: Table, trash_days: int, *columns: ColumnElement[Any], sizes: Select[Any] | None = None
+) -> Select[Any]:
+    own = (literal(table.name).label("noun"), table.c.id, table.c.deleted_at, table.c.deleted_by_id)
+    if sizes is not None:
+        live = sizes.where(file.c.deleted_at.is_(None)).correlate(table)
+        counts = live.with_only_columns(func.count(), maintain_column_froms=True)
+        columns += (live.scalar_subquery().label("size_bytes"), counts.scalar_subquery().label("file_count"))
+    stmt = stmt.with_only_columns(*own, *columns, maintain_column_froms=True)
+    return stmt.where(_is_restorable(table, trash_days))
+
+
+def _select_projects(actor: Actor, trash_days: int) -> Select[Any]:
+    inside = _SIZES.join(mission, mission.c.id == file.c.mission_id)
+    sizes = inside.where(mission.c.project_id == project.c.id, mission.c.deleted_at.is_(None))
+    columns = (project.c.name.label("name"), literal("").label("place"))
+    return _select_trashed(trashed_projects(actor), project, trash_days, *columns, sizes=sizes)
+
+
+def _select_missions(actor: Actor, trash_days: int) -> Select[Any]:
+    sizes = _SIZES.where(file.c.mission_id == mission.c.id)
+    columns = (mission.c.name.label("name"), project.c.name.label("place"))
+    return _select_trashed(trashed_missions(actor), mission, trash_days, *columns, sizes=sizes)
+
+
+def _select_files(actor: Actor, trash_days: int) -> Select[Any]:
+    place = project.c.name.concat("/").concat(mission.c.name).label("place")
+    columns = (file.c.path.label("name"), place, blob.c.size_bytes, literal(1).label("file_count"))
+    return _select_trashed(trashed_files(actor), file, trash_days, *columns)
+
+
+_SIZES = select(func.coalesce(func.sum(blob.c.size_bytes), 0)).join_from(file, blob, blob.c.id == file.c.blob_id)
+_SELECTS = {
+    TrashNoun.project: _select_projects,
+    TrashNoun.mission: _select_missions,
+    TrashNoun.file: _select_files,
+}
+
+
+async def empty_trash(db: Connection, *, older_than_days: int, limit: int) -> None:
+    """Delete at most `limit` uploads, files, missions and projects each that have been in the trash for so many days.
+
+    A mission is deleted after its files and uploads, a project after its missions; the rest waits for the next round.
+    Rows are locked first, so that nobody restores them meanwhile; locked ones are skipped. Objects are deleted later
+    by garbage collection.
+    """
+    before = func.now() - datetime.timedelta(days=older_than_days)
+    in_due_mission = (mission.c.deleted_at < before) | (project.c.deleted_at < before)
+    await _delete_uploads(db, in_due_mission, limit)
+    files = (
+        select(file.c.id, file.c.path.label("name"), file.c.mission_id, mission.c.project_id)
+        .join_from(file, mission)
+        .join(project)
+    )
+    # A file that was deleted by itself may be in a mission that people use: lock only the file.
+    await _delete(db, file, await _lock(db, files.where(file.c.deleted_at < before), limit, file))
+    await _delete(db, file, await _lock(db, files.where(in_due_mission), limit, file, mission, project))
+    missions = select(mission.c.id, mission.c.name, mission.c.id.label("mission_id"), mission.c.project_id)
+    missions = missions.join_from(mission, project)
+    # As two conditions: combined, the database would read all files to check a few missions.
+    is_empty = and_(
+        ~exists().where(file.c.mission_id == mission.c.id), ~exists().where(upload.c.mission_id == mission.c.id)
+    )
+    rows = await _lock(db, missions.where(in_due_mission, is_empty), limit, mission, project)
+    await _delete(db, mission, rows, is_empty)
+    no_mission = null().label("mission_id")
+    projects = select(project.c.id, project.c.name, no_mission, project.c.id.label("project_id"))
+    is_empty = and_(~exists().where(mission.c.project_id == project.c.id))
+    rows = await _lock(db, projects.where(project.c.deleted_at < before, is_empty), limit, project)
+    await _delete(db, project, rows, is_empty)
+
+
+async def _delete_uploads(db: Connection, in_due_mission: ColumnElement[bool], limit: int) -> None:
+    """Expire the uploads into missions that are due, and delete those that left nothing in the store."""
+    uploads = select(upload.c.id).join_from(upload, mission).join(project).where(in_due_mission)
+    still_open = uploads.where(upload.c.state == UploadState.open.value)
+    ids = [row.id for row in await _lock(db, still_open, limit, upload, mission, project)]
+    await db.execute(update(upload).where(upload.c.id.in_(ids)).values(state=UploadState.expired.value))
+    cleaned = uploads.where(upload.c.cleaned_at.is_not(None))
+    ids = [row.id for row in await _lock(db, cleaned, limit, upload, mission, project)]
+    await db.execute(delete(upload).where(upload.c.id.in_(ids)))
+
+
+async def _lock(db: Connection, due: Select[Any], limit: int, *tables: Table) -> Sequence[Row[Any]]:
+    # Conditions are checked again once a row is locked: one that was restored meanwhile is left out.
+    return (await db.execute(due.limit(limit).with_for_update(of=tables, key_share=True, skip_locked=True))).all()
+
+
+async def _delete(db: Connection, table: Table, rows: Sequence[Row[Any]], *conditions: ColumnElement[bool]) -> None:
+    stmt = delete(table).where(table.c.id.in_([row.id for row in rows]), *conditions).returning(table.c.id)
+    deleted = set((await db.execute(stmt)).scalars())
+    noun = table.name
+    events = [
+        Event(f"{noun}.sweep", noun, row.id, row.name, row.project_id, mission_id=row.mission_id)
+        for row in rows
+        if row.id in deleted
+    ]
+    await record_all(db, None, events)

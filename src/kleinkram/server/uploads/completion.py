@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 
 from sqlalchemy import ColumnElement, case, func, select, update
 
+from kleinkram.contract.access import Scope
+from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.errors import (
     ChecksumMismatch,
     Forbidden,
@@ -18,9 +20,7 @@ from kleinkram.contract.errors import (
     UploadGone,
     UploadIncomplete,
 )
-from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.problems import ProblemDocument, from_problem, to_problem
-from kleinkram.contract.rights import Scope
 from kleinkram.contract.uploads import (
     ChecksumKind,
     Completed,
@@ -39,7 +39,7 @@ from kleinkram.server.db import Connection, among, insert_rows, unnest_rows
 from kleinkram.server.files import service as files
 from kleinkram.server.files.paths import path_conflicts
 from kleinkram.server.missions import service as missions
-from kleinkram.server.quotas.service import project_of
+from kleinkram.server.quotas import project_of
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.tables import blob, file, upload
 from kleinkram.server.uploads import queries

@@ -5,11 +5,11 @@ import datetime
 from procrastinate import JobContext
 from sqlalchemy import func, select, update
 
-from kleinkram.contract.events import ChangeKind
+from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.uploads import UploadState
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
-from kleinkram.server.jobs.job_context import app_context
+from kleinkram.server.jobs.attempts import app_context
 from kleinkram.server.jobs.queue import Job, queue
 from kleinkram.server.tables import blob, upload
 from kleinkram.server.uploads import queries

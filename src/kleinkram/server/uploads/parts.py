@@ -12,6 +12,7 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Update, func, update
 
+from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.errors import (
     ChecksumMismatch,
     FieldProblem,
@@ -20,7 +21,6 @@ from kleinkram.contract.errors import (
     UploadGone,
     UploadIncomplete,
 )
-from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.uploads import (
     CHECKSUM_HEX_DIGITS,
     ChecksumKind,

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 from sqlalchemy import ColumnElement, Row, Select, false, func, select
 
+from kleinkram.contract.access import Right, Scope
 from kleinkram.contract.files import BlobState
-from kleinkram.contract.rights import Right, Scope
 from kleinkram.contract.uploads import UploadState
 from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.visible import visible_files, visible_missions

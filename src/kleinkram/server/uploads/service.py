@@ -11,18 +11,18 @@ from typing import Any
 
 from sqlalchemy import func, select, update
 
+from kleinkram.contract.access import Scope
+from kleinkram.contract.audit import ChangeKind
+from kleinkram.contract.base import Page
 from kleinkram.contract.errors import (
     NameLeased,
     NotFound,
     PathConflict,
     StoreUnavailable,
 )
-from kleinkram.contract.events import ChangeKind
 from kleinkram.contract.files import FileRead
 from kleinkram.contract.names import name_key
-from kleinkram.contract.paging import Page
 from kleinkram.contract.problems import to_problem
-from kleinkram.contract.rights import Scope
 from kleinkram.contract.uploads import (
     ChecksumKind,
     HashFirst,
@@ -47,7 +47,7 @@ from kleinkram.server.files import service as files
 from kleinkram.server.files.paths import path_conflicts
 from kleinkram.server.missions import service as missions
 from kleinkram.server.paging import Order, PageRequest, fetch_page
-from kleinkram.server.quotas.service import Amount, project_of, require_room
+from kleinkram.server.quotas import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.tables import blob, file, upload
 from kleinkram.server.tables.upload import UNDER_WAY

@@ -118,7 +118,3 @@ def test_comments_do_not_change_a_layout() -> None:
 @pytest.mark.parametrize("schema", [b"", b"\n\0"])
 def test_an_empty_descriptor_set_is_undecodable(schema: bytes) -> None:
     assert not isinstance(decoder_for("protobuf", "p.M", "protobuf", schema), Decoder)
-
-
-def test_the_repeated_fields_of_a_message(make_case: Any) -> None:
-    assert "'list', 'subs': 'list', 'names': 'list'" in (make_case("19A") / "printed.txt").read_text()

@@ -7,9 +7,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from kleinkram.recordings import NotARecording, Recording
-
-from ..memory_source import MemorySource
-from ..test_damage import MESSAGES, NAMES, PLACES, WHOLE, scanned
+from tests.integration.recordings.test_damage import MESSAGES, NAMES, PLACES, WHOLE, scanned
+from tests.recording_files.memory_source import MemorySource
 
 BAG = WHOLE["bz2.bag"].data
 CHUNK_COUNT = (BAG.index(b"chunk_count=") + 12 - 13 + 0.5) / (len(BAG) - 14)

@@ -11,11 +11,9 @@ from pathlib import Path
 import pytest
 
 from kleinkram.recordings import Recording, TooDisordered
-from kleinkram.recordings.formats.mcap.writer import Compression, McapWriter
-from kleinkram.recordings.formats.rosbag2.writer import Db3Writer
-
-from ..memory_source import MemorySource
-from .builders import T0, Stamped, Watched, bag_of, mcap_of
+from kleinkram.recordings.sample.writers import Compression, Db3Writer, McapWriter
+from tests.recording_files.builders import T0, Stamped, Watched, bag_of, mcap_of
+from tests.recording_files.memory_source import MemorySource
 
 Make = Callable[[Iterable[Iterable[Stamped]]], MemorySource]
 MAKERS = [pytest.param(mcap_of, id="mcap"), pytest.param(bag_of, id="bag")]

@@ -12,22 +12,22 @@ from array import array
 from collections.abc import Iterator
 from itertools import chain
 
-from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN, Row, smallest_to_come
-from kleinkram.recordings.compression import is_known_compression, unknown_compression, unreadable_chunk
+from kleinkram.recordings.chunk_table import ANY_CHANNEL, ChunkHead, Row
+from kleinkram.recordings.compression import is_known_compression
 from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Malformed, NotIndexed
+from kleinkram.recordings.formats.chunked import ChunkIndex, count_by_index
 from kleinkram.recordings.formats.mcap import records
+from kleinkram.recordings.formats.mcap.chunks import open_chunk
 from kleinkram.recordings.formats.mcap.records import McapFacts, Opcode
-from kleinkram.recordings.formats.mcap.resync import CHUNK_FIXED
-from kleinkram.recordings.index_check import ChunkClaim, ChunkMessages, wrong_compression
-from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_NAME, MAX_TAKE, TAIL, WINDOW
+from kleinkram.recordings.index_check import wrong_compression
+from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_TAKE, TAIL, WINDOW
 from kleinkram.recordings.model import counted
 from kleinkram.recordings.sources import Source, read_short_ranges
 from kleinkram.recordings.streams import ByteStream, open_bytes, open_range
-from kleinkram.recordings.timeline import ChunkEntries, Timeline
+from kleinkram.recordings.timeline import Timeline
 
 _HEAD_BYTES = 4096
-_CHUNK_HEAD_BYTES = 4096
 _MAX_RECORDS_WALKED = 1_000
 _READERS = {
     Opcode.CHUNK_INDEX: records.read_chunk_index,
@@ -40,16 +40,10 @@ _READERS = {
 
 
 def read_index(source: Source, times: tuple[Timeline, DamageReport] | None = None) -> McapFacts:
-    """Read the index.
+    """Read the index; `NotIndexed` if there is none, or it cannot be true.
 
-    Args:
-        source: the file.
-        times: where the messages of all message indexes are counted, and the chunks that cannot be read. None: no
-            message index is read.
-
-    Raises:
-        NotIndexed: there is no index, or it cannot be true.
-        SourceError: as `Source.read`.
+    `times`: receive the messages of all message indexes, and the chunks that cannot be read; None: no message index is
+    read.
     """
     known = _KnownEnds(source)
     facts = McapFacts()
@@ -60,7 +54,10 @@ def read_index(source: Source, times: tuple[Timeline, DamageReport] | None = Non
         _check_places(facts, summary_start)
         _check_compressions(source, facts)
         if times is not None:
-            _read_message_indexes(source, facts, *times)
+            for start, size in _index_ranges(facts):
+                if size > MAX_CHUNK_INDEX:
+                    raise Malformed(f"byte {start}", "the index of a chunk is too large to be read", certain=False)
+            count_by_index(facts, _message_indexes(source, facts), *times)
         if times is None or facts.statistics is None:
             _check_space_between_chunks(known, facts, summary_start)
     except Malformed as error:
@@ -96,10 +93,12 @@ def _read_summary_section(known: _KnownEnds, facts: McapFacts) -> int:
     """Read the records between data section and footer; return where they begin."""
     tail, tail_start = known.tail, known.tail_start
     footer_at = len(tail) - records.FOOTER_BYTES
-    if footer_at < len(records.MAGIC) or not tail.endswith(records.MAGIC):
-        raise NotIndexed("no-footer", "it was never closed, so it has no index", is_problem=False)
-    opcode, length = records.RECORD_HEAD.unpack_from(tail, footer_at)
-    if opcode != Opcode.FOOTER or length != records.FOOTER_BODY.size:
+    footer_head = records.RECORD_HEAD.pack(Opcode.FOOTER, records.FOOTER_BODY.size)
+    if (
+        footer_at < len(records.MAGIC)
+        or not tail.endswith(records.MAGIC)
+        or not tail.startswith(footer_head, footer_at)
+    ):
         raise NotIndexed("no-footer", "it was never closed, so it has no index", is_problem=False)
     summary_start: int
     summary_start, _offsets_start, crc = records.FOOTER_BODY.unpack_from(tail, footer_at + records.RECORD_HEAD.size)
@@ -115,24 +114,18 @@ def _read_summary_section(known: _KnownEnds, facts: McapFacts) -> int:
     if crc:
         stream.start_crc()
     while not stream.at_end():
-        _read_summary_record(stream, facts)
+        where = f"byte {stream.position}"
+        opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
+        if opcode in _READERS:
+            is_definition = opcode in (Opcode.SCHEMA, Opcode.CHANNEL)
+            body = stream.take(min(length, MAX_TAKE) if is_definition else length)
+            _READERS[opcode](facts, body, where)
+            length -= len(body)
+        stream.skip(length)
     footer_without_crc = tail[footer_at : footer_at + records.RECORD_HEAD.size + records.FOOTER_BODY.size - 4]
     if crc and zlib.crc32(footer_without_crc, stream.crc) != crc:
         raise Malformed(f"byte {summary_start}", "the checksum of the summary section is wrong")
     return summary_start
-
-
-def _read_summary_record(stream: ByteStream, facts: McapFacts) -> None:
-    where = f"byte {stream.position}"
-    opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
-    if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-        body = stream.take(min(length, MAX_TAKE))
-        _READERS[opcode](facts, body, where)
-        stream.skip(length - len(body))
-    elif opcode in _READERS:
-        _READERS[opcode](facts, stream.take(length), where)
-    else:
-        stream.skip(length)
 
 
 def _read_header(known: _KnownEnds, facts: McapFacts) -> None:
@@ -180,47 +173,15 @@ def _check_compressions(source: Source, facts: McapFacts) -> None:
         named = facts.unknown_compression.get(row.start)
         if named is None:
             continue
-        compression = _read_compression(source, row) or named
+        try:
+            compression = open_chunk(open_range(source, row.start, row.end, window=_HEAD_BYTES)).compression
+        except Malformed:
+            continue  # there is no chunk that could say otherwise
         if is_known_compression(compression):
             facts.index_faults.note(row.start, wrong_compression(named))
             del facts.unknown_compression[row.start]
         else:
             facts.unknown_compression[row.start] = compression
-
-
-def _read_compression(source: Source, row: Row) -> str | None:
-    """Return the compression in the head of a chunk; None if there is no chunk."""
-    stream = open_range(source, row.start, row.end, window=_CHUNK_HEAD_BYTES)
-    try:
-        opcode, _length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
-        name_length = CHUNK_FIXED.unpack(stream.take(CHUNK_FIXED.size))[-1]
-        if opcode == Opcode.CHUNK and name_length <= MAX_NAME:
-            return stream.take(name_length).decode("utf-8", "replace")
-    except Malformed:
-        pass  # it is cut: the same as none
-    return None
-
-
-def _read_message_indexes(source: Source, facts: McapFacts, timeline: Timeline, losses: DamageReport) -> None:
-    rows = facts.table.rows
-    for start, size in _index_ranges(facts):
-        if size > MAX_CHUNK_INDEX:
-            raise Malformed(f"byte {start}", "the index of a chunk is too large to be read", certain=False)
-    for channel in facts.channels.values():
-        timeline.topic(channel.topic)
-    watermarks = smallest_to_come(rows.column(Row._fields.index("first_ns")))
-    for row, stream, before_ns in zip(rows, _index_streams(source, facts), watermarks, strict=True):
-        entries, messages = _read_chunk_entries(stream, facts)
-        claim = ChunkClaim(row.start, row.start + row.length, row.first_ns, row.last_ns, row.channels, UNKNOWN)
-        facts.index_faults.compare(claim, facts.table.sets.listed(row.channels), messages)
-        why = unreadable_chunk("", stored=row.length, uncompressed=row.uncompressed_bytes)
-        if named := facts.unknown_compression.get(row.start):
-            why = unknown_compression(named)
-        if why is not None:
-            losses.skip_chunk(row.start, row.length, sum(len(entry.stamps) for entry in entries), why)
-        else:
-            timeline.add_chunk(entries, uncompressed_bytes=row.uncompressed_bytes, stored_bytes=row.stored_bytes)
-        timeline.settle(before_ns)
 
 
 def _index_ranges(facts: McapFacts) -> Iterator[tuple[int, int]]:
@@ -229,35 +190,25 @@ def _index_ranges(facts: McapFacts) -> Iterator[tuple[int, int]]:
     return ((start + length, end - start - length) for start, length, end in zip(starts, lengths, ends, strict=True))
 
 
-def _index_streams(source: Source, facts: McapFacts) -> Iterator[ByteStream]:
+def _message_indexes(source: Source, facts: McapFacts) -> Iterator[ChunkIndex]:
     """Yield the message indexes of each chunk; over a network, the next ones are fetched meanwhile."""
+    ranges = _index_ranges(facts)
     if any(size > WINDOW for _, size in _index_ranges(facts)):
-        for start, size in _index_ranges(facts):
-            yield open_range(source, start, start + size)
-        return
-    answers = read_short_ranges(source, _index_ranges(facts))
-    for (start, _), data in zip(_index_ranges(facts), answers, strict=True):
-        yield open_bytes(data, start)
+        streams = (open_range(source, start, start + size) for start, size in ranges)
+    else:
+        answers = read_short_ranges(source, _index_ranges(facts))
+        streams = (open_bytes(data, start) for (start, _), data in zip(ranges, answers, strict=True))
+    for row, stream in zip(facts.table.rows, streams, strict=True):
+        compression, stored = facts.unknown_compression.get(row.start, ""), row.stored_bytes
+        head = ChunkHead(compression, row.uncompressed_bytes, 0, row.length - stored, stored)
+        yield ChunkIndex(row, head, _defined_entries(stream, facts))
 
 
-def _read_chunk_entries(stream: ByteStream, facts: McapFacts) -> tuple[list[ChunkEntries], ChunkMessages]:
-    by_topic: dict[str, ChunkEntries] = {}
-    messages = ChunkMessages()
-    while not stream.at_end():
-        where = f"byte {stream.position}"
-        opcode, length = records.RECORD_HEAD.unpack(stream.take(records.RECORD_HEAD.size))
-        if opcode != Opcode.MESSAGE_INDEX:
-            raise Malformed(where, f"a record of type {opcode} where a message index should be")
-        channel_id, stamps, offsets = records.read_message_index(stream.take(length), where)
-        messages.add_index(channel_id, stamps)
-        channel = facts.channels.get(channel_id)
-        if channel is None:
-            raise NotIndexed("no-channels", f"the summary does not list channel {channel_id}", is_problem=False)
-        known = by_topic.get(channel.topic)
-        if known is not None:
-            stamps, offsets = array("Q", known.stamps) + stamps, array("Q", known.offsets) + offsets
-        by_topic[channel.topic] = ChunkEntries(channel.topic, stamps, offsets)
-    return list(by_topic.values()), messages
+def _defined_entries(stream: ByteStream, facts: McapFacts) -> Iterator[tuple[int, array[int], array[int]]]:
+    for entry in records.read_message_indexes(stream):
+        if entry[0] not in facts.channels:
+            raise NotIndexed("no-channels", f"the summary does not list channel {entry[0]}", is_problem=False)
+        yield entry
 
 
 def _compare_with_statistics(facts: McapFacts, timeline: Timeline, losses: DamageReport) -> None:

@@ -8,18 +8,20 @@ from __future__ import annotations
 import struct
 import sys
 from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import NamedTuple
 
-from kleinkram.recordings.chunk_table import ANY_CHANNEL, ChunkTable, Row
+from kleinkram.recordings.chunk_table import ANY_CHANNEL, Row
 from kleinkram.recordings.compression import is_known_compression
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.index_check import IndexFaults
+from kleinkram.recordings.formats.chunked import ChunkedFacts
 from kleinkram.recordings.limits import MAX_DAMAGE, MAX_DEFINITIONS, MAX_FACTS, MAX_NAME, MAX_NAMES, MAX_TOPICS
-from kleinkram.recordings.message_counts import MessageObserver, PlaceKind
+from kleinkram.recordings.message_counts import PlaceKind
 from kleinkram.recordings.messages import Channel, Schema
 from kleinkram.recordings.model import Fact
+from kleinkram.recordings.streams import ByteStream
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = struct.Struct("<BQ")
@@ -82,34 +84,22 @@ NO_SCHEMA = Schema("", "", b"")
 
 
 @dataclass
-class McapFacts:
+class McapFacts(ChunkedFacts[ChannelRecord]):
     """What the records of a file define and count.
 
-    Attributes:
-        table: chunks, as the chunk index lists them.
-        index_faults: what the index says of chunks that is not so.
-        unknown_compression: by the start of a chunk, a compression that is not read.
-        outside_chunks: where attachments and metadata records are, [start, end), by their indexes.
-        observer: receives the places of messages.
+    `unknown_compression`: by the start of a chunk. `outside_chunks`: indexed places of attachments and metadata.
     """
 
     library: str = ""
     profile: str = ""
     schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, ChannelRecord] = field(default_factory=dict)
     statistics: Statistics | None = None
-    table: ChunkTable = field(default_factory=ChunkTable)
-    names_bytes: int = 0
-    definition_bytes: int = 0
-    compression: set[str] = field(default_factory=set)
-    index_faults: IndexFaults = field(default_factory=IndexFaults)
     unknown_compression: dict[int, str] = field(default_factory=dict)
     attachments: int = 0
     metadata_records: int = 0
     listed: list[Fact] = field(default_factory=list)
     outside_chunks: list[tuple[int, int]] = field(default_factory=list)
     header_damage: Malformed | None = None
-    observer: MessageObserver | None = None
 
     def schema_of(self, channel: ChannelRecord) -> Schema:
         """Return the schema of a channel; an empty one where the file lacks it."""
@@ -124,11 +114,7 @@ class McapFacts:
 
 
 class BodyReader:
-    """Reads the fields of a record body in order.
-
-    Raises:
-        Malformed: from every method, where a field reaches beyond the body.
-    """
+    """Reads the fields of a record body in order; one that reaches beyond the body is `Malformed`."""
 
     def __init__(self, body: bytes, where: str) -> None:
         self._body = body
@@ -137,9 +123,7 @@ class BodyReader:
 
     def fields(self, layout: struct.Struct) -> tuple[int, ...]:
         """Read fixed fields."""
-        self._need(layout.size)
-        values: tuple[int, ...] = layout.unpack_from(self._body, self._at)
-        self._at += layout.size
+        values: tuple[int, ...] = layout.unpack(self.blob(layout.size))
         return values
 
     def text(self) -> str:
@@ -151,10 +135,10 @@ class BodyReader:
 
     def blob(self, length: int) -> bytes:
         """Read `length` bytes."""
-        self._need(length)
-        data = self._body[self._at : self._at + length]
+        if length > self.left:
+            raise Malformed(self._where, "a field reaches beyond its record")
         self._at += length
-        return data
+        return self._body[self._at - length : self._at]
 
     def counted(self) -> bytes:
         """Read length-prefixed bytes."""
@@ -165,10 +149,6 @@ class BodyReader:
     def left(self) -> int:
         """Unread bytes."""
         return len(self._body) - self._at
-
-    def _need(self, length: int) -> None:
-        if self._at + length > len(self._body):
-            raise Malformed(self._where, "a field reaches beyond its record")
 
 
 _U16 = struct.Struct("<H")
@@ -208,24 +188,18 @@ def read_channel(facts: McapFacts, body: bytes, where: str) -> None:
     topic, message_encoding = reader.text(), reader.text()
     if channel_id in facts.channels:
         return
-    channel = ChannelRecord(schema_id, topic, message_encoding, _publisher(reader))
-    if len(facts.channels) >= MAX_TOPICS:
-        raise Malformed(where, f"more than {MAX_TOPICS} channels", certain=False)
-    _count_names(facts, where, channel.topic, channel.message_encoding, channel.publisher)
-    facts.channels[channel_id] = channel
-
-
-def _publisher(reader: BodyReader) -> str:
-    """Return the publisher from the metadata that a conversion from ROS 1 leaves; may be empty."""
+    publisher = ""
     try:
         metadata = BodyReader(reader.counted(), "")
-        while metadata.left:
+        while metadata.left and not publisher:
             key, value = metadata.text(), metadata.text()
-            if key == "callerid":
-                return value
+            publisher = value if key == "callerid" else ""
     except Malformed:
         pass  # cut, or damaged: nothing else depends on it
-    return ""
+    if len(facts.channels) >= MAX_TOPICS:
+        raise Malformed(where, f"more than {MAX_TOPICS} channels", certain=False)
+    _count_names(facts, where, topic, message_encoding, publisher)
+    facts.channels[channel_id] = ChannelRecord(schema_id, topic, message_encoding, publisher)
 
 
 def _count_names(facts: McapFacts, where: str, *names: str) -> None:
@@ -269,27 +243,23 @@ def _note_attachment(facts: McapFacts, name: str, media_type: str, size_bytes: i
 
 def read_metadata(facts: McapFacts, body: bytes, where: str) -> None:
     """Note a metadata record. The body may be cut after the name."""
-    _note_metadata(facts, BodyReader(body, where).text())
+    name = BodyReader(body, where).text()
+    facts.metadata_records += 1
+    if len(facts.listed) < MAX_FACTS:
+        facts.listed.append(Fact("metadata", name))
 
 
 def read_metadata_index(facts: McapFacts, body: bytes, where: str) -> None:
     """Note a metadata record, by its index."""
-    reader = BodyReader(body, where)
-    start, length = reader.fields(_PAIR_U64)
+    start, length = BodyReader(body, where).fields(_PAIR_U64)
     _note_outside_chunks(facts, start, start + length, where)
-    _note_metadata(facts, reader.text())
+    read_metadata(facts, body[_PAIR_U64.size :], where)
 
 
 def _note_outside_chunks(facts: McapFacts, start: int, end: int, where: str) -> None:
     if len(facts.outside_chunks) >= MAX_OUTSIDE_CHUNKS:
         raise Malformed(where, f"more than {MAX_OUTSIDE_CHUNKS} attachments and metadata", certain=False)
     facts.outside_chunks.append((start, end))
-
-
-def _note_metadata(facts: McapFacts, name: str) -> None:
-    facts.metadata_records += 1
-    if len(facts.listed) < MAX_FACTS:
-        facts.listed.append(Fact("metadata", name))
 
 
 def read_chunk_index(facts: McapFacts, body: bytes, where: str) -> None:
@@ -324,3 +294,13 @@ def read_message_index(body: bytes, where: str) -> tuple[int, array[int], array[
     if sys.byteorder == "big":
         flat.byteswap()
     return channel_id, flat[0::2], flat[1::2]
+
+
+def read_message_indexes(stream: ByteStream) -> Iterator[tuple[int, array[int], array[int]]]:
+    """Yield what `read_message_index` returns for each record of a stream, which has no others."""
+    while not stream.at_end():
+        where = f"byte {stream.position}"
+        opcode, length = RECORD_HEAD.unpack(stream.take(RECORD_HEAD.size))
+        if opcode != Opcode.MESSAGE_INDEX:
+            raise Malformed(where, f"a record of type {opcode} where a message index should be")
+        yield read_message_index(stream.take(length), where)

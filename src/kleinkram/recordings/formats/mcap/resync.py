@@ -13,13 +13,11 @@ from typing import NamedTuple
 from kleinkram.recordings.compression import Buffer
 from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.formats.chunked import LOOK, search_width
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import FOOTER_BYTES, MAGIC, RECORD_HEAD, Opcode
 from kleinkram.recordings.limits import MAX_NAME
 from kleinkram.recordings.streams import LookaheadStream
-
-LOOK = 64 * 2**10
-"""Bytes from the start of a record within which its fixed fields and names are."""
 
 CHUNK_FIXED = struct.Struct("<QQQII")
 _U16 = struct.Struct("<H")
@@ -107,8 +105,8 @@ def is_unfinished_chunk(data: Buffer, at: int) -> bool:
 def is_disguised(data: Buffer, at: int, left: int, *, behind_chunk: bool) -> bool:
     """Return whether a message record has the lengths of a record whose opcode differs by one bit.
 
-    `left`: bytes from `at` to the end of the file. `behind_chunk`: or behind damage, where message indexes
-    may are; a message elsewhere may look like one by chance.
+    `left`: bytes from `at` to the end of the file. `behind_chunk`: or behind damage, where message indexes may be; a
+    message elsewhere may look like one by chance.
     """
     if left < RECORD_HEAD.size:
         return False
@@ -143,10 +141,10 @@ def _is_unknown_kind(data: Buffer, at: int, length: int, left: int) -> bool:
 
 
 def find_record(data: Buffer, start: int, end: int, left: int, channels: Container[int]) -> int | None:
-    """Return the first place in [start, end) where a record begins.
+    """Return the first place in [start, end) where a record begins; `left`: bytes from `start` to the end of the file.
 
-    `left`: bytes from `start` to the end of the file. The lengths in a record vouch for it. Those of a message are too
-    few: another record must follow, and several if it is of none of the `channels`.
+    The lengths in a record verify it. Those of a message are too few: another record must follow, and several if it is
+    of none of the `channels`.
     """
     for match in _CANDIDATE.finditer(data, start, end):
         at = match.start()
@@ -231,7 +229,6 @@ def _body_length(opcode: int, data: Buffer, body: int, length: int) -> int | Non
     return at - body
 
 
-_SEARCH_BYTES = 4 * 2**20
 _END = rb"\x02\x14\0{7}.{20}" + re.escape(MAGIC)
 """A footer, and the magic behind it."""
 _MARK = re.compile(_END + b"|" + re.escape(MAGIC), re.DOTALL)
@@ -241,7 +238,7 @@ def pass_damage(stream: LookaheadStream, channels: Container[int], losses: Damag
     """Skip at least one byte, up to the next record of this file."""
     start = 0 if stream.window[stream.at] == Opcode.HEADER and stream.position != len(MAGIC) else 1
     while stream.left:
-        width = _bring(stream)
+        width = search_width(stream)
         at, end = stream.at, stream.at + width
         record_at = find_record(stream.window, at + start, end, stream.left - start, channels)
         inner = find_inner(stream.window, at, end if record_at is None else record_at, stream.left)
@@ -258,21 +255,13 @@ def pass_damage(stream: LookaheadStream, channels: Container[int], losses: Damag
 
 
 def find_inner(data: Buffer, start: int, end: int, left: int) -> int | None:
-    """Return the first place in [start, end) where another MCAP begins; `left`: bytes from `start` to the end of the
-    file, which ends with its own magic.
-    """
+    """Return the first place in [start, end) where another MCAP begins; `left`: bytes from `start` to the end."""
     for match in _MARK.finditer(data, start, min(len(data), end + FOOTER_BYTES)):
         if match.start() >= end:
             return None
         if _opens(match) and match.end() - start < left:
             return match.start()
     return None
-
-
-def _bring(stream: LookaheadStream) -> int:
-    """Fill the window; return in how many of its bytes a whole record or magic may begin."""
-    at_hand = stream.ahead(_SEARCH_BYTES)
-    return at_hand if at_hand == stream.left else at_hand - LOOK
 
 
 def _opens(match: re.Match[bytes]) -> bool:
@@ -286,7 +275,7 @@ def _pass_inner(stream: LookaheadStream, losses: DamageReport) -> None:
     depth = 1
     stream.advance(1)
     while stream.left and depth:
-        width = _bring(stream)
+        width = search_width(stream)
         end = min(len(stream.window), stream.at + width + FOOTER_BYTES)
         match = _MARK.search(stream.window, stream.at, end)
         if match is None or match.start() >= stream.at + width:

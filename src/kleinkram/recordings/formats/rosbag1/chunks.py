@@ -9,22 +9,24 @@ from __future__ import annotations
 import re
 import struct
 from array import array
-from collections.abc import Callable, Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from operator import itemgetter
 from typing import NamedTuple
 
-from kleinkram.recordings.chunk_table import Row, StoredChunk
+from kleinkram.recordings.chunk_table import Row
 from kleinkram.recordings.compression import Buffer
 from kleinkram.recordings.errors import Malformed
+from kleinkram.recordings.formats.chunked import ChunkContents, ChunkedFacts, Hole
 from kleinkram.recordings.formats.rosbag1 import records
 from kleinkram.recordings.formats.rosbag1.records import Connection, Fields, Op
 from kleinkram.recordings.index_check import ChunkMessages
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_DEFINITIONS, MAX_HEADER, MAX_NAMES, MAX_TAKE, MAX_TOPICS
-from kleinkram.recordings.message_counts import Batch, MessageObserver, ReadableRanges
+from kleinkram.recordings.message_counts import Batch
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.sources import Source
-from kleinkram.recordings.streams import ByteStream, open_range
+from kleinkram.recordings.streams import open_range
 
 _FIELDS = {b"op": "8s", b"conn": "9sI", b"time": "9sII"}
 _VALUES = {b"op": 1, b"conn": 2, b"time": 3}
@@ -67,8 +69,7 @@ def learn_layout(data: Buffer, at: int) -> MessageLayout | None:
 def walk_messages(data: Buffer, at: int, end: int, layout: MessageLayout, batch: Batch) -> tuple[int, int]:
     """Add messages from `at` on to the batch, up to another record or one that ends after `end`.
 
-    Returns:
-        Where that is, and where the last message begins; twice the same without any message.
+    Returns where that is, and where the last message begins; twice the same without any message.
     """
     unpack, size = layout.layout.unpack_from, layout.layout.size
     constants, expected, values = layout.constants, layout.expected, layout.values
@@ -93,51 +94,29 @@ _MOST_CHECKED = 2
 
 
 @dataclass
-class BagFacts:
-    """What the records of a bag define. `observer`: receives the places of messages."""
+class BagFacts(ChunkedFacts[Connection]):
+    """What a bag's records define. `counts`: messages by connection, by the index; `layout`: of message headers."""
 
-    connections: dict[int, Connection] = field(default_factory=dict)
-    names_bytes: int = 0
-    definition_bytes: int = 0
+    counts: dict[int, int] = field(default_factory=lambda: defaultdict(int))
     layout: MessageLayout | None = None
-    observer: MessageObserver | None = None
 
     def define(self, number: int, connection: Connection, where: str) -> None:
         """Note a connection; the first of a number counts."""
-        if number in self.connections:
+        if number in self.channels:
             return
         self.names_bytes += len(connection.topic) + len(connection.message_type) + len(connection.publisher)
-        if len(self.connections) >= MAX_TOPICS or self.names_bytes > MAX_NAMES:
+        if len(self.channels) >= MAX_TOPICS or self.names_bytes > MAX_NAMES:
             raise Malformed(where, "more connections than are read", certain=False)
         self.definition_bytes += len(connection.definition)
         fits = self.definition_bytes <= MAX_DEFINITIONS
-        self.connections[number] = connection if fits else connection._replace(definition=b"")
+        self.channels[number] = connection if fits else connection._replace(definition=b"")
 
-    def channels(self) -> dict[int, Channel]:
+    def resolve_channels(self) -> dict[int, Channel]:
         """Return the connections as channels."""
         return {
             number: Channel(one.topic, "ros1", Schema(one.message_type, "ros1msg", one.definition))
-            for number, one in self.connections.items()
+            for number, one in self.channels.items()
         }
-
-
-class Hole(NamedTuple):
-    """Skipped bytes of a chunk: [start, end)."""
-
-    start: int
-    end: int
-    fault: Malformed
-
-
-class BagChunkContents(NamedTuple):
-    """The result of reading the records of a chunk; `end`: of the chunk, in its bytes.
-
-    `readable_ranges`: ranges of whole records. Behind a message whose length is wrong they overlap.
-    """
-
-    holes: list[Hole]
-    end: int
-    readable_ranges: ReadableRanges
 
 
 @dataclass(frozen=True)
@@ -157,11 +136,7 @@ class BagRecord:
 
 
 def parse_record(data: Buffer, at: int, where: str) -> BagRecord:
-    """Read the header of a record.
-
-    Raises:
-        Malformed: there is none, or it is not wholly in memory.
-    """
+    """Read the header of a record."""
     if at + 2 * _U32.size > len(data):
         raise Malformed(where, "a record breaks off")
     header_bytes = int(_U32.unpack_from(data, at)[0])
@@ -176,38 +151,29 @@ def parse_record(data: Buffer, at: int, where: str) -> BagRecord:
         raise Malformed(where, f"a record of type {opcode}, which no bag has")
     data_start = header_at + header_bytes + _U32.size
     data_bytes = int(_U32.unpack_from(data, data_start - _U32.size)[0])
-    record = BagRecord(fields, opcode, at, data_start, data_start + data_bytes)
-    _check_lengths(record, where)
-    return record
-
-
-def _check_lengths(record: BagRecord, where: str) -> None:
-    fields, data_bytes = record.fields, record.data_bytes
-    if record.opcode == Op.MESSAGE_DATA:
+    if opcode == Op.MESSAGE_DATA:
         fields.u32("conn"), fields.time_ns("time")
-    elif record.opcode == Op.CONNECTION:
+    elif opcode == Op.CONNECTION:
         fields.u32("conn"), fields.text("topic")
-    elif record.opcode == Op.CHUNK:
+    elif opcode == Op.CHUNK:
         if fields.text("compression") == "none" and fields.u32("size") != data_bytes:
             raise Malformed(where, "a chunk whose lengths contradict each other")
-    elif record.opcode == Op.INDEX_DATA:
+    elif opcode == Op.INDEX_DATA:
         if data_bytes != records.INDEX_ENTRY_BYTES * fields.u32("count"):
             raise Malformed(where, "index data whose length does not fit its count")
-    elif record.opcode == Op.CHUNK_INFO and data_bytes != 8 * fields.u32("count"):
+    elif opcode == Op.CHUNK_INFO and data_bytes != 8 * fields.u32("count"):
         raise Malformed(where, "a chunk info whose length does not fit its count")
+    return BagRecord(fields, opcode, at, data_start, data_start + data_bytes)
 
 
 def find_record(data: Buffer, start: int, end: int, *, outside: bool = False) -> int | None:
-    """Return the first place in [start, end) where the header of a record begins, with its field `op` inside.
-
-    `outside`: only records of the kinds that are outside of chunks.
-    """
+    """Return the first place in [start, end) where a record header begins; `outside`: of a kind outside of chunks."""
     untried = start
     for match in (_OP_OUTSIDE if outside else _OP).finditer(data, start, end):
         field_at = match.start()
         for at in range(field_at - _U32.size, max(untried, field_at - _LONGEST_SEARCHED_HEADER) - 1, -1):
             header_bytes = int(_U32.unpack_from(data, at)[0])
-            if field_at + 8 - at - _U32.size <= header_bytes <= _LONGEST_SEARCHED_HEADER and is_record(data, at):
+            if field_at + 8 - at - _U32.size <= header_bytes <= _LONGEST_SEARCHED_HEADER and opcode_at(data, at):
                 return at
         # A place that is no record, or whose header ends before this field, is none for a later field either.
         untried = max(untried, field_at - _U32.size + 1)
@@ -218,9 +184,6 @@ def points_at_messages(content: Buffer, number: int, entries: array[int], layout
     """Return whether messages of a connection are where index data say; checks the first, the last and a sample.
 
     `entries`: seconds, nanoseconds and place in the chunk of each message.
-
-    Raises:
-        Malformed: no record is at one of the places.
     """
     count = len(entries) // 3
     for at in {*range(0, count, max(1, count // _MOST_CHECKED)), max(0, count - 1)} if count else ():
@@ -244,68 +207,49 @@ def _message_at(content: Buffer, place: int, layout: MessageLayout | None) -> tu
     return record.fields.u32("conn"), seconds, nanoseconds
 
 
-def is_record(data: Buffer, at: int) -> bool:
-    """Return whether a record header begins here."""
+def opcode_at(data: Buffer, at: int) -> int | None:
+    """Return the type of the record whose header begins here; None if there is none."""
     try:
-        parse_record(data, at, "")
+        return parse_record(data, at, "").opcode
     except Malformed:
-        return False
-    return True
+        return None
 
 
-def stands_outside_chunks(data: Buffer, at: int) -> bool:
-    """Return whether a record header begins here that is never inside a chunk."""
-    try:
-        return parse_record(data, at, "").opcode != Op.MESSAGE_DATA
-    except Malformed:
-        return False
-
-
-def read_contents(raw: bytes, facts: BagFacts, batch: Batch, *, ends_early: bool = False) -> BagChunkContents:
+def walk_contents(raw: bytes, facts: BagFacts, batch: Batch, *, may_end_early: bool = False) -> ChunkContents:
     """Add the messages in `raw` to the batch.
 
-    `ends_early`: `raw` may reach further than the chunk does, because bytes of it are missing: it ends where a record
-    is that no chunk holds.
+    `may_end_early`: bytes of the chunk may be missing, so that `raw` reaches further: to a record that no chunk holds.
     """
     holes: list[Hole] = []
     readable_ranges: list[tuple[int, int]] = []
-    at, end = 0, len(raw)
-    first = at
+    at, first, end = 0, 0, len(raw)
     # Where the record before begins; behind a hole: none.
     previous = -1
     while at < end:
         before = at
-        at, last = walk_known_layout(raw, at, end, facts, batch)
-        if at == end:
-            break
-        previous = last if at > before else previous
+        if facts.layout is not None:
+            at, last = walk_messages(raw, at, end, facts.layout, batch)
+            if at == end:
+                break
+            previous = last if at > before else previous
         try:
             previous, at = at, read_record(raw, at, facts, batch)
         except Malformed as fault:
             readable_ranges.append((first, at))
-            if ends_early and find_record(raw, at, at + _LONGEST_SEARCHED_HEADER, outside=True) == at:
+            if may_end_early and find_record(raw, at, at + _LONGEST_SEARCHED_HEADER, outside=True) == at:
                 holes.append(Hole(at, at, Malformed(fault.where, "its end is missing")))
-                return BagChunkContents(holes, at, tuple(readable_ranges))
+                return ChunkContents(holes, at, tuple(readable_ranges))
             # The length of the record before may be what is wrong.
             record_at = find_record(raw, (at if previous < 0 else previous) + 1, end)
             after = end if record_at is None else record_at
             holes.append(Hole(at, max(at, after), fault))
             first = at = after
             previous = -1
-    return BagChunkContents(holes, end, (*readable_ranges, (first, end)))
-
-
-def walk_known_layout(data: Buffer, at: int, end: int, facts: BagFacts, batch: Batch) -> tuple[int, int]:
-    """Add messages of the known layout; return where they end, and where the last one begins."""
-    return walk_messages(data, at, end, facts.layout, batch) if facts.layout else (at, at)
+    return ChunkContents(holes, end, (*readable_ranges, (first, end)) if holes else None)
 
 
 def read_record(data: Buffer, at: int, facts: BagFacts, batch: Batch) -> int:
-    """Read one whole connection or message; return where it ends.
-
-    Raises:
-        Malformed: it is neither, or not all there.
-    """
+    """Read one whole connection or message; return where it ends."""
     where = f"byte {at} of its contents"
     record = parse_record(data, at, where)
     if record.end > len(data):
@@ -328,11 +272,7 @@ def add_message(record: BagRecord, batch: Batch) -> None:
 
 
 def define(record: BagRecord, data: bytes, facts: BagFacts, where: str) -> None:
-    """Note a connection.
-
-    Raises:
-        Malformed: it is damaged, or larger than is read.
-    """
+    """Note a connection."""
     if record.data_bytes > MAX_TAKE:
         raise Malformed(where, f"a connection of {record.data_bytes} bytes", certain=False)
     number, connection = records.read_connection(record.fields, data, where)
@@ -351,26 +291,11 @@ class MessageHead(NamedTuple):
     time_first: bool
 
 
-def open_chunk(stream: ByteStream) -> StoredChunk:
-    """Read a chunk record up to its stored bytes.
-
-    Raises:
-        Malformed: it is none.
-    """
-    head = records.read_chunk_head(stream)
-    compression = "" if head.compression == "none" else head.compression
-    return StoredChunk(compression, head.uncompressed_bytes, 0, head.data_bytes)
-
-
 def read_message_index(source: Source, row: Row) -> ChunkMessages | None:
-    """Return the messages that the index data after a chunk list; None if there are none, or they cannot be read.
-
-    Raises:
-        SourceError: as `Source.read`.
-    """
+    """Return the messages that the index data after a chunk list; None if there are none, or they cannot be read."""
     stream, messages = open_range(source, row.start, row.end, window=_HEAD_WINDOW), ChunkMessages()
     try:
-        stream.skip(records.read_chunk_head(stream).data_bytes)
+        stream.skip(records.open_chunk(stream).stored_bytes)
         if not 0 < row.end - stream.position <= MAX_CHUNK_INDEX:
             return None
         stream = open_range(source, stream.position, row.end)
@@ -383,11 +308,7 @@ def read_message_index(source: Source, row: Row) -> ChunkMessages | None:
 
 
 def parse_messages(content: Buffer, channels: Mapping[int, Channel], selection: Selection) -> Block:
-    """Return the selected messages of records, in file order.
-
-    Raises:
-        Malformed: a record is damaged, or reaches beyond the content.
-    """
+    """Return the selected messages of records, in file order."""
     _, start_ns, end_ns = selection
     view = content if isinstance(content, bytes) else bytes(content)
     at, size, new = 0, len(view), tuple.__new__
@@ -413,10 +334,7 @@ def parse_messages(content: Buffer, channels: Mapping[int, Channel], selection: 
 
 
 def _read_message_head(view: bytes, at: int, length: int, heads: dict[int, MessageHead]) -> tuple[int, int]:
-    """Return connection and time of a message; (-1, 0) for another record.
-
-    Headers of one length are nearly always laid out alike: the layout of the last one is tried first.
-    """
+    """Return connection and time of a message; (-1, 0) for another record."""
     known = heads.get(length)
     if known is not None:
         if known.time_first:
@@ -436,25 +354,17 @@ def _read_message_head(view: bytes, at: int, length: int, heads: dict[int, Messa
 
 
 def _learn(raw: bytes) -> MessageHead:
-    """Return the layout of a header with number and time."""
-    places = {name: (value_at, size) for name, value_at, size in _places(raw)}
-    (conn_at, conn_size), (time_at, time_size) = places[b"conn"], places[b"time"]
-    time_first = time_at < conn_at
-    first, first_size, second, second_size = (
-        (time_at, time_size, conn_at, conn_size) if time_first else (conn_at, conn_size, time_at, time_size)
-    )
-    texts = raw[:first], raw[first + first_size : second], raw[second + second_size :]
-    numbers = ("II", "I") if time_first else ("I", "II")
-    layout = f"<{len(texts[0])}s{numbers[0]}{len(texts[1])}s{numbers[1]}{len(texts[2])}s"
-    return MessageHead(struct.Struct(layout), texts, time_first)
-
-
-def _places(raw: bytes) -> Iterator[tuple[bytes, int, int]]:
-    """Yield name, offset and size of each field of a valid header."""
+    """Return the layout of a valid header with number and time."""
+    places: dict[bytes, tuple[int, int]] = {}
     at = 0
     while at < len(raw):
         (length,) = _U32.unpack_from(raw, at)
         name = raw[at + 4 : at + 4 + length].partition(b"=")[0]
-        value_at = at + 4 + len(name) + 1
-        yield name, value_at, at + 4 + length - value_at
+        places[name] = (at + 4 + len(name) + 1, at + 4 + length)
         at += 4 + length
+    time_first = places[b"time"] < places[b"conn"]
+    (first, first_end), (second, second_end) = sorted((places[b"conn"], places[b"time"]))
+    texts = raw[:first], raw[first_end:second], raw[second_end:]
+    numbers = ("II", "I") if time_first else ("I", "II")
+    layout = f"<{len(texts[0])}s{numbers[0]}{len(texts[1])}s{numbers[1]}{len(texts[2])}s"
+    return MessageHead(struct.Struct(layout), texts, time_first)

@@ -11,6 +11,7 @@ from array import array
 from enum import IntEnum
 from typing import NamedTuple
 
+from kleinkram.recordings.chunk_table import ChunkHead
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_HEADER, MAX_NAME
 from kleinkram.recordings.streams import ByteStream
@@ -123,21 +124,8 @@ class ChunkInfo(NamedTuple):
     counts: dict[int, int]
 
 
-class BagChunkHead(NamedTuple):
-    """The header of a chunk record: `data_start` counts from the record's own start."""
-
-    compression: str
-    uncompressed_bytes: int
-    data_start: int
-    data_bytes: int
-
-
 def read_fields(stream: ByteStream) -> tuple[Fields, int]:
-    """Read a record up to its data; return its header and the length of the data.
-
-    Raises:
-        Malformed: there is no such record, or its header is larger than `MAX_HEADER`.
-    """
+    """Read a record up to its data; return its header and the length of the data."""
     where = f"byte {stream.position}"
     (length,) = _U32.unpack(stream.take(_U32.size))
     if length > MAX_HEADER:
@@ -173,13 +161,19 @@ def index_data_bytes(connections: int, messages: int) -> int:
     return connections * _INDEX_HEAD_BYTES + messages * INDEX_ENTRY_BYTES
 
 
-def read_chunk_head(stream: ByteStream) -> BagChunkHead:
-    """Read the header of a chunk record."""
+def chunk_head(fields: Fields, data_start: int, data_bytes: int) -> ChunkHead:
+    """Return the head of a chunk by the fields of its header."""
+    compression = fields.text("compression")
+    return ChunkHead("" if compression == "none" else compression, fields.u32("size"), 0, data_start, data_bytes)
+
+
+def open_chunk(stream: ByteStream) -> ChunkHead:
+    """Read a chunk record up to its stored bytes."""
     start = stream.position
     fields, data_bytes = read_fields(stream)
     if fields.opcode() != Op.CHUNK:
         raise Malformed(f"byte {start}", f"a record of type {fields.opcode()} where a chunk should be")
-    return BagChunkHead(fields.text("compression"), fields.u32("size"), stream.position - start, data_bytes)
+    return chunk_head(fields, stream.position - start, data_bytes)
 
 
 def read_index_data(stream: ByteStream) -> tuple[int, list[int], array[int]]:

@@ -17,8 +17,9 @@ import struct
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
+from itertools import count
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 from kleinkram.recordings.errors import Malformed, SourceError
 from kleinkram.recordings.limits import MAX_NAME, MAX_NAMES, MAX_TOPICS
@@ -58,14 +59,7 @@ class TopicRow(NamedTuple):
 
 
 class Origin(NamedTuple):
-    """The distribution, schema version and compression that a database states; may be empty.
-
-    Attributes:
-        ros_distro: such as "jazzy".
-        schema_version: of the tables.
-        definitions: how many message types it defines.
-        message_compression: how the data of each message is compressed, such as "zstd".
-    """
+    """The distribution, schema version, number of types and message compression that a database states, if any."""
 
     ros_distro: str = ""
     schema_version: int | None = None
@@ -83,18 +77,14 @@ class MessageRow(NamedTuple):
 
 @contextmanager
 def open_database(path: Path) -> Iterator[sqlite3.Connection]:
-    """Open a database for reading. Damage raises `sqlite3.Error` here or at any later query.
-
-    Raises:
-        SourceError: the file cannot be opened.
-    """
+    """Open a database for reading. Damage raises `sqlite3.Error` here or at any later query."""
     if not os.access(path, os.R_OK):
         raise SourceError(f"{path}: cannot be opened for reading")
     try:
         with _connect(path) as database:
             yield database
     except MemoryError:
-        # SQLite says this of some damaged schemas too. Whether there was enough is tried out: a MemoryError says no.
+        # SQLite reports this for some damaged schemas too. Allocating as much raises again if memory is short.
         bytearray(MAX_VALUE_BYTES + CACHE_KIB * 1024)
         raise sqlite3.DatabaseError("its schema is damaged") from None
     except UnicodeDecodeError:
@@ -109,30 +99,14 @@ def _connect(path: Path) -> Iterator[sqlite3.Connection]:
         if sys.version_info >= (3, 11):
             database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE_BYTES)
             database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
-        database.set_progress_handler(_allowance(path.stat().st_size), _STEPS_A_TICK)
+        # The steps of queries are bounded by the rows that the file has room for.
+        ticks = count((_FREE_STEPS + _STEPS_A_BYTE * path.stat().st_size) // _STEPS_A_TICK, -1)
+        database.set_progress_handler(lambda: next(ticks) <= 0, _STEPS_A_TICK)
         for statement in _PREPARE:
             database.execute(statement)
-        database.text_factory = _decode
+        database.text_factory = lambda text: text.decode("utf-8", "replace")
         database.set_authorizer(_authorize)
         yield database
-
-
-class _Allowance:
-    def __init__(self, ticks: int) -> None:
-        self._left = ticks
-
-    def __call__(self) -> int:
-        self._left -= 1
-        return self._left < 0
-
-
-def _allowance(size_bytes: int) -> _Allowance:
-    """Bound the steps of queries by the rows that the file has room for."""
-    return _Allowance((_FREE_STEPS + _STEPS_A_BYTE * size_bytes) // _STEPS_A_TICK)
-
-
-def _decode(text: bytes) -> str:
-    return text.decode("utf-8", "replace")
 
 
 def _authorize(action: int, first: str | None, second: str | None, _database: str | None, _trigger: str | None) -> int:
@@ -145,12 +119,7 @@ def _authorize(action: int, first: str | None, second: str | None, _database: st
 
 
 def check_tables(database: sqlite3.Connection) -> None:
-    """Check that `topics` and `messages` are tables with the columns of every version.
-
-    Raises:
-        Malformed: they are not.
-        sqlite3.Error: the schema cannot be read.
-    """
+    """Check that `topics` and `messages` are tables with the columns of every version."""
     rows = database.execute(
         "SELECT name, type, rootpage FROM sqlite_master WHERE name IN ('topics', 'messages') AND type != 'index'"
     ).fetchall()
@@ -169,12 +138,7 @@ def columns(database: sqlite3.Connection, table: str) -> set[str]:
 
 
 def read_topics(database: sqlite3.Connection) -> list[TopicRow]:
-    """Return the topics, in the order of their ids.
-
-    Raises:
-        Malformed: there are more than is credible.
-        sqlite3.Error: they cannot be read.
-    """
+    """Return the topics, in the order of their ids."""
     present = columns(database, "topics")
     columns_sql = ", ".join(f"substr({name}, 1, {MAX_NAME})" if name in present else "''" for name in _TEXT_COLUMNS)
     topics: list[TopicRow] = []
@@ -189,11 +153,7 @@ def read_topics(database: sqlite3.Connection) -> list[TopicRow]:
 
 
 def read_origin(database: sqlite3.Connection) -> Origin:
-    """Read the tables `schema`, `metadata` and `message_definitions`, which older databases lack.
-
-    Raises:
-        sqlite3.Error: one of them cannot be read.
-    """
+    """Read the tables `schema`, `metadata` and `message_definitions`, which older databases lack."""
     distro: object = ""
     version: object = None
     definitions, stated = 0, ""
@@ -222,20 +182,13 @@ def _stated_value(text: str, key: str) -> str:
 
 
 def find_faults(database: sqlite3.Connection) -> list[str]:
-    """Check the structure of every page; return the faults in SQLite's words.
-
-    Raises:
-        sqlite3.Error: not even that can be done.
-    """
+    """Check the structure of every page; return the faults in SQLite's words."""
     rows = database.execute(f"PRAGMA quick_check({_MOST_FAULTS})").fetchall()
     return [str(row[0]) for row in rows if row[0] != "ok"]
 
 
 def message_cursor(database: sqlite3.Connection) -> sqlite3.Cursor:
-    """Return all messages as rows of topic id, timestamp and data size, in file order (rowid).
-
-    Of large data only the length is looked at, so its pages are not read.
-    """
+    """Return topic id, timestamp and data size of all messages, in file order; the pages of large data are not read."""
     return database.execute("SELECT topic_id, timestamp, length(data) FROM messages NOT INDEXED")
 
 
@@ -251,11 +204,7 @@ _READ_ONLY_PRAGMAS = frozenset(("trusted_schema", "locking_mode", "journal_mode"
 
 
 def find_unmerged_logs(path: Path, name: str | None = None) -> list[Problem]:
-    """Report the log and the journal beside a database that hold unmerged pages.
-
-    Raises:
-        SourceError: one of them cannot be read.
-    """
+    """Report the log and the journal beside a database that hold unmerged pages."""
     name = name or path.name
     wal, journal = (Path(f"{path}{suffix}") for suffix in LOG_SUFFIXES)
     problems: list[Problem] = []
@@ -267,7 +216,7 @@ def find_unmerged_logs(path: Path, name: str | None = None) -> list[Problem]:
                 f"sqlite3 {name} 'PRAGMA wal_checkpoint(TRUNCATE)'"
             )
             problems.append(Problem("wal-not-merged", f"{name}{WAL_SUFFIX}", message))
-        if journal.is_file() and _is_hot(journal):
+        if journal.is_file() and _begins_with_content(journal):
             message = (
                 "the recorder was killed while it wrote, so the latest messages may be written only in part; keep it "
                 f"beside the database, and roll back with: sqlite3 {name} 'PRAGMA schema_version'"
@@ -285,13 +234,7 @@ def log_not_read(left: Sequence[Problem]) -> list[Problem]:
 
 @contextmanager
 def replayed_copy(path: Path) -> Iterator[Path | None]:
-    """Yield a temporary copy of a database with its log and journal applied.
-
-    None where it cannot be made: too little space, or SQLite does not apply them.
-
-    Raises:
-        SourceError: one of the files cannot be read, or the copy cannot be written.
-    """
+    """Yield a temporary copy of a database with log and journal applied; None without room, or if SQLite fails."""
     present = [suffix for suffix in LOG_SUFFIXES if Path(f"{path}{suffix}").is_file()]
     try:
         with FileReader(path) as database:
@@ -308,11 +251,19 @@ def replayed_copy(path: Path) -> Iterator[Path | None]:
 def replay(copy: Path) -> bool:
     """Have SQLite apply log and journal to our copy of a database; return whether it did."""
     journal = Path(f"{copy}{JOURNAL_SUFFIX}")
-    if journal.is_file() and _names_other_journal(journal):
-        return False
+    if journal.is_file():
+        with journal.open("rb") as file:
+            file.seek(max(0, os.fstat(file.fileno()).st_size - len(_JOURNAL_MAGIC)))
+            if file.read() == _JOURNAL_MAGIC:
+                return False
+
+    def authorize(action: int, first: str | None, *_: str | None) -> int:
+        is_allowed = action == sqlite3.SQLITE_PRAGMA and first in _READ_ONLY_PRAGMAS
+        return sqlite3.SQLITE_OK if is_allowed else sqlite3.SQLITE_DENY
+
     try:
         with closing(sqlite3.connect(copy, isolation_level=None)) as database:
-            database.set_authorizer(_allow_pragmas)
+            database.set_authorizer(authorize)
             database.execute("PRAGMA trusted_schema=OFF")
             database.execute("PRAGMA locking_mode=EXCLUSIVE")
             database.execute("PRAGMA journal_mode=DELETE").fetchall()
@@ -322,19 +273,8 @@ def replay(copy: Path) -> bool:
     return True
 
 
-def _allow_pragmas(action: int, first: str | None, *_: str | None) -> int:
-    is_allowed = action == sqlite3.SQLITE_PRAGMA and first in _READ_ONLY_PRAGMAS
-    return sqlite3.SQLITE_OK if is_allowed else sqlite3.SQLITE_DENY
-
-
-def _names_other_journal(journal: Path) -> bool:
-    with journal.open("rb") as file:
-        file.seek(max(0, os.fstat(file.fileno()).st_size - len(_JOURNAL_MAGIC)))
-        return file.read() == _JOURNAL_MAGIC
-
-
-def _is_hot(journal: Path) -> bool:
-    with journal.open("rb") as file:
+def _begins_with_content(path: Path) -> bool:
+    with path.open("rb") as file:
         return any(file.read(8))
 
 
@@ -362,14 +302,13 @@ def _pages_not_merged(path: Path, wal: Path) -> int:
                 committed.update(open_frames)
                 open_frames.clear()
             log.seek(page_bytes, 1)
-        return sum(_differs(database, log, page_bytes, number, at) for number, at in committed.items())
-
-
-def _differs(database: BinaryIO, log: BinaryIO, page_bytes: int, number: int, at: int) -> bool:
-    log.seek(at)
-    database.seek((number - 1) * page_bytes)
-    logged = log.read(page_bytes)
-    return len(logged) == page_bytes and logged != database.read(page_bytes)
+        pages = 0
+        for number, at in committed.items():
+            log.seek(at)
+            database.seek((number - 1) * page_bytes)
+            logged = log.read(page_bytes)
+            pages += len(logged) == page_bytes and logged != database.read(page_bytes)
+        return pages
 
 
 _SQLITE_MAGIC = b"SQLite format 3\0"
@@ -381,10 +320,7 @@ def is_database(head: bytes) -> bool:
 
 
 def is_database_in_log(head: bytes, path: Path | None) -> bool:
-    """Return whether all tables may be in the log beside a database, because its recorder was killed early.
-
-    `head`: its first bytes, in which there are no tables. `path`: where it is on this machine, None where nowhere.
-    """
+    """Return whether the tables of a database may be in the log beside it, because its recorder was killed early."""
     if path is None or not is_database(head) or path.suffix.lower() != ".db3":
         return False
     return any(Path(f"{path}{suffix}").is_file() for suffix in LOG_SUFFIXES)

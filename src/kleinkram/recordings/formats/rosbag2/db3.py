@@ -47,7 +47,7 @@ from kleinkram.recordings.formats.rosbag2.database import (
     replay,
     replayed_copy,
 )
-from kleinkram.recordings.formats.rosbag2.recovery import Recovered, Recovery, open_recovered
+from kleinkram.recordings.formats.rosbag2.recovery import Recovery, open_recovered
 from kleinkram.recordings.limits import MAX_DEFINITIONS
 from kleinkram.recordings.merge import MessagePiece, MessageRun, merge
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
@@ -64,14 +64,10 @@ _SCHEMA_ENCODING = ""
 
 
 def scan_db3(reader: SequentialReader, *, depth: Depth = Depth.scan) -> RecordingSummary:
-    """Scan a database: a local file in place, else a temporary copy.
+    """Scan a database: a local file in place, else a temporary copy; with unmerged logs, a copy to which they are
+    applied.
 
-    Where a local file has a log or a journal beside it that holds something it does not, a copy is read to which
-    SQLite applied them. `Depth.summary` leaves out the check of every page, and does not read the pages of large
-    messages.
-
-    Raises:
-        SourceError: as `SequentialReader.read`, or the temporary copy cannot be written.
+    `Depth.summary` leaves out the check of every page, and does not read the pages of large messages.
     """
     left = find_unmerged_logs(reader.path, reader.name) if reader.path is not None else []
     try:
@@ -86,12 +82,9 @@ def scan_db3(reader: SequentialReader, *, depth: Depth = Depth.scan) -> Recordin
 
 
 def scan_copy(copy: Path, name: str, scan_without_logs: Callable[[], RecordingSummary]) -> RecordingSummary:
-    """Scan a temporary copy of a database and of the log or journal beside it.
+    """Scan a temporary copy of a database and its log or journal.
 
     `scan_without_logs`: where SQLite does not apply them, half of them may be in the copy.
-
-    Raises:
-        SourceError: one of them cannot be read.
     """
     left = find_unmerged_logs(copy, name)
     if not left:
@@ -157,22 +150,21 @@ class _TopicCounts:
     ) -> RecordingSummary:
         """Return the summary."""
         self.timeline.settle(None)
-        measured = measure(self.timeline, self.types)
-        return RecordingSummary(
-            format=RecordingFormat.rosbag2_db3,
+        compression, facts = self._origin.message_compression, []
+        if self._origin.ros_distro:
+            facts.append(Fact("ros_distro", self._origin.ros_distro))
+        if self._origin.schema_version is not None:
+            facts.append(Fact("schema_version", self._origin.schema_version))
+        if self._origin.definitions:
+            facts.append(Fact("message_definitions", self._origin.definitions))
+        return replace(
+            measure(RecordingFormat.rosbag2_db3, self.timeline, self.types, [*problems, *self._problems()]),
             content=content,
             reason=reason,
-            message_count=measured.message_count,
-            start_ns=measured.start_ns,
-            end_ns=measured.end_ns,
-            compression=(
-                f"message-{self._origin.message_compression}" if self._origin.message_compression else "none",
-            ),
-            topics=measured.topics,
-            problems=bounded([*problems, *self._problems(), *measured.problems]),
+            compression=(f"message-{compression}" if compression else "none",),
             depth=depth,
             lost=lost,
-            facts=tuple(_facts(self._origin)),
+            facts=tuple(facts),
         )
 
     def _problems(self) -> Iterator[Problem]:
@@ -184,15 +176,6 @@ class _TopicCounts:
             rows = counted(self.unusable, "row has", "rows have")
             message = f"{rows} no whole number as time or topic id, or a time before 1970; left out"
             yield Problem("rows-unusable", "table messages", message)
-
-
-def _facts(origin: Origin) -> Iterator[Fact]:
-    if origin.ros_distro:
-        yield Fact("ros_distro", origin.ros_distro)
-    if origin.schema_version is not None:
-        yield Fact("schema_version", origin.schema_version)
-    if origin.definitions:
-        yield Fact("message_definitions", origin.definitions)
 
 
 def _read(path: Path, name: str, depth: Depth) -> RecordingSummary:
@@ -231,24 +214,18 @@ def _recover(path: Path, name: str, depth: Depth, error: str) -> RecordingSummar
     count = sum(times.count for times in counter.timeline.topics.values())
     content = Content.recovered if count or result.topics else Content.broken
     lost = Lost(result.damaged_bytes, result.damaged_pages, result.lost_messages if result.is_exact else None)
-    return counter.summary(content, _reason(result, count, error), Depth.scan, (), lost)
-
-
-def _reason(result: Recovered, count: int, error: str) -> str:
+    cause = f"SQLite cannot read it ({error})"
     if result.size_bytes < result.claimed_bytes:
         cause = f"the file is cut: {result.size_bytes} of {result.claimed_bytes} bytes are there"
     elif result.first_damage:
         more = f" (and {counted(result.damaged_pages - 1, 'more page')})" if result.damaged_pages > 1 else ""
         cause = result.first_damage + more
-    else:
-        cause = f"SQLite cannot read it ({error})"
-    least = "" if result.is_exact else "at least "
-    missing = (
-        f", {least}{result.lost_messages} {'is' if result.lost_messages == 1 else 'are'} lost"
-        if result.lost_messages
-        else ""
-    )
-    return f"{cause}; {counted(count, 'message')} can be read{missing}"
+    missing = ""
+    if result.lost_messages:
+        is_or_are = "is" if result.lost_messages == 1 else "are"
+        missing = f", {'' if result.is_exact else 'at least '}{result.lost_messages} {is_or_are} lost"
+    reason = f"{cause}; {counted(count, 'message')} can be read{missing}"
+    return counter.summary(content, reason, Depth.scan, (), lost)
 
 
 _LATEST_NS = 2**63 - 1
@@ -279,11 +256,7 @@ class DatabaseMember:
         *,
         message_compression: str = "",
     ) -> None:
-        """Read topics and span; `recover` opens a damaged database.
-
-        Raises:
-            SourceError: the file cannot be opened.
-        """
+        """Read topics and span; `recover` opens a damaged database."""
         self._recover = recover
         self._recovered: Member | None = None
         self._path = path
@@ -320,11 +293,12 @@ class DatabaseMember:
         latest_ns, of_latest = max(selection.start_ns, self.contents.start_ns or 0), 0
         try:
             for block in self._by_sqlite(channels, selection):
-                if block[0].log_time_ns < latest_ns or not _is_in_order(block):
+                stamps = [message.log_time_ns for message in block]
+                if not all(map(le, [latest_ns, *stamps], stamps)):
                     raise sqlite3.DatabaseError("its index of times is not in their order")
-                of_latest = of_latest if block[-1].log_time_ns == latest_ns else 0
-                latest_ns = block[-1].log_time_ns
-                of_latest += sum(message.log_time_ns == latest_ns for message in block)
+                of_latest = of_latest if stamps[-1] == latest_ns else 0
+                latest_ns = stamps[-1]
+                of_latest += stamps.count(latest_ns)
                 yield block
         except sqlite3.Error as error:
             rest = self._rescue(error).pieces(selection._replace(start_ns=latest_ns), ())
@@ -371,12 +345,6 @@ class DatabaseMember:
         if self._recovered is None:
             self._recovered = self._recover()
         return self._recovered
-
-
-def _is_in_order(block: Block) -> bool:
-    """Return whether times never decrease; those of a damaged index may."""
-    stamps = [message.log_time_ns for message in block]
-    return all(map(le, stamps, stamps[1:]))
 
 
 def _has_index(database: sqlite3.Connection) -> bool:

@@ -1,7 +1,4 @@
-"""The metadata.yaml of a rosbag2 folder, and its comparison with the data files. Missing or invalid values are None.
-
-It is only a claim: `comparing` says where the data disagree.
-"""
+"""The metadata.yaml of a rosbag2 folder, which is only a claim, and its comparison with the data files."""
 
 from __future__ import annotations
 
@@ -42,20 +39,15 @@ class StatedFile:
 
 @dataclass(frozen=True)
 class Rosbag2Metadata:
-    """The contents of a metadata.yaml.
+    """The contents of a metadata.yaml; missing or invalid values are None.
 
     Attributes:
         files: data files, relative to the folder, in the order of recording.
-        message_count: messages of all files.
-        duration_ns: from the first to the last message.
-        start_ns: log time of the first message.
         storage: "sqlite3" or "mcap".
-        compression: format such as "zstd", or "".
-        compression_mode: "file", "message" or "". With "message", the data of each message is compressed by itself,
-            in a db3 as well as in an MCAP, and nothing in these files says so.
+        compression_mode: "file", "message" or "". With "message", the data of each message is compressed by itself, in
+            a db3 as well as in an MCAP, and nothing in these files says so.
         version: of the metadata's own format, 1 to 9.
-        topics: in the order of the file.
-        file_entries: what is said of single files; empty before version 5.
+        file_entries: single files; empty before version 5.
         ros_distro: such as "jazzy"; empty before version 8.
         is_other: it is YAML of something else, such as a mission's own notes; nothing else is set then.
     """
@@ -95,45 +87,32 @@ def parse_rosbag2_metadata(text: str) -> Rosbag2Metadata | None:
     top = _mapping(_mapping(document).get(_TOP))
     if not top:
         return None
+    topics = []
+    for entry in _entries(top, "topics_with_message_count"):
+        # The latter in version 1.
+        topic = _mapping(entry.get("topic_metadata")) or _mapping(entry.get("topic_and_type"))
+        name, message_type, encoding = (_text(topic.get(key)) for key in ("name", "type", "serialization_format"))
+        topics.append(StatedTopic(name, message_type, encoding, _number(entry.get("message_count"))))
+    entries = tuple(
+        StatedFile(_path(entry.get("path")), _number(entry.get("message_count")), *_times(entry))
+        for entry in _entries(top, "files")
+    )
+    paths = top.get("relative_file_paths")
+    files = [_path(path) for path in paths[:_MOST_ENTRIES]] if isinstance(paths, list) else [e.path for e in entries]
+    start_ns, duration_ns = _times(top)
     return Rosbag2Metadata(
-        files=_files(top),
+        files=tuple(filter(None, files)),
         message_count=_number(top.get("message_count")),
-        duration_ns=_nanoseconds(top, "duration", "nanoseconds"),
-        start_ns=_nanoseconds(top, "starting_time", "nanoseconds_since_epoch"),
+        duration_ns=duration_ns,
+        start_ns=start_ns,
         storage=_text(top.get("storage_identifier")) or None,
         compression=_text(top.get("compression_format")).lower(),
         compression_mode=_text(top.get("compression_mode")).lower().replace("none", ""),
         version=_number(top.get("version")),
-        topics=tuple(_topic(entry) for entry in _entries(top, "topics_with_message_count")),
-        file_entries=tuple(_file(entry) for entry in _entries(top, "files")),
+        topics=tuple(topics),
+        file_entries=entries,
         ros_distro=_text(top.get("ros_distro")),
     )
-
-
-def _topic(entry: Mapping[object, object]) -> StatedTopic:
-    topic = _mapping(entry.get("topic_metadata")) or _mapping(entry.get("topic_and_type"))  # the latter in version 1
-    return StatedTopic(
-        name=_text(topic.get("name")),
-        message_type=_text(topic.get("type")),
-        serialization_format=_text(topic.get("serialization_format")),
-        message_count=_number(entry.get("message_count")),
-    )
-
-
-def _file(entry: Mapping[object, object]) -> StatedFile:
-    return StatedFile(
-        path=_path(entry.get("path")),
-        message_count=_number(entry.get("message_count")),
-        start_ns=_nanoseconds(entry, "starting_time", "nanoseconds_since_epoch"),
-        duration_ns=_nanoseconds(entry, "duration", "nanoseconds"),
-    )
-
-
-def _files(top: Mapping[object, object]) -> tuple[str, ...]:
-    paths = top.get("relative_file_paths")
-    if isinstance(paths, list):
-        return tuple(path for entry in paths[:_MOST_ENTRIES] if (path := _path(entry)))
-    return tuple(path for entry in _entries(top, "files") if (path := _path(entry.get("path"))))
 
 
 def _path(value: object) -> str:
@@ -146,8 +125,10 @@ def _entries(top: Mapping[object, object], key: str) -> list[Mapping[object, obj
     return [_mapping(entry) for entry in entries[:_MOST_ENTRIES]] if isinstance(entries, list) else []
 
 
-def _nanoseconds(top: Mapping[object, object], key: str, inner: str) -> int | None:
-    return _number(_mapping(top.get(key)).get(inner))
+def _times(entry: Mapping[object, object]) -> tuple[int | None, int | None]:
+    """Return start and duration in nanoseconds."""
+    start = _mapping(entry.get("starting_time")).get("nanoseconds_since_epoch")
+    return _number(start), _number(_mapping(entry.get("duration")).get("nanoseconds"))
 
 
 def _mapping(value: object) -> Mapping[object, object]:
@@ -173,12 +154,7 @@ _FIRST_VERSION_WITH_FILES = 5
 
 @dataclass(frozen=True)
 class MemberFacts:
-    """What is known of a data file; None: unknown.
-
-    Attributes:
-        name: without folder.
-        format: of what is inside; None where it is not known.
-    """
+    """What is known of a data file; None: unknown. `name`: without folder. `format`: of what is inside."""
 
     name: str
     message_count: int | None = None
@@ -231,13 +207,11 @@ def compare_names(metadata: Rosbag2Metadata, names: Iterable[str]) -> list[Probl
     """Report data files that are missing, or that metadata.yaml does not name."""
     claimed = {PurePosixPath(path).name for path in metadata.files}
     there = set(names)
-    missing = [
-        Problem("member-missing", name, "metadata.yaml names it, but it is not there") for name in claimed - there
+    missing, surplus = "metadata.yaml names it, but it is not there", "it is there, but metadata.yaml does not name it"
+    return [
+        *(Problem("member-missing", name, missing) for name in sorted(claimed - there)),
+        *(Problem("member-surplus", name, surplus) for name in sorted(there - claimed)),
     ]
-    surplus = [
-        Problem("member-surplus", name, "it is there, but metadata.yaml does not name it") for name in there - claimed
-    ]
-    return sorted([*missing, *surplus], key=lambda problem: (problem.code, problem.where))
 
 
 def _compare_files(metadata: Rosbag2Metadata, members: Sequence[MemberFacts]) -> list[Problem]:
@@ -288,15 +262,12 @@ def _compare_types(stated: Iterable[StatedTopic], topics: Mapping[str, TopicFact
                 f"metadata.yaml says its messages are encoded as {encoding}, the files say {actual.message_encoding}"
             )
             problems.append(Problem("metadata-encoding", topic.name, message))
-        if actual.message_type and topic.message_type and _short(topic.message_type) != _short(actual.message_type):
+        # ROS 1 and the first rosbag2 write types without `/msg/`.
+        stated_type, actual_type = (one.message_type.replace("/msg/", "/") for one in (topic, actual))
+        if stated_type and actual_type and stated_type != actual_type:
             message = f"metadata.yaml says its type is {topic.message_type}, the files say {actual.message_type}"
             problems.append(Problem("metadata-type", topic.name, message))
     return problems
-
-
-def _short(message_type: str) -> str:
-    """Return a type name without `/msg/`, as ROS 1 and the first rosbag2 wrote it."""
-    return message_type.replace("/msg/", "/")
 
 
 def _compare_span(metadata: Rosbag2Metadata, members: Sequence[MemberFacts]) -> list[Problem]:
@@ -308,16 +279,12 @@ def _compare_span(metadata: Rosbag2Metadata, members: Sequence[MemberFacts]) -> 
     if (metadata.version or 0) < _FIRST_VERSION_WITH_FILES:
         # Early recorders of split sets wrote the start of the last file, and the duration of the longest.
         accepted.append((spans[-1][0], max(last - first for first, last in spans)))
-    claimed = (metadata.start_ns, metadata.duration_ns)
-    if any(_agree(claimed, actual) for actual in accepted):
+    differences = (max(abs(metadata.start_ns - a), abs(metadata.duration_ns - b)) for a, b in accepted)
+    if min(differences) <= _TOLERANCE_NS:
         return []
     if abs(metadata.start_ns - start) > _CREDIBLE_NS:
-        return []  # a clock that was not set: told of the stamps themselves
+        return []  # a clock that was not set, which the stamps themselves show
     message = (
         f"it says {metadata.duration_ns} ns from {metadata.start_ns}, the files hold {end - start} ns from {start}"
     )
     return [Problem("metadata-span", METADATA_NAME, message)]
-
-
-def _agree(claimed: tuple[int, int], actual: tuple[int, int]) -> bool:
-    return all(abs(a - b) <= _TOLERANCE_NS for a, b in zip(claimed, actual, strict=True))

@@ -58,11 +58,7 @@ class Column(NamedTuple):
 
 
 def read_header(head: bytes) -> Header:
-    """Read the database header; an invalid page size becomes the default.
-
-    Raises:
-        Malformed: too short, or no database.
-    """
+    """Read the database header; an invalid page size becomes the default."""
     if len(head) < HEADER_BYTES or not head.startswith(MAGIC):
         raise Malformed("byte 0", "the header of the database is not whole")
     (page_bytes,) = _U16.unpack_from(head, 16)
@@ -79,15 +75,7 @@ def read_header(head: bytes) -> Header:
 
 
 class PageFile:
-    """The pages of a file, numbered from 1. Close it, or use it in a `with`.
-
-    Attributes:
-        whole_pages: pages that are there to their last byte.
-
-    Raises:
-        SourceError: the file cannot be opened or read.
-        Malformed: as `read_header`.
-    """
+    """The pages of a file, numbered from 1; `whole_pages` are there to their last byte. Use it in a `with`."""
 
     def __init__(self, path: Path, name: str) -> None:
         self._name = name
@@ -117,12 +105,7 @@ class PageFile:
         os.close(self._descriptor)
 
     def page(self, number: int) -> bytes:
-        """Return a page.
-
-        Raises:
-            Malformed: there is none of that number, or it is not whole.
-            SourceError: it cannot be read.
-        """
+        """Return a page."""
         if not 1 <= number <= self.whole_pages:
             raise Malformed(f"page {number}", "it lies beyond the end of the file")
         size = self.header.page_bytes
@@ -158,10 +141,7 @@ class PageFile:
         return free
 
     def last_leaf(self, root: int) -> tuple[int, int]:
-        """Return the last leaf of the table at page `root`, and the largest key above it.
-
-        The leaf is 0 where the way is broken or ends outside of the file.
-        """
+        """Return the last leaf of the table at page `root` (0 if the tree is broken), and the largest key above it."""
         highest = 0
         number = root
         for _ in range(_MOST_LEVELS):
@@ -184,11 +164,7 @@ class PageFile:
 
 
 def read_varint(data: bytes, at: int) -> tuple[int, int]:
-    """Return a number of 1 to 9 bytes (two's complement in 64 bits), and where it ends.
-
-    Raises:
-        IndexError: it is not whole.
-    """
+    """Return a number of 1 to 9 bytes (two's complement in 64 bits), and where it ends."""
     value = data[at]
     if value < 0x80:
         return value, at + 1
@@ -212,11 +188,7 @@ def local_bytes(payload_bytes: int, usable_bytes: int) -> int:
 
 
 def leaf_cells(page: bytes, start: int, usable_bytes: int) -> Iterator[Cell | None]:
-    """Yield the rows of a table leaf page; None for an invalid one. `start`: of the page header.
-
-    Raises:
-        Malformed: the page claims more rows than it can hold.
-    """
+    """Yield the rows of a table leaf page; None for an invalid one. `start`: of the page header."""
     (count,) = _U16.unpack_from(page, start + 3)
     first = start + 8 + 2 * count
     if first > usable_bytes:
@@ -244,10 +216,7 @@ def _read_cell(page: bytes, at: int, usable_bytes: int) -> Cell | None:
 
 
 def read_columns(data: bytes, at: int, end: int, payload_bytes: int) -> list[Column] | None:
-    """Return the columns of the record whose payload begins at `data[at]`; None if it is invalid.
-
-    The record's own header must are before `end`.
-    """
+    """Return the columns of the record that begins at `data[at]`; None if invalid, or if its header passes `end`."""
     try:
         header_bytes, place = read_varint(data, at)
         if not 1 <= header_bytes <= end - at:

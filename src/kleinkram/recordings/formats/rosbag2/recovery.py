@@ -1,39 +1,36 @@
 """Recovers topics and messages from databases that SQLite calls malformed: cut, overwritten, or with invalid pages.
 
-Rows are whole in leaf pages, whatever became of the tree above them. So every page is looked at once: leaf pages
-that hold rows of the shape of messages are brought into the order of their row ids and read; a row whose data goes on
-in other pages counts only if all of those are there. rosbag2 numbers messages without gaps and deletes none, so row
-ids tell how many are missing. Holds 8 bytes a leaf page.
-
-What cannot be seen: a flipped byte inside of a message's data; SQLite keeps no checksums.
+Rows are whole in leaf pages, whatever became of the tree above them. Every page is read once; leaf pages that hold rows
+of the shape of messages are sorted by row id (8 bytes a page). A row counts if all its overflow pages are there.
+rosbag2 numbers messages without gaps and deletes none, so row ids tell how many are missing. A flipped byte inside of
+a message's data cannot be seen: SQLite keeps no checksums.
 """
 
 from __future__ import annotations
 
 import struct
 from array import array
-from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from kleinkram.recordings.chunk_reader import MAX_MESSAGE
+from kleinkram.recordings.chunk_reader import MAX_MESSAGE, ChunkTableBuilder
+from kleinkram.recordings.chunk_table import ChunkTable
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import Malformed, SourceError
 from kleinkram.recordings.formats.base import ChunkedMember, MemberContents
-from kleinkram.recordings.formats.mcap import records
-from kleinkram.recordings.formats.mcap.chunks import MESSAGE_FIELDS, table_of_records
+from kleinkram.recordings.formats.mcap.chunks import MESSAGE_FIXED, MESSAGE_HEAD
 from kleinkram.recordings.formats.mcap.format import MCAP_CHUNKS
 from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.formats.rosbag2 import pages
 from kleinkram.recordings.formats.rosbag2.database import MessageRow, TopicRow
 from kleinkram.recordings.formats.rosbag2.pages import Cell, Column, PageFile
 from kleinkram.recordings.limits import MAX_NAME, MAX_TOPICS
+from kleinkram.recordings.message_counts import Batch, MessagePlace, PlaceKind
 from kleinkram.recordings.messages import Channel, Schema
 from kleinkram.recordings.model import counted
 from kleinkram.recordings.sources import FileSource
-from kleinkram.recordings.streams import open_range
 from kleinkram.recordings.temporary_files import TooLarge, temporary_copy
 
 _MAX_SORTED_PAGES = 2_000_000
@@ -50,12 +47,10 @@ class Recovered:
     """The result of a recovery, complete once `Recovery.messages` is exhausted.
 
     Attributes:
-        claimed_bytes: the size that the file should have by its own header; its real size where that says nothing.
-        damaged_pages: pages that are invalid data, or of which rows cannot be read.
-        damaged_bytes: bytes of these pages, and of messages that are cut.
-        cut_messages: messages that begin and whose data is not all there.
-        lost_messages: how many are missing for sure, from the gaps in the numbers of the rows.
-        is_exact: no more than those are missing, because the last row that was written is there.
+        claimed_bytes: the file's size by its header; its real size where that says nothing.
+        damaged_pages: pages that are invalid, or of which rows cannot be read.
+        damaged_bytes: of these pages, and of messages that are cut.
+        lost_messages: missing for sure, by the gaps in the row ids; no more if `is_exact`, as the last row is there.
     """
 
     size_bytes: int
@@ -70,12 +65,7 @@ class Recovered:
 
 
 class Recovery:
-    """Reads a damaged database; use it in a `with`.
-
-    Raises:
-        Malformed: not even the header is there.
-        SourceError: the file cannot be read.
-    """
+    """Reads a damaged database; use it in a `with`. `Malformed` if not even the header is there."""
 
     def __init__(self, path: Path, name: str) -> None:
         self._file = PageFile(path, name)
@@ -124,37 +114,36 @@ class Recovery:
         """Find the leaf pages of messages, the topics, and invalid pages."""
         free = self._file.free_pages()
         for number in range(1, self._file.whole_pages + 1):
-            if number not in free:
-                self._look_at(number, self._file.page(number))
+            if number in free:
+                continue
+            page = self._file.page(number)
+            kind = page[pages.HEADER_BYTES if number == 1 else 0]
+            if kind == pages.LEAF_TABLE:
+                self._survey_leaf(number, page)
+            elif kind == 0:
+                # Pages of data begin with the number of the next one, and those of the freelist too.
+                if not any(page):
+                    self._note(number, "it is all zeros")
+            elif kind not in (pages.INTERIOR_TABLE, pages.INTERIOR_INDEX, pages.LEAF_INDEX) and number < 1 << 24:
+                self._note(number, "it is of no kind that there is")
         tail = self._file.size_bytes % self._file.header.page_bytes
         if tail:
             self.result.damaged_pages += 1
             self.result.damaged_bytes += tail
         self.result.topics = [self._topics[topic_id] for topic_id in sorted(self._topics)]
 
-    def _look_at(self, number: int, page: bytes) -> None:
-        kind = page[pages.HEADER_BYTES if number == 1 else 0]
-        if kind == pages.LEAF_TABLE:
-            self._look_at_leaf(number, page)
-        elif kind == 0:
-            # Pages of data begin with the number of the next one, and those of the freelist too.
-            if not any(page):
-                self._note(number, "it is all zeros")
-        elif kind not in (pages.INTERIOR_TABLE, pages.INTERIOR_INDEX, pages.LEAF_INDEX) and number < 1 << 24:
-            self._note(number, "it is of no kind that there is")
-
-    def _look_at_leaf(self, number: int, page: bytes) -> None:
+    def _survey_leaf(self, number: int, page: bytes) -> None:
         """Note a leaf page of messages, or read topics and roots from another leaf page."""
         try:
             for cell, columns in self._cells(number, page):
                 if _is_message(columns):
                     self._leaves.append(min(max(cell.row_id, 0), _MOST_ROW_ID) << _PAGE_BITS | number)
                     return
-                self._look_at_row(page, cell, columns)
+                self._read_row(page, cell, columns)
         except Malformed as error:
             self._note(number, error.message)
 
-    def _look_at_row(self, page: bytes, cell: Cell, columns: list[Column]) -> None:
+    def _read_row(self, page: bytes, cell: Cell, columns: list[Column]) -> None:
         texts = [self._text(page, cell, column) if pages.is_text(column) else "" for column in columns[:4]]
         if len(columns) == _SCHEMA_COLUMNS and texts[0] == "table" and pages.is_integer(columns[3]):
             self._roots.setdefault(texts[1], pages.read_integer(columns[3], page, cell.at))
@@ -207,10 +196,7 @@ class Recovery:
                 yield cell, columns
 
     def _is_whole(self, cell: Cell) -> bool:
-        """Return whether all overflow pages of a row are there.
-
-        A page belongs to one row only, so that all of this takes no more steps than the file has pages.
-        """
+        """Return whether all overflow pages of a row are there."""
         usable = self._file.header.usable_bytes
         left = cell.payload_bytes - cell.local_bytes
         number = cell.overflow_page
@@ -269,27 +255,17 @@ _LATEST_NS = 2**63 - 1
 def open_recovered(
     path: Path, name: str, problem_log: ProblemLog, stack: ExitStack, *, message_compression: str = ""
 ) -> ChunkedMember:
-    """Open a recovered database; its temporary file is removed with the stack.
-
-    Raises:
-        SourceError: it cannot be read, or there is no room for the temporary file.
-    """
-    counts: dict[int, int] = defaultdict(int)
+    """Open a recovered database by a temporary file of MCAP message records, which is removed with the stack."""
     channels: dict[int, Channel] = {}
+    builder = ChunkTableBuilder(ChunkTable(), problem_log)
     try:
         with Recovery(path, name) as recovery:
-            numbers = {topic.topic_id: number for number, topic in enumerate(recovery.result.topics)}
-            channels = {
-                number: Channel(
-                    topic.name,
-                    topic.serialization_format or "cdr",
-                    Schema(topic.message_type, "", b""),
-                    message_compression,
-                )
-                for number, topic in enumerate(recovery.result.topics)
-            }
-            copy = stack.enter_context(temporary_copy(_reading(_records(recovery, numbers, counts))))
             result = recovery.result
+            for number, topic in enumerate(result.topics):
+                schema, encoding = Schema(topic.message_type, "", b""), topic.serialization_format or "cdr"
+                channels[number] = Channel(topic.name, encoding, schema, message_compression)
+            pieces = _records(recovery, channels, builder)
+            copy = stack.enter_context(temporary_copy(lambda _most: next(pieces, b"")))
             lost = counted(result.lost_messages, "message is", "messages are")
             message = f"{result.first_damage or 'it is damaged'}; at least {lost} lost"
             problem_log.add("damaged", f"{name}: pages", message)
@@ -298,23 +274,23 @@ def open_recovered(
         copy = stack.enter_context(temporary_copy(lambda _: b""))
     except TooLarge as error:
         raise SourceError(f"{name}: {error}") from error
+    builder.close()
+    contents = MemberContents(channels, builder.counts, sum(builder.counts.values()), *builder.table.span())
     source = stack.enter_context(FileSource(copy))
-    table = table_of_records(open_range(source, 0, source.size_bytes))
-    contents = MemberContents(channels, counts, sum(counts.values()), *table.span())
-    return ChunkedMember(source, MCAP_CHUNKS, table, contents, problem_log)
+    return ChunkedMember(source, MCAP_CHUNKS, builder.table, contents, problem_log)
 
 
-def _records(recovery: Recovery, numbers: dict[int, int], counts: dict[int, int]) -> Iterator[bytes]:
-    """Yield each message as an MCAP record, without those of undefined topics."""
+def _records(recovery: Recovery, channels: dict[int, Channel], builder: ChunkTableBuilder) -> Iterator[bytes]:
+    """Yield each message as an MCAP record, without those of undefined topics, and note its place."""
+    numbers = {topic.topic_id: number for number, topic in enumerate(recovery.result.topics)}
+    start = 0
     for row, data in recovery.messages_with_data(MAX_MESSAGE):
-        number = numbers.get(row.topic_id)
-        if number is None or not 0 <= row.timestamp <= _LATEST_NS:
+        number, time = numbers.get(row.topic_id), row.timestamp
+        if number is None or not 0 <= time <= _LATEST_NS:
             continue
-        counts[number] += 1
-        head = MESSAGE_FIELDS.pack(number, 0, row.timestamp, row.timestamp)
-        yield records.RECORD_HEAD.pack(Opcode.MESSAGE, len(head) + len(data)) + head + data
-
-
-def _reading(pieces: Iterator[bytes]) -> Callable[[int], bytes]:
-    """Return a function that returns the next piece of any size; b"" at the end."""
-    return lambda _most: next(pieces, b"")
+        length = MESSAGE_HEAD.size + len(data)
+        batch = Batch(channels)
+        batch[number].extend((time, time, length))
+        builder.on_messages(MessagePlace(PlaceKind.records, start, length, length), batch)
+        start += length
+        yield MESSAGE_HEAD.pack(Opcode.MESSAGE, MESSAGE_FIXED + len(data), number, 0, time, time) + data

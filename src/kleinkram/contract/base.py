@@ -1,0 +1,66 @@
+"""Base classes and shared types of requests and responses: ETags, pages, expiry times."""
+
+import datetime
+import hashlib
+from typing import Annotated, Generic, TypeVar
+
+from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
+from pydantic_core import to_json
+
+
+class Request(BaseModel):
+    """What a client sends: immutable; unknown fields are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Response(BaseModel):
+    """What a server answers: immutable; unknown fields are ignored, so that an older client reads a newer server."""
+
+    model_config = ConfigDict(frozen=True)
+
+
+ETag = Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
+"""An ETag without its quotes."""
+
+
+def etag_of(*editable: object) -> str:
+    """Return the ETag of an object with these editable values, hashed as JSON."""
+    return hashlib.sha256(to_json(editable)).hexdigest()[:16]
+
+
+T = TypeVar("T")
+
+MAX_PAGE_SIZE = 500
+MAX_CURSOR_CHARACTERS = 32_768
+Cursor = Annotated[str, Field(max_length=MAX_CURSOR_CHARACTERS)]
+PageSize = Annotated[int, Field(ge=1, le=MAX_PAGE_SIZE)]
+
+
+class Page(Response, Generic[T]):
+    """One page of a list, in the list's order.
+
+    `next` is the cursor of the following page, or null on the last. `total` is the number of all rows that match, and
+    is null unless it was asked for.
+    """
+
+    items: list[T]
+    next: str | None = None
+    total: int | None = None
+
+
+# Within what databases and languages keep, in every zone.
+_FIRST_YEAR, _LAST_YEAR = 2, 9998
+
+
+def check_expiry(at: datetime.datetime) -> datetime.datetime:
+    """Return a time in UTC, or say why nothing can end then. Raises ValueError."""
+    if at.year < _FIRST_YEAR:
+        raise ValueError("has passed already")
+    if at.year > _LAST_YEAR:
+        raise ValueError(f"is beyond the year {_LAST_YEAR}; leave it out for no end")
+    return at.astimezone(datetime.timezone.utc)
+
+
+# When something ends; null, where that is allowed, is never.
+Expiry = Annotated[AwareDatetime, AfterValidator(check_expiry)]

@@ -1,0 +1,157 @@
+"""Overviews of a mission: its topics, its timeline; and statistics over many."""
+
+import uuid
+from typing import Annotated
+
+from pydantic import Field
+
+from kleinkram.contract.base import Response
+from kleinkram.contract.files import BlobState, ContentState
+
+MAX_BINS = 512
+MAX_MISSION_TOPICS = 2_000
+
+# How many bins somebody wants to draw, at most: an answer has at least a quarter as many, where so much is known.
+Bins = Annotated[int, Field(ge=0, le=MAX_BINS)]
+MissionTopicsSize = Annotated[int, Field(ge=1, le=MAX_MISSION_TOPICS)]
+
+
+class TimeAxis(Response):
+    """The bins that several densities share: `bins` of `bin_ns` each, the first from `start_ns` on."""
+
+    start_ns: int
+    bin_ns: int
+    bins: int
+
+
+class RecordingRef(Response):
+    """A recording, as named beside what it holds."""
+
+    id: uuid.UUID
+    name: str
+
+
+class MissionTopic(Response):
+    """One topic with one type, in all recordings of a mission.
+
+    `other_types` are those under which the mission has the same topic too: a conflict. `count` is null where a file
+    does not say its own. `rate_hz` is that while recordings lasted, and `longest_gap_ns` the longest silence inside of
+    one: between two recordings nobody listened. `counts` are by the bins of `axis`; null where no file that has the
+    topic was read since densities are kept, and adding up to less than `count` where only some were. `recordings` are
+    those that have messages of it, as ranges `[first, last]` (both inclusive) of places in the answer's `recordings`.
+    """
+
+    name: str
+    message_type: str | None
+    other_types: list[str | None]
+    count: int | None
+    file_count: int
+    recording_count: int
+    recordings: list[tuple[int, int]]
+    first_ns: int | None
+    last_ns: int | None
+    rate_hz: float | None
+    longest_gap_ns: int | None
+    stored_bytes: int | None
+    counts: list[int] | None
+
+
+class MissionTopics(Response):
+    """A page of the topics of a mission, by name and type.
+
+    `axis` spans the mission without recordings from before 1990; null where no times are known. `recordings` are in
+    the order of time. `is_current` says whether this follows from today's files; if not, it soon will.
+    """
+
+    axis: TimeAxis | None
+    recordings: list[RecordingRef]
+    items: list[MissionTopic]
+    next: str | None = None
+    is_current: bool
+
+
+MAX_TIMELINE_FILES = 10_000
+
+TimelineSize = Annotated[int, Field(ge=1, le=MAX_TIMELINE_FILES)]
+
+
+class TimelineFile(Response):
+    """When one file was recorded; `start_ns` and `end_ns` are null where it has no times, or nobody read it yet."""
+
+    id: uuid.UUID
+    path: str
+    recording_id: uuid.UUID | None
+    start_ns: int | None
+    end_ns: int | None
+    size_bytes: int
+    content: ContentState
+    state: BlobState
+
+
+class MissionTimeline(Response):
+    """Files of a mission, by path; `next` is the cursor of those that follow, or null.
+
+    `start_ns` and `end_ns` span the mission (log clock, since 1970, UTC), without recordings from before 1990.
+    """
+
+    start_ns: int | None
+    end_ns: int | None
+    items: list[TimelineFile]
+    next: str | None = None
+
+
+class StatsRow(Response):
+    """One group. `duration_ns` sums the recordings' spans; files in the trash do not count.
+
+    Grouped by topic or message type, a recording counts in each of its groups, and `messages` are that group's own.
+    """
+
+    group: str | None
+    missions: int
+    files: int
+    recordings: int
+    size_bytes: int
+    duration_ns: int
+    messages: int
+
+
+class StatsRead(Response):
+    """Statistics by `by` (`project`, `mission`, `topic`, `type`, `month`, `format` or `metadata.FIELD`), and in all."""
+
+    by: str
+    rows: list[StatsRow]
+    total: StatsRow
+
+
+MAX_BUCKETS = 200
+
+# Buckets that are told each by itself; what is left of other values than times and numbers is one more.
+Buckets = Annotated[int, Field(ge=1, le=MAX_BUCKETS)]
+
+
+class Bucket(Response):
+    """Files of one month, of one value of a field, or of the numbers from `low` on up to below `high`.
+
+    All three are null for what has no such time or value.
+    """
+
+    value: str | None
+    low: float | None = None
+    high: float | None = None
+    stats: StatsRow
+
+
+class Overview(Response):
+    """What a project amounts to, or all that one may see, by `month` of recording or by a metadata field.
+
+    Months and numbers come in their order. Other values come with the longest recorded first, as many as were asked
+    for, and `other` is all that are left. `unit` is that of a field of numbers. `topics` are the distinct names of
+    topics; null for who is shown less than whole missions.
+    """
+
+    by: str
+    unit: str | None
+    buckets: list[Bucket]
+    other: StatsRow | None
+    total: StatsRow
+    topics: int | None

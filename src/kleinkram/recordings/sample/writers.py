@@ -1,0 +1,392 @@
+"""Writers of sample recordings: MCAP, ROS 1 bag, and rosbag2 with SQLite storage.
+
+They stream: one chunk and the index are in memory. Nothing but samples, tests and benchmarks writes recordings.
+
+Source: MCAP format specification, version 0 (mcap.dev/spec); wiki.ros.org/Bags/Format/2.0; rosbag2_storage_sqlite3,
+schema version 3, with metadata version 5 (ROS 2 Humble).
+"""
+
+from __future__ import annotations
+
+import bz2
+import json
+import sqlite3
+import struct
+import zlib
+from array import array
+from collections.abc import Callable
+from enum import Enum
+from pathlib import Path
+from typing import BinaryIO
+
+import lz4.frame
+import zstandard
+
+from kleinkram.recordings.formats.mcap import records as mcap
+from kleinkram.recordings.formats.mcap.records import Opcode
+from kleinkram.recordings.formats.rosbag1 import records as rosbag1
+from kleinkram.recordings.formats.rosbag1.records import Op
+
+_MESSAGE = struct.Struct("<BQHIQQ")
+_BAG_HEADER_BYTES = 4096
+_LZ4_BLOCK_1MB = 6
+
+
+class Compression(str, Enum):
+    """Compression of chunks, as MCAP spells it."""
+
+    none = ""
+    lz4 = "lz4"
+    zstd = "zstd"
+
+
+class BagCompression(str, Enum):
+    """Compression of chunks, as bags spell it."""
+
+    none = "none"
+    bz2 = "bz2"
+    lz4 = "lz4"
+
+
+class _ChunkedWriter:
+    """The chunk being filled, and the records of the index so far."""
+
+    def __init__(self, file: BinaryIO, compress: Callable[[bytes], bytes], chunk_bytes: int, index_code: str) -> None:
+        self._file, self._compress, self._chunk_bytes, self._index_code = file, compress, chunk_bytes, index_code
+        self._position = self._raw_bytes = self._stored_bytes = 0
+        self._definitions: list[bytes] = []
+        self._chunk_indexes: list[bytes] = []
+        self._begin_chunk()
+
+    @property
+    def bytes_written(self) -> int:
+        """Size of the file so far; of the chunk being filled, what it will be if it compresses like those before."""
+        if not self._raw_bytes:
+            return self._position + self._size
+        return self._position + self._size * self._stored_bytes // self._raw_bytes
+
+    def _begin_chunk(self) -> None:
+        self._pieces: list[bytes] = []
+        self._size = 0
+        self._first_ns, self._last_ns = 2**64 - 1, 0
+        self._index: dict[int, array[int]] = {}
+
+    def _define(self, record: bytes) -> None:
+        self._definitions.append(record)
+        self._pieces.append(record)
+        self._size += len(record)
+
+    def _add(self, channel: int, index_entry: tuple[int, ...], log_time_ns: int, head: bytes, payload: bytes) -> None:
+        index = self._index.get(channel)
+        if index is None:
+            index = self._index[channel] = array(self._index_code)
+        index.extend(index_entry)
+        self._pieces += (head, payload)
+        self._size += len(head) + len(payload)
+        self._first_ns, self._last_ns = min(self._first_ns, log_time_ns), max(self._last_ns, log_time_ns)
+        if self._size >= self._chunk_bytes:
+            self._flush()
+
+    def _flush(self) -> None:
+        raise NotImplementedError
+
+    def _compressed(self) -> tuple[bytes, bytes]:
+        """Return the chunk, and the chunk compressed."""
+        raw = b"".join(self._pieces)
+        stored = self._compress(raw)
+        self._raw_bytes += len(raw)
+        self._stored_bytes += len(stored)
+        return raw, stored
+
+    def _put(self, data: bytes) -> None:
+        self._file.write(data)
+        self._position += len(data)
+
+
+class McapWriter(_ChunkedWriter):
+    """Writes an MCAP with every CRC; call `finish` at the end, or the file has no index."""
+
+    def __init__(
+        self,
+        file: BinaryIO,
+        *,
+        profile: str = "",
+        library: str = "kleinkram",
+        compression: Compression = Compression.zstd,
+        chunk_bytes: int = 2**20,
+    ) -> None:
+        compressors: dict[Compression, Callable[[bytes], bytes]] = {
+            Compression.none: bytes,
+            Compression.lz4: lz4.frame.compress,
+            Compression.zstd: zstandard.ZstdCompressor(level=1).compress,
+        }
+        super().__init__(file, compressors[compression], chunk_bytes, "Q")
+        self._compression = _text(compression.value)
+        self._crc = 0
+        self._counts: dict[int, int] = {}
+        self._schemas = 0
+        self._span = (2**64 - 1, 0)
+        self._put(mcap.MAGIC)
+        self._put(_mcap_record(Opcode.HEADER, _text(profile) + _text(library)))
+
+    def add_schema(self, name: str, encoding: str, text: bytes) -> int:
+        """Define a message type; returns its id, to be used for channels."""
+        self._schemas += 1
+        body = struct.pack("<H", self._schemas) + _text(name) + _text(encoding) + _counted(text)
+        self._define(_mcap_record(Opcode.SCHEMA, body))
+        return self._schemas
+
+    def add_channel(self, topic: str, schema_id: int, message_encoding: str) -> int:
+        """Define a topic; returns its id, to be used for messages."""
+        channel_id = len(self._counts)
+        body = struct.pack("<HH", channel_id, schema_id) + _text(topic) + _text(message_encoding) + _counted(b"")
+        self._define(_mcap_record(Opcode.CHANNEL, body))
+        self._counts[channel_id] = 0
+        return channel_id
+
+    def add_message(self, channel_id: int, log_time_ns: int, payload: bytes, *, publish_time_ns: int) -> None:
+        """Add a message; messages are in the file in the order in which they are added."""
+        sequence = self._counts[channel_id]
+        self._counts[channel_id] = sequence + 1
+        length = _MESSAGE.size - mcap.RECORD_HEAD.size + len(payload)
+        head = _MESSAGE.pack(Opcode.MESSAGE, length, channel_id, sequence & 0xFFFFFFFF, log_time_ns, publish_time_ns)
+        self._add(channel_id, (log_time_ns, self._size), log_time_ns, head, payload)
+
+    def finish(self) -> None:
+        """Write what is left, the summary and the footer. The file is not closed."""
+        self._flush()
+        self._put(_mcap_record(Opcode.DATA_END, struct.pack("<I", self._crc)))
+        summary_start, self._crc = self._position, 0
+        counts = b"".join(struct.pack("<HQ", *item) for item in self._counts.items())
+        total = sum(self._counts.values())
+        statistics = mcap.STATISTICS_BODY.pack(
+            total, self._schemas, len(self._counts), 0, 0, len(self._chunk_indexes), *(self._span if total else (0, 0))
+        )
+        records = *self._definitions, _mcap_record(Opcode.STATISTICS, statistics + _counted(counts))
+        for record in (*records, *self._chunk_indexes):
+            self._put(record)
+        footer = mcap.RECORD_HEAD.pack(Opcode.FOOTER, mcap.FOOTER_BODY.size) + struct.pack("<QQ", summary_start, 0)
+        self._put(footer + struct.pack("<I", zlib.crc32(footer, self._crc)) + mcap.MAGIC)
+
+    def _flush(self) -> None:
+        if not self._size:
+            return
+        if self._index:
+            self._span = min(self._span[0], self._first_ns), max(self._span[1], self._last_ns)
+        else:
+            self._first_ns = 0
+        raw, stored = self._compressed()
+        start = self._position
+        head = struct.pack("<QQQI", self._first_ns, self._last_ns, len(raw), zlib.crc32(raw))
+        head += self._compression + struct.pack("<Q", len(stored))
+        self._put(mcap.RECORD_HEAD.pack(Opcode.CHUNK, len(head) + len(stored)) + head)
+        self._put(stored)
+        index_start = self._position
+        offsets = b""
+        for channel_id, index in self._index.items():
+            offsets += struct.pack("<HQ", channel_id, self._position)
+            entries = struct.pack(f"<{len(index)}Q", *index)
+            self._put(_mcap_record(Opcode.MESSAGE_INDEX, struct.pack("<H", channel_id) + _counted(entries)))
+        body = struct.pack("<QQQQ", self._first_ns, self._last_ns, start, index_start - start) + _counted(offsets)
+        body += struct.pack("<Q", self._position - index_start) + self._compression
+        self._chunk_indexes.append(_mcap_record(Opcode.CHUNK_INDEX, body + struct.pack("<QQ", len(stored), len(raw))))
+        self._begin_chunk()
+
+    def _put(self, data: bytes) -> None:
+        super()._put(data)
+        self._crc = zlib.crc32(data, self._crc)
+
+
+def _mcap_record(opcode: int, body: bytes) -> bytes:
+    return mcap.RECORD_HEAD.pack(opcode, len(body)) + body
+
+
+def _counted(data: bytes) -> bytes:
+    return struct.pack("<I", len(data)) + data
+
+
+def _text(text: str) -> bytes:
+    return _counted(text.encode())
+
+
+class BagWriter(_ChunkedWriter):
+    """Writes a ROS 1 bag to a seekable file; call `finish` at the end, or the bag is not indexed."""
+
+    def __init__(
+        self, file: BinaryIO, *, compression: BagCompression = BagCompression.lz4, chunk_bytes: int = 768 * 1024
+    ) -> None:
+        compressors: dict[BagCompression, Callable[[bytes], bytes]] = {
+            BagCompression.none: bytes,
+            BagCompression.bz2: bz2.compress,
+            BagCompression.lz4: _ros_lz4,
+        }
+        super().__init__(file, compressors[compression], chunk_bytes, "I")
+        self._compression = compression.value.encode()
+        self._put(rosbag1.MAGIC)
+        self._put(_bag_header(0, 0, 0))
+
+    def add_connection(self, topic: str, message_type: str, *, md5sum: str, definition: str) -> int:
+        """Define a topic; returns its number, to be used for messages."""
+        number = len(self._definitions)
+        data = _fields(topic=topic.encode(), type=message_type.encode(), md5sum=md5sum.encode())
+        data += _fields(message_definition=definition.encode())
+        self._define(_bag_record(Op.CONNECTION, data, conn=_u32(number), topic=topic.encode()))
+        return number
+
+    def add_message(self, connection: int, log_time_ns: int, payload: bytes) -> None:
+        """Add a message; messages are in the file in the order in which they are added."""
+        seconds, nanoseconds = divmod(log_time_ns, 1_000_000_000)
+        time = struct.pack("<II", seconds, nanoseconds)
+        head = _fields(op=bytes([Op.MESSAGE_DATA]), conn=_u32(connection), time=time)
+        front = _counted(head) + _u32(len(payload))
+        self._add(connection, (seconds, nanoseconds, self._size), log_time_ns, front, payload)
+
+    def finish(self) -> None:
+        """Write what is left and the index. The file is not closed."""
+        self._flush()
+        index_start = self._position
+        for record in (*self._definitions, *self._chunk_indexes):
+            self._put(record)
+        self._file.seek(len(rosbag1.MAGIC))
+        self._file.write(_bag_header(index_start, len(self._definitions), len(self._chunk_indexes)))
+        self._file.seek(0, 2)
+
+    def _flush(self) -> None:
+        if not self._index:
+            return
+        raw, stored = self._compressed()
+        start = self._position
+        head = _fields(op=bytes([Op.CHUNK]), compression=self._compression, size=_u32(len(raw)))
+        self._put(_counted(head) + _u32(len(stored)))
+        self._put(stored)
+        counts = b""
+        for connection, index in self._index.items():
+            entries, count = struct.pack(f"<{len(index)}I", *index), _u32(len(index) // 3)
+            counts += _u32(connection) + count
+            self._put(_bag_record(Op.INDEX_DATA, entries, ver=_u32(1), conn=_u32(connection), count=count))
+        times = (struct.pack("<II", *divmod(time_ns, 1_000_000_000)) for time_ns in (self._first_ns, self._last_ns))
+        info = dict(zip(("start_time", "end_time"), times, strict=True))
+        place = {"ver": _u32(1), "chunk_pos": struct.pack("<Q", start), **info, "count": _u32(len(self._index))}
+        self._chunk_indexes.append(_bag_record(Op.CHUNK_INFO, counts, **place))
+        self._begin_chunk()
+
+
+def _bag_header(index_start: int, connections: int, chunks: int) -> bytes:
+    """Return the bag header record, padded so that it can be overwritten in place."""
+    values = {"index_pos": struct.pack("<Q", index_start), "conn_count": _u32(connections), "chunk_count": _u32(chunks)}
+    size = len(_bag_record(Op.BAG_HEADER, b"", **values))
+    return _bag_record(Op.BAG_HEADER, b" " * (_BAG_HEADER_BYTES - size), **values)
+
+
+def _ros_lz4(raw: bytes) -> bytes:
+    """Compress in independent blocks of 1 MB with a checksum: what ROS itself writes, and the only kind it reads."""
+    return bytes(
+        lz4.frame.compress(raw, block_size=_LZ4_BLOCK_1MB, block_linked=False, content_checksum=True, store_size=False)
+    )
+
+
+def _bag_record(opcode: int, data: bytes, **fields: bytes) -> bytes:
+    return _counted(_fields(op=bytes([opcode]), **fields)) + _counted(data)
+
+
+def _fields(**values: bytes) -> bytes:
+    return b"".join(_counted(name.encode() + b"=" + value) for name, value in values.items())
+
+
+def _u32(number: int) -> bytes:
+    return struct.pack("<I", number)
+
+
+_ROSBAG2_SCHEMA = """
+CREATE TABLE schema(schema_version INTEGER PRIMARY KEY,ros_distro TEXT NOT NULL);
+CREATE TABLE metadata(id INTEGER PRIMARY KEY,metadata_version INTEGER NOT NULL,metadata TEXT NOT NULL);
+CREATE TABLE topics(id INTEGER PRIMARY KEY,name TEXT NOT NULL,type TEXT NOT NULL,
+    serialization_format TEXT NOT NULL,offered_qos_profiles TEXT NOT NULL);
+CREATE TABLE messages(id INTEGER PRIMARY KEY,topic_id INTEGER NOT NULL,timestamp INTEGER NOT NULL, data BLOB NOT NULL);
+CREATE INDEX timestamp_idx ON messages (timestamp ASC);
+INSERT INTO schema(schema_version, ros_distro) VALUES (3, 'humble');
+"""
+_METADATA = """\
+rosbag2_bagfile_information:
+  version: 5
+  storage_identifier: sqlite3
+  duration:
+    nanoseconds: {duration}
+  starting_time:
+    nanoseconds_since_epoch: {start}
+  message_count: {count}
+  topics_with_message_count:
+{topics}  compression_format: ""
+  compression_mode: ""
+  relative_file_paths:
+    - {name}
+  files:
+    - path: {name}
+      starting_time:
+        nanoseconds_since_epoch: {start}
+      duration:
+        nanoseconds: {duration}
+      message_count: {count}
+"""
+_TOPIC_METADATA = """\
+    - topic_metadata:
+        name: {name}
+        type: {message_type}
+        serialization_format: cdr
+        offered_qos_profiles: ""
+      message_count: {count}
+"""
+
+
+class Db3Writer:
+    """Makes a new rosbag2 folder with one database, `path`; call `finish` at the end, or there is no metadata.yaml."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True)
+        self.path = folder / f"{folder.name}_0.db3"
+        self.bytes_written = 0
+        self._topics: list[tuple[str, str]] = []
+        self._counts: list[int] = []
+        self._batch: list[tuple[int, int, bytes]] = []
+        self._first_ns, self._last_ns = 2**63, 0
+        self._database = sqlite3.connect(self.path, isolation_level=None)
+        self._database.execute("PRAGMA journal_mode=OFF")
+        self._database.execute("PRAGMA synchronous=OFF")
+        self._database.executescript(_ROSBAG2_SCHEMA)
+        self._database.execute("BEGIN")
+
+    def add_topic(self, name: str, message_type: str) -> int:
+        """Define a topic; returns its id, to be used for messages."""
+        self._topics.append((name, message_type))
+        self._counts.append(0)
+        topic_id = len(self._topics)
+        self._database.execute("INSERT INTO topics VALUES (?, ?, ?, 'cdr', '')", (topic_id, name, message_type))
+        return topic_id
+
+    def add_message(self, topic_id: int, log_time_ns: int, payload: bytes) -> None:
+        """Add a message."""
+        self._counts[topic_id - 1] += 1
+        self._first_ns, self._last_ns = min(self._first_ns, log_time_ns), max(self._last_ns, log_time_ns)
+        self._batch.append((topic_id, log_time_ns, payload))
+        self.bytes_written += len(payload)
+        if len(self._batch) >= 500:
+            self._flush()
+
+    def finish(self) -> None:
+        """Write what is left and metadata.yaml, and close the database."""
+        self._flush()
+        self._database.execute("COMMIT")
+        self._database.close()
+        start = self._first_ns if any(self._counts) else 0
+        topics = "".join(
+            _TOPIC_METADATA.format(name=json.dumps(name), message_type=message_type, count=count)
+            for (name, message_type), count in zip(self._topics, self._counts, strict=True)
+        )
+        metadata = _METADATA.format(
+            name=self.path.name, start=start, duration=self._last_ns - start, count=sum(self._counts), topics=topics
+        )
+        self.path.with_name("metadata.yaml").write_text(metadata, encoding="utf-8")
+
+    def _flush(self) -> None:
+        self._database.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", self._batch)
+        self._batch.clear()

@@ -1,0 +1,150 @@
+"""The first admin of a new server, and the local owner of `klein up`."""
+
+import asyncio
+import logging
+import os
+import uuid
+from pathlib import Path
+
+from sqlalchemy import exists, func, insert, select, update
+
+from kleinkram.contract.access import Scope
+from kleinkram.contract.accounts import AdminBootstrap, OneTimeLink
+from kleinkram.contract.errors import CodeGone, FieldProblem, Forbidden, InvalidRequest, SignInRefused
+from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.tokens import SecretKind
+from kleinkram.server.access.actor import Actor, beginning, new_secret, secret_hash, unexpired
+from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID, OWNER_TOKEN_NAME, add_person, make_admin, prove_address
+from kleinkram.server.audit.service import Event, record
+from kleinkram.server.auth.local_accounts import refuse_obvious_password, set_password
+from kleinkram.server.auth.one_time_codes import CodeRequest, create_code, use_code
+from kleinkram.server.db import Connection
+from kleinkram.server.settings import Settings
+from kleinkram.server.tables import membership, person, token
+from kleinkram.server.tables.signing_in import CodePurpose
+
+_log = logging.getLogger("kleinkram.auth")
+# Serializes bootstraps, so that the second one finds an admin.
+_BOOTSTRAP_LOCK = 0x6B6C434C
+_CODE_LIFETIME_S = 7 * 86_400
+
+
+async def has_admin(db: Connection) -> bool:
+    """Whether the server has an active admin."""
+    active = person.c.deactivated_at.is_(None) & unexpired(membership.c.expires_at)
+    admins = exists().where(membership.c.group_id == ADMINS_ID, membership.c.person_id == person.c.id, active)
+    return bool((await db.execute(select(admins))).scalar_one())
+
+
+async def log_bootstrap_code(db: Connection) -> None:
+    """If the server has no admin, log a code that makes one: the only secret that is ever logged."""
+    if await has_admin(db):
+        return
+    code = await create_code(db, CodeRequest(CodePurpose.bootstrap, _CODE_LIFETIME_S))
+    _log.warning("this server has no admin yet; bootstrap code: %s", code.secret)
+
+
+async def bootstrap_admin(
+    db: Connection, actor: Actor, *, bootstrap: AdminBootstrap, password_hash: str | None
+) -> uuid.UUID:
+    """Make the signed-in person, or a new local account, the first admin; returns the person.
+
+    Raises CodeGone, InvalidRequest or SignInRefused.
+    """
+    await db.execute(select(func.pg_advisory_xact_lock(_BOOTSTRAP_LOCK)))
+    if await has_admin(db):
+        raise CodeGone
+    await use_code(db, bootstrap.code, CodePurpose.bootstrap)
+    person_id, name = actor.person_id, actor.name
+    if person_id is None:
+        person_id, name = await _new_account(db, bootstrap, password_hash)
+    await make_admin(db, person_id)
+    await record(
+        db, actor, Event("server.bootstrap", "person", person_id, name, None, after={"email": bootstrap.email})
+    )
+    return person_id
+
+
+async def create_owner_link(db: Connection, actor: Actor, *, settings: Settings) -> OneTimeLink:
+    """Return a link with which the owner of `klein up` signs in. Raises Forbidden."""
+    if actor.person_id != OWNER_ID:
+        raise Forbidden(noun="server", operation="sign in as its owner", needs="the owner's token")
+    code = await create_code(db, CodeRequest(CodePurpose.owner, settings.owner_link_s, person_id=OWNER_ID))
+    after: Metadata = {"expires_at": code.expires_at.isoformat()}
+    await record(db, actor, Event("link.create", "person", OWNER_ID, actor.name, None, after=after))
+    return code.link(settings, CodePurpose.owner)
+
+
+async def _new_account(db: Connection, bootstrap: AdminBootstrap, password_hash: str | None) -> tuple[uuid.UUID, str]:
+    missing = [
+        FieldProblem(field=field, message="is missing")
+        for field in ("name", "email", "password")
+        if getattr(bootstrap, field) is None
+    ]
+    if bootstrap.name is None or bootstrap.email is None or bootstrap.password is None or password_hash is None:
+        raise InvalidRequest(problems=missing)
+    refuse_obvious_password(bootstrap.password, field="password", about=(bootstrap.name, bootstrap.email))
+    person_id = await add_person(db, name=bootstrap.name)
+    if not await prove_address(db, person_id, bootstrap.email, by="bootstrap"):
+        raise SignInRefused(
+            reason=f"{bootstrap.email} has an account already. Sign in with it, then become the first admin."
+        )
+    await set_password(db, person_id, password_hash)
+    return person_id, bootstrap.name
+
+
+_log = logging.getLogger("kleinkram.owner")
+OWNER_NAME = "owner"
+
+
+async def let_owner_in(db: Connection, token_file: Path) -> None:
+    """Make the local owner exist, with the token in a file; one that was revoked is replaced there by a new one.
+
+    Raises RuntimeError.
+    """
+    held = (await asyncio.to_thread(token_file.read_text, encoding="ascii")).strip()
+    if held and await ensure_owner(db, held):
+        return
+    renewed = new_secret(SecretKind.personal).text
+    await ensure_owner(db, renewed)
+    try:
+        await asyncio.to_thread(_write_private, token_file, renewed + "\n")
+    except OSError as error:
+        raise RuntimeError(f"the owner's token was revoked, and {token_file} takes no other: {error}") from error
+    _log.warning("the owner's token was revoked: there is a new one", extra={"fields": {"file": str(token_file)}})
+
+
+async def ensure_owner(db: Connection, secret_token: str) -> bool:
+    """Make the local owner exist, with exactly this token; an older one stops working. What changed is recorded.
+
+    Returns whether it is theirs: one that was revoked is not, and then nothing changes.
+    """
+    await add_person(db, name=OWNER_NAME, person_id=OWNER_ID)
+    await make_admin(db, OWNER_ID)
+    # Processes that start together do this one after the other.
+    await db.execute(select(person.c.id).where(person.c.id == OWNER_ID).with_for_update(key_share=True))
+    secret = secret_hash(secret_token)
+    held = (await db.execute(select(token.c.revoked_at).where(token.c.secret_sha256 == secret))).one_or_none()
+    if held is not None:
+        return held.revoked_at is None
+    stale = (token.c.person_id == OWNER_ID) & (token.c.name == OWNER_TOKEN_NAME) & token.c.revoked_at.is_(None)
+    revoked = await db.execute(update(token).where(stale).values(revoked_at=func.now()).returning(token.c.id))
+    made = uuid.uuid4()
+    values = {"id": made, "person_id": OWNER_ID, "name": OWNER_TOKEN_NAME, "secret_sha256": secret}
+    values |= {"prefix": beginning(secret_token)}
+    await db.execute(insert(token).values(scopes=[Scope.admin.value], **values))
+    events = [Event("token.revoke", "token", token_id, OWNER_TOKEN_NAME, None) for token_id in revoked.scalars()]
+    await record(db, None, *events, Event("token.create", "token", made, OWNER_TOKEN_NAME, None))
+    return True
+
+
+def _write_private(path: Path, text: str) -> None:
+    """Write a file of mode 0600 whole, or not at all."""
+    unfinished = path.with_name(path.name + ".new")
+    unfinished.unlink(missing_ok=True)
+    descriptor = os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+    with os.fdopen(descriptor, "w", encoding="ascii") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(descriptor)
+    unfinished.rename(path)

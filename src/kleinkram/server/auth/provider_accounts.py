@@ -1,0 +1,357 @@
+"""Identity providers, and authorization requests: what is stored until a provider sends a browser back.
+
+A request is bound to the browser by a cookie, is valid once, and expires after some minutes.
+"""
+
+import asyncio
+import datetime
+import re
+import secrets
+import time
+import uuid
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from fastapi import Request, Response
+from sqlalchemy import ColumnElement, delete, exists, func, insert, select, update
+from sqlalchemy.dialects.postgresql import insert as upsert
+
+from kleinkram.contract.accounts import MAX_PERSON_NAME_CHARACTERS, check_person_name
+from kleinkram.contract.errors import NotFound, SignInRefused
+from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.people import check_email, email_domain, email_key
+from kleinkram.server.access.actor import Actor, secret_hash
+from kleinkram.server.access.groups import add_person, prove_address
+from kleinkram.server.audit.service import Event, record
+from kleinkram.server.auth.one_time_codes import is_valid
+from kleinkram.server.auth.sessions import renew_session
+from kleinkram.server.db import Connection
+from kleinkram.server.http.dependencies import session_cookie
+from kleinkram.server.settings import OidcProvider, OpenTo, Settings
+from kleinkram.server.tables import identity, oidc_login, one_time_code, person, person_email
+from kleinkram.server.tables.signing_in import CodePurpose
+
+if TYPE_CHECKING:
+    from kleinkram.server.auth.oidc import OpenIdProvider
+
+_LIFETIME_S = 600
+_SECRET_BYTES = 32
+_SECRET = re.compile(r"[A-Za-z0-9_-]{43}")
+
+
+@dataclass(frozen=True)
+class VerifiedIdentity:
+    """The person that a provider vouches for. `email_verified` is the provider's claim."""
+
+    issuer: str
+    subject: str
+    email: str | None
+    email_verified: bool
+    name: str | None
+    # When they last entered their password there, if the provider tells: seconds since 1970, by its clock.
+    auth_time: int | None = None
+
+
+@dataclass(frozen=True)
+class AuthorizationRequest:
+    """One request; `state` travels through the browser, the other secrets stay on the server.
+
+    With `session_id`, the signed-in person links an identity to their account or, with `reauthenticates`, proves who
+    they are once more.
+    """
+
+    return_to: str
+    session_id: uuid.UUID | None = None
+    reauthenticates: bool = False
+    state: str = field(default_factory=lambda: secrets.token_urlsafe(_SECRET_BYTES), repr=False)
+    nonce: str = field(default_factory=lambda: secrets.token_urlsafe(_SECRET_BYTES), repr=False)
+    code_verifier: str = field(default_factory=lambda: secrets.token_urlsafe(_SECRET_BYTES), repr=False)
+
+
+class Providers:
+    """The providers of one process, by name."""
+
+    def __init__(self, providers: "Mapping[str, OpenIdProvider]") -> None:
+        self._providers = providers
+
+    def get(self, name: str) -> "OpenIdProvider":
+        """Return a provider. Raises NotFound."""
+        if name not in self._providers:
+            raise NotFound(noun="provider", ref=name)
+        return self._providers[name]
+
+
+@asynccontextmanager
+async def open_providers(settings: Settings) -> AsyncIterator[Providers]:
+    """Open clients of the providers in the settings; a provider is contacted only when somebody signs in."""
+    if not settings.oidc_providers:
+        yield Providers({})
+        return
+    import aiohttp
+
+    from kleinkram.server.auth.oidc import OpenIdProvider  # 10 MB with its libraries
+
+    async with aiohttp.ClientSession(cookie_jar=aiohttp.DummyCookieJar(), trust_env=True) as http:
+        providers: dict[str, OpenIdProvider] = {}
+        for provider in settings.oidc_providers:
+            secret = await asyncio.to_thread(_read_secret, provider)
+            redirect_url = callback_url(settings, provider.name)
+            providers[provider.name] = OpenIdProvider(provider, http, redirect_url=redirect_url, secret=secret)
+        yield Providers(providers)
+
+
+def callback_url(settings: Settings, provider: str) -> str:
+    """Return the redirect URL that is registered with a provider."""
+    return f"{settings.public_url.rstrip('/')}/sign-in/callback/{provider}"
+
+
+def _read_secret(settings: OidcProvider) -> str | None:
+    if settings.client_secret_file is not None:
+        return settings.client_secret_file.read_text(encoding="utf-8").strip()
+    return None if settings.client_secret is None else settings.client_secret.get_secret_value()
+
+
+async def store_request(db: Connection, request: AuthorizationRequest, *, provider: str, browser_secret: str) -> None:
+    """Store a request for its callback."""
+    await db.execute(delete(oidc_login).where(oidc_login.c.expires_at < func.now()))
+    await db.execute(
+        insert(oidc_login).values(
+            state_sha256=secret_hash(request.state),
+            provider=provider,
+            nonce=request.nonce,
+            code_verifier=request.code_verifier,
+            browser_sha256=secret_hash(browser_secret),
+            session_id=request.session_id,
+            reauthenticates=request.reauthenticates,
+            return_to=request.return_to,
+            expires_at=func.now() + datetime.timedelta(seconds=_LIFETIME_S),
+        )
+    )
+
+
+async def take_request(db: Connection, *, provider: str, state: str, browser_secret: str) -> AuthorizationRequest:
+    """Return and delete the request of a callback, so that a replayed callback finds nothing. Raises SignInRefused."""
+    same = (
+        oidc_login.c.state_sha256 == secret_hash(state),
+        oidc_login.c.browser_sha256 == secret_hash(browser_secret),
+        oidc_login.c.provider == provider,
+        oidc_login.c.expires_at > func.now(),
+    )
+    row = (await db.execute(delete(oidc_login).where(*same).returning(*oidc_login.c))).one_or_none()
+    if row is None:
+        raise SignInRefused(
+            reason="this sign-in was not started in this browser, was finished before, or has expired. Start again."
+        )
+    return AuthorizationRequest(
+        row.return_to, row.session_id, row.reauthenticates, state, nonce=row.nonce, code_verifier=row.code_verifier
+    )
+
+
+def bind_browser(request: Request, response: Response, settings: Settings) -> str:
+    """Return a secret that only this browser sends back; an existing one is kept for the browser's other tabs."""
+    secret = bound_browser(request, settings)
+    if not _SECRET.fullmatch(secret):
+        secret = secrets.token_urlsafe(_SECRET_BYTES)
+    set_cookie(response, settings, _cookie_name(settings), secret, lifetime_s=_LIFETIME_S)
+    return secret
+
+
+def bound_browser(request: Request, settings: Settings) -> str:
+    """Return the secret from `bind_browser`; empty if the browser does not send it."""
+    return request.cookies.get(_cookie_name(settings), "")
+
+
+def _cookie_name(settings: Settings) -> str:
+    return f"{session_cookie(settings)}-authorization"
+
+
+def set_cookie(response: Response, settings: Settings, name: str, value: str, *, lifetime_s: float) -> None:
+    """Set a cookie that no script can read, over TLS only if the server uses TLS."""
+    response.set_cookie(
+        name,
+        value,
+        max_age=int(lifetime_s),
+        path="/",
+        secure=settings.public_url.startswith("https://"),
+        httponly=True,
+        samesite="lax",
+    )
+
+
+# The maximum age of a password entry at a provider that was asked for reauthentication.
+_MAX_AUTH_AGE_S = 900
+# Serializes first sign-ins, so that the second one of a person finds the account of the first.
+_ACCOUNT_LOCK = 0x6B6C4143
+
+
+async def open_account(
+    db: Connection, asker: Actor, *, verified: VerifiedIdentity, provider: OidcProvider
+) -> uuid.UUID:
+    """Return the person whose account an identity opens; creates or links the account if the settings allow it.
+
+    Raises SignInRefused.
+    """
+    await db.execute(select(func.pg_advisory_xact_lock(_ACCOUNT_LOCK)))
+    address = _address(verified)
+    trusted_address = address if _is_trusted(verified, address, provider) else None
+    person_id = await _find_linked_person(db, verified)
+    if person_id is not None:
+        await _verify_address(db, person_id, trusted_address, provider)
+        return person_id
+    await _require_never_linked(db, verified, provider)
+    owner = await _find_address_owner(db, trusted_address)
+    if owner is None:
+        return await _new_account(db, asker, verified=verified, provider=provider, trusted_address=trusted_address)
+    if await _has_identity_of(db, owner, provider):
+        raise SignInRefused(
+            reason=f"the account with {address} belongs to another identity of {provider.title}, and a reassigned "
+            "address does not open it. Ask an admin of this server."
+        )
+    await _link(db, asker, person_id=owner, verified=verified, provider=provider)
+    return owner
+
+
+async def link_identity(db: Connection, actor: Actor, *, verified: VerifiedIdentity, provider: OidcProvider) -> None:
+    """Link an identity to the actor's account. Raises SignInRefused."""
+    await db.execute(select(func.pg_advisory_xact_lock(_ACCOUNT_LOCK)))
+    linked_to = await _find_linked_person(db, verified)
+    if linked_to is not None and linked_to != actor.person_id:
+        raise SignInRefused(reason=f"this account of {provider.title} is linked to another person's account here.")
+    if linked_to is None and actor.person_id is not None:
+        await _link(db, actor, person_id=actor.person_id, verified=verified, provider=provider)
+    address = _address(verified)
+    if actor.person_id is not None and _is_trusted(verified, address, provider):
+        await _verify_address(db, actor.person_id, address, provider)
+
+
+async def reauthenticate(db: Connection, actor: Actor, *, verified: VerifiedIdentity, provider: OidcProvider) -> None:
+    """Record that the actor has just reauthenticated at a provider. Raises SignInRefused."""
+    if await _find_linked_person(db, verified) != actor.person_id:
+        raise SignInRefused(reason=f"{provider.title} signed another person in. Start again with your own account.")
+    if verified.auth_time is not None and verified.auth_time < time.time() - _MAX_AUTH_AGE_S:
+        reason = f"{provider.title} did not ask for your password again. Sign out there, then start again."
+        raise SignInRefused(reason=reason)
+    await renew_session(db, actor, method=provider.issuer)
+
+
+def _address(verified: VerifiedIdentity) -> str | None:
+    """Return the provider's address if it is valid."""
+    try:
+        return None if verified.email is None else check_email(verified.email)
+    except ValueError:
+        return None
+
+
+def _is_trusted(verified: VerifiedIdentity, address: str | None, provider: OidcProvider) -> bool:
+    return address is not None and verified.email_verified and provider.trusts(email_domain(address))
+
+
+async def _find_linked_person(db: Connection, verified: VerifiedIdentity) -> uuid.UUID | None:
+    linked = _same(verified) & identity.c.unlinked_at.is_(None)
+    stmt = update(identity).where(linked).values(last_used_at=func.now(), email=_address(verified))
+    person_id: uuid.UUID | None = (await db.execute(stmt.returning(identity.c.person_id))).scalar_one_or_none()
+    return person_id
+
+
+def _same(verified: VerifiedIdentity) -> ColumnElement[bool]:
+    return (identity.c.issuer == verified.issuer) & (identity.c.subject == verified.subject)
+
+
+async def _require_never_linked(db: Connection, verified: VerifiedIdentity, provider: OidcProvider) -> None:
+    if (await db.execute(select(identity.c.id).where(_same(verified)))).first() is not None:
+        raise SignInRefused(
+            reason=f"this account of {provider.title} was unlinked here. Sign in with another method and link it again "
+            "on the page /account, or ask an admin of this server."
+        )
+
+
+async def _find_address_owner(db: Connection, address: str | None) -> uuid.UUID | None:
+    if address is None:
+        return None
+    stmt = select(person_email.c.person_id).where(person_email.c.email_key == email_key(address))
+    owner: uuid.UUID | None = (await db.execute(stmt)).scalar_one_or_none()
+    return owner
+
+
+async def _has_identity_of(db: Connection, person_id: uuid.UUID, provider: OidcProvider) -> bool:
+    """Whether a person has, or had, an identity of a provider."""
+    identities = exists().where(identity.c.person_id == person_id, identity.c.issuer == provider.issuer)
+    return bool((await db.execute(select(identities))).scalar_one())
+
+
+async def _verify_address(db: Connection, person_id: uuid.UUID, address: str | None, provider: OidcProvider) -> None:
+    """Add a verified address to an account, unless another person has it."""
+    is_deactivated = select(person.c.deactivated_at.is_not(None)).where(person.c.id == person_id)
+    if address is not None and not (await db.execute(is_deactivated)).scalar_one():
+        await prove_address(db, person_id, address, by=provider.issuer)
+
+
+async def _link(
+    db: Connection, actor: Actor, *, person_id: uuid.UUID, verified: VerifiedIdentity, provider: OidcProvider
+) -> None:
+    row = {"person_id": person_id, "issuer": verified.issuer, "subject": verified.subject, "email": _address(verified)}
+    # An unlinked identity moves to the account that links it now.
+    relinked = {**row, "created_at": func.now(), "last_used_at": func.now(), "unlinked_at": None}
+    linked = upsert(identity).values(id=uuid.uuid4(), **row)
+    linked = linked.on_conflict_do_update(index_elements=["issuer", "subject"], set_=relinked)
+    identity_id: uuid.UUID = (await db.execute(linked.returning(identity.c.id))).scalar_one()
+    after: Metadata = {"issuer": verified.issuer, "email": verified.email, "person_id": str(person_id)}
+    await record(db, actor, Event("identity.link", "identity", identity_id, provider.title, None, after=after))
+
+
+async def _new_account(
+    db: Connection, asker: Actor, *, verified: VerifiedIdentity, provider: OidcProvider, trusted_address: str | None
+) -> uuid.UUID:
+    is_invited = trusted_address is not None and await _use_invitations(db, trusted_address)
+    if not is_invited:
+        _require_open_registration(verified, provider, trusted_address)
+    name = _name(verified)
+    person_id = await add_person(db, name=name)
+    after: Metadata = {"method": provider.issuer, "email": verified.email, "by_invitation": is_invited}
+    await record(db, asker, Event("person.create", "person", person_id, name, None, after=after))
+    await _link(db, asker, person_id=person_id, verified=verified, provider=provider)
+    await _verify_address(db, person_id, trusted_address, provider)
+    return person_id
+
+
+def _require_open_registration(verified: VerifiedIdentity, provider: OidcProvider, trusted_address: str | None) -> None:
+    if provider.open_to is OpenTo.anybody:
+        return
+    linking = (
+        f"If you have an account, sign in as before and add {provider.title} to it: "
+        "“Link another sign-in method” on the page /account."
+    )
+    if provider.open_to is OpenTo.invited:
+        raise SignInRefused(
+            reason=f"accounts on this server require an invitation. {linking} Otherwise ask an admin for one."
+        )
+    if trusted_address is None:
+        who = f"{verified.email or 'your account'} of {provider.title}"
+        raise SignInRefused(
+            reason=f"{who} does not get an account here automatically. {linking} "
+            "Otherwise ask an admin of this server for an invitation."
+        )
+
+
+async def _use_invitations(db: Connection, address: str) -> bool:
+    """Use the invitations to an address up; returns whether there was one."""
+    unused = (
+        *is_valid(),
+        one_time_code.c.purpose == CodePurpose.invitation.value,
+        func.lower(one_time_code.c.email) == email_key(address),
+    )
+    stmt = update(one_time_code).where(*unused).values(used_at=func.now()).returning(one_time_code.c.id)
+    return (await db.execute(stmt)).first() is not None
+
+
+def _name(verified: VerifiedIdentity) -> str:
+    """Return the name from the provider, else the local part of the address."""
+    for candidate in (verified.name, (verified.email or "").partition("@")[0]):
+        name = "".join(letter for letter in candidate or "" if letter.isprintable())[
+            :MAX_PERSON_NAME_CHARACTERS
+        ].strip()
+        if name:
+            return check_person_name(name)
+    return "somebody without a name"

@@ -1,0 +1,122 @@
+"""`klein action run`: what is run, on what, and how its end is told, against a server that follows a script."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import BaseModel
+from typer.testing import CliRunner, Result
+
+from kleinkram.cli.errors import ExitCode, Refused
+from kleinkram.cli.launch import parameter_values, split_version
+from kleinkram.cli.main import app
+from kleinkram.client.errors import InvalidInput
+from kleinkram.contract.actions import ActionDefinition, Parameter, ParameterType
+from kleinkram.contract.base import Page
+from kleinkram.contract.errors import NotFound
+from kleinkram.contract.problems import to_problem
+from kleinkram.contract.runs import LogChunkRead, RunCreated, RunRead, RunRefused, RunsCreated, RunState
+from tests.api_objects import action_read, mission_read, run_detail
+from tests.scripted_server import Scripted, scripted
+
+MISSION = mission_read("day")
+
+
+@pytest.fixture(autouse=True)
+def _known(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("KLEINKRAM_TOKEN", "t")
+
+
+def klein(script: Scripted, *arguments: object) -> Result:
+    return CliRunner(env={"KLEINKRAM_URL": script.url}).invoke(app, [*map(str, arguments)])
+
+
+def page(*rows: BaseModel) -> Page[Any]:
+    return Page(items=[*rows], next=None)
+
+
+def made(run: RunRead) -> RunsCreated:
+    return RunsCreated(items=[RunCreated(run=RunRead.model_validate(run.model_dump()))])
+
+
+def test_a_path_is_run_as_it_is_and_followed(tmp_path: Path) -> None:
+    (tmp_path / "look.py").write_text("print('hello')")
+    run = run_detail(RunState.queued)
+    done = run.model_copy(update={"state": RunState.failed, "message": "It ended with the exit code 3."})
+    log = LogChunkRead(attempt=1, offset=0, next_offset=6, text="hello\n", is_over=True)
+    # The log is asked for beside the run, so the order of these two is not known: both are found by their kind.
+    with scripted(page(MISSION), made(run), by_path={"/log": log, f"/runs/{run.id}": done}) as script:
+        ran = klein(script, "action", "run", tmp_path / "look.py", "-m", "day", "--follow", "--json")
+    assert ran.exit_code == ExitCode.run_failed
+    assert json.loads(ran.stdout)["items"][0]["run"]["state"] == "failed"
+    assert "hello" in ran.stderr
+    assert "exit code 3" in ran.stderr
+    assert script.asked[1].body["definition"]["script"] == "print('hello')"
+
+
+def test_a_version_of_a_published_action_is_named_with_it() -> None:
+    action, older = action_read("look", number=4), action_read("look", number=3).latest
+    refusal = RunRefused(mission_id=MISSION.id, problem=to_problem(NotFound(noun="mission", ref="day"), "r"))
+    with scripted(page(MISSION), page(action), page(action.latest, older), RunsCreated(items=[refusal])) as script:
+        ran = klein(script, "action", "run", "look@3", "-m", "day")
+    assert ran.exit_code == ExitCode.not_found
+    assert "alps/day: There is no mission 'day'" in ran.stderr
+    assert f"project_id={MISSION.project.id}" in script.asked[1].path
+    assert script.asked[3].body["action_id"] == str(action.id)
+    assert script.asked[3].body["version"] == 3
+
+
+def test_many_missions_are_asked_about_first() -> None:
+    several = [MISSION, mission_read("dusk")]
+    with scripted(page(*several), page(action_read("look"))) as script:
+        ran = klein(script, "action", "run", "look", "--query", "alps")
+    assert isinstance(ran.exception, Refused)
+    assert len(script.asked) == 2
+    assert "Run look on 2 missions: alps/day, alps/dusk?" in ran.stderr
+    with scripted(page(*several), page(action_read("look")), RunsCreated(items=[])) as script:
+        klein(script, "action", "run", "look", "--query", "alps", "--yes", "--force")
+    assert script.asked[2].body["mission_ids"] == [str(each.id) for each in several]
+    assert script.asked[2].body["force"] is True
+
+
+def test_what_makes_no_sense_is_said_before_anything_is_launched(tmp_path: Path) -> None:
+    for arguments, why in (
+        (["look"], "say which missions"),
+        (["look", "-m", "day", "--query", "alps"], "say which missions"),
+        ([tmp_path / "none.py", "-m", "day"], "no such file"),
+        (["look", "-m", "day", "--set", "x=1"], "no parameter 'x'"),
+    ):
+        with scripted(page(MISSION), page(action_read("look"))) as script:
+            ran = klein(script, "action", "run", *arguments)
+        assert isinstance(ran.exception, InvalidInput)
+        assert why in str(ran.exception)
+
+
+def test_parameters_are_read_as_their_types() -> None:
+    rate = Parameter(name="rate", type=ParameterType.number, default=1.0, minimum=0)
+    deep = Parameter(name="deep", type=ParameterType.boolean, default=False)
+    definition = ActionDefinition(name="look", script="", parameters=[rate, deep])
+    assert parameter_values(definition, ["rate=2.5", "deep=true"]) == {"rate": 2.5, "deep": True}
+    for said, why in (("rate=-1", "at least 0"), ("rate", "NAME=VALUE"), ("deep=maybe", "true or false")):
+        with pytest.raises(InvalidInput, match=why):
+            parameter_values(definition, [said])
+
+
+def test_a_version_stands_behind_the_last_at() -> None:
+    assert split_version("look@3") == ("look", 3)
+    assert split_version("a@b") == ("a@b", None)
+    assert split_version("@3") == ("@3", None)
+
+
+def test_the_next_version_is_published_only_if_it_is_another(tmp_path: Path) -> None:
+    (tmp_path / "look.py").write_text("print(1)")
+    action = action_read("look")
+    create = ("action", "create", tmp_path / "look.py", "--new-version")
+    with scripted(page(action)) as script:
+        assert "nothing was published" in klein(script, *create).stderr
+    (tmp_path / "look.py").write_text("print(2)")
+    with scripted(page(action), action) as script:
+        klein(script, *create)
+    assert script.asked[1].path.endswith(f"/actions/{action.id}/versions")
+    assert script.asked[1].body["definition"]["script"] == "print(2)"

@@ -1,0 +1,91 @@
+"""How runs, actions and lineage read on a terminal."""
+
+import uuid
+
+import pytest
+from typer.testing import CliRunner
+
+from kleinkram.cli.main import app
+from kleinkram.cli.run_view import standing
+from kleinkram.contract.base import Page
+from kleinkram.contract.reports import Progress, Severity
+from kleinkram.contract.runs import EndReason, LineageFile, LineageRead, LineageRun, RunRead, RunState
+from tests.api_objects import action_read, file_read, run_detail
+from tests.scripted_server import Scripted, scripted
+
+
+def shown(script: Scripted, *arguments: object) -> str:
+    ran = CliRunner(env={"KLEINKRAM_URL": script.url, "KLEINKRAM_TOKEN": "t"}).invoke(app, [*map(str, arguments)])
+    assert ran.exit_code == 0, ran
+    return ran.output
+
+
+@pytest.mark.parametrize(
+    ("state", "more", "said"),
+    [
+        (RunState.queued, {"waits_for": "No runner is there."}, "queued: No runner is there."),
+        (RunState.running, {"progress": Progress(fraction=0.5, message="half")}, "running 50% half"),
+        (RunState.running, {}, "running"),
+        (RunState.collecting, {"progress": Progress(fraction=1, message="it waits")}, "collecting: it waits"),
+        (RunState.collecting, {"progress": Progress(fraction=1)}, "collecting"),
+        (RunState.failed, {"reason": EndReason.exit_code, "exit_code": 3}, "failed: exit_code 3"),
+        (RunState.failed, {"reason": EndReason.memory}, "failed: memory"),
+        (RunState.done, {"reuses_id": uuid.uuid4()}, "done: reused"),
+    ],
+)
+def test_what_a_run_is_at_is_said_in_a_few_words(state: RunState, more: dict[str, object], said: str) -> None:
+    assert standing(run_detail(state, **more)) == said
+
+
+def test_all_of_a_run_is_shown_and_names_obey_nobody() -> None:
+    run = run_detail(
+        RunState.failed,
+        reason=EndReason.time,
+        message="It took longer than 60 s.",
+        problems=["\x1b[2J is a link: left out."],
+        metadata={"sensors": ["imu"]},
+        finding_counts={Severity.warning: 2},
+    )
+    with scripted(run) as script:
+        said = shown(script, "run", "info", run.id)
+    for part in (
+        "failed: time",
+        "It took longer than 60 s.",
+        "\\x1b[2J is a link",
+        "proposed sensors: imu",
+        "alps/day",
+    ):
+        assert part in said
+    assert "\x1b" not in said
+
+
+def test_lineage_reads_both_ways() -> None:
+    file = file_read("derived/slam.bag", content=b"x")
+    maker, reader = (RunRead.model_validate(run_detail(RunState.done).model_dump()) for _ in range(2))
+    sha256 = file.sha256 or ""
+    made_by = LineageRun(
+        run=maker, inputs=[LineageFile(id=None, path="drive.bag", sha256=sha256)], files=[], artifact_count=1
+    )
+    made = [LineageFile(id=uuid.uuid4(), path="plot.svg", sha256=sha256)]
+    read_by = LineageRun(run=reader, inputs=[], files=made, artifact_count=3)
+    own = LineageFile(id=file.id, path=file.path, sha256=sha256)
+    whole = LineageRead(file=own, made_by=made_by, read_by=[read_by], truncated=True)
+    with scripted(Page(items=[file], next=None), whole) as script:
+        said = shown(script, "lineage", "derived/slam.bag")
+    assert str(maker.id) in said
+    assert "drive.bag (not there any more, or not yours to see)" in said
+    assert "plot.svg" in said
+    assert "More runs read it" in said
+
+    uploaded = LineageRead(file=own, made_by=None, read_by=[], truncated=False)
+    with scripted(Page(items=[file], next=None), uploaded) as script:
+        assert "Uploaded: no run made it." in shown(script, "lineage", "derived/slam.bag")
+
+
+def test_an_action_says_what_it_can_be_told() -> None:
+    action = action_read("look", project="alps")
+    with scripted(Page(items=[action], next=None)) as script:
+        said = shown(script, "action", "info", "look")
+    assert "look@1" in said
+    assert "a script" in said
+    assert "all files" in said

@@ -1,0 +1,36 @@
+"""Following events: what the client says when it comes back, so that nothing is left out unsaid."""
+
+import json
+
+import pytest
+
+from kleinkram.client import Client, Endpoint, EndpointSource, server
+from kleinkram.contract.audit import Change, Refetch
+from tests.scripted_server import scripted
+
+NOTHING = {"id": None, "project_id": None, "mission_id": None}
+CHANGE = f"event: change\ndata: {json.dumps({'noun': 'mission', 'change': 'changed', **NOTHING})}\n\n".encode()
+REFETCH = b'event: refetch\ndata: {"reason": "missed"}\n\n'
+
+
+@pytest.mark.parametrize(
+    ("first", "came_back_with"),
+    [
+        pytest.param(b"retry: 2000\nid: era-7\n\n", "era-7", id="from where it was"),
+        pytest.param(b"retry: 2000\nid: era-7\n\n" + CHANGE + b"id: era-8\n\n", "era-8", id="from the last event"),
+        pytest.param(b"", "nowhere", id="cut off before it knew where it was"),
+    ],
+)
+def test_who_was_cut_off_asks_for_what_came_meanwhile(
+    monkeypatch: pytest.MonkeyPatch, first: bytes, came_back_with: str
+) -> None:
+    monkeypatch.setattr(server, "_PAUSE_S", 0.01)
+    heard: list[Change | Refetch] = []
+    with scripted(first, REFETCH) as script, Client(Endpoint("x", script.url, "t", EndpointSource.argument)) as client:
+        for each in client.events.follow(for_s=20):
+            heard.append(each)
+            if isinstance(each, Refetch):
+                break
+    assert [type(each) for each in heard] == [Change] * first.count(b"change\n") + [Refetch]
+    assert "after=" not in script.asked[0].path
+    assert f"after={came_back_with}&" in script.asked[1].path + "&"

@@ -1,0 +1,167 @@
+"""Getting a token: what is sent, how often is asked, and what each refusal becomes."""
+
+import base64
+import datetime
+import hashlib
+import threading
+import uuid
+from urllib.parse import parse_qs, urlsplit
+
+import pytest
+import urllib3
+
+from kleinkram.client.config import Endpoint, EndpointSource
+from kleinkram.client.errors import AnswerNotUnderstood, ServerUnreachable
+from kleinkram.client.sign_in import begin_browser, begin_device, end_token, see_server, wait_for_device, who_has
+from kleinkram.contract.access import Scope
+from kleinkram.contract.accounts import CredentialKind, CredentialRead, DeviceCode, MeRead, SignedIn
+from kleinkram.contract.errors import (
+    KleinkramError,
+    NotAuthenticated,
+    RateLimited,
+    SignInDenied,
+    SignInExpired,
+    SignInPending,
+    SlowDown,
+)
+from kleinkram.contract.people import PersonRef
+from tests.scripted_server import scripted
+
+ADA = PersonRef(id=uuid.uuid4(), name="Ada")
+SIGNED_IN = SignedIn(token="t" * 30, person=ADA, expires_at=datetime.datetime(2030, 1, 1, tzinfo=datetime.timezone.utc))
+CODE = DeviceCode(
+    device_code="d" * 30,
+    user_code="BCDF-GHJK",
+    verification_url="http://x/sign-in/device",
+    verification_url_complete="http://x/sign-in/device?user_code=BCDF-GHJK",
+    interval_s=5,
+    expires_s=60,
+)
+ME = MeRead.model_validate(
+    {
+        "person": ADA,
+        "emails": ["ada@lab.example"],
+        "groups": [],
+        "is_admin": False,
+        "credential": CredentialRead(
+            id=uuid.uuid4(),
+            kind=CredentialKind.personal,
+            name="laptop",
+            scopes=[Scope.write],
+            is_limited=False,
+            expires_at=None,
+        ),
+    }
+)
+
+
+def test_a_code_is_asked_for_by_a_stranger() -> None:
+    with scripted(CODE) as server:
+        assert begin_device(server.url, "klein on anymal-3") == CODE
+    (asked,) = server.asked
+    assert (asked.method, asked.path, asked.authorization) == ("POST", "/api/v1/auth/device", None)
+    assert asked.body == {"client": "klein on anymal-3"}
+
+
+def test_a_device_waits_as_long_as_it_is_told_to() -> None:
+    waited: list[float] = []
+    limited = RateLimited(what="sign-ins", limit=10, window_s=60, retry_after_s=7)
+    said = [SignInPending(interval_s=5), SlowDown(interval_s=10), SignInPending(interval_s=5), limited, None, SIGNED_IN]
+    with scripted(*said) as server:
+        assert wait_for_device(server.url, CODE, waited.append) == SIGNED_IN
+    assert waited == [5, 5, 10, 10, 7, 10, 20], "not sooner after it was slowed down, longer while nobody answers"
+    assert {(asked.path, asked.body["device_code"]) for asked in server.asked} == {
+        ("/api/v1/auth/device/token", CODE.device_code)
+    }
+
+
+@pytest.mark.parametrize("refusal", [SignInDenied(), SignInExpired()])
+def test_a_refusal_ends_the_waiting(refusal: KleinkramError) -> None:
+    with scripted(SignInPending(interval_s=5), refusal) as server, pytest.raises(type(refusal)):
+        wait_for_device(server.url, CODE, lambda _: None)
+    assert len(server.asked) == 2
+
+
+def test_a_device_does_not_wait_for_ever() -> None:
+    waited: list[float] = []
+    with scripted(*[SignInPending(interval_s=5)] * 20) as server, pytest.raises(SignInExpired):
+        wait_for_device(server.url, CODE, waited.append)
+    assert sum(waited) == CODE.expires_s
+
+
+def test_the_browser_brings_a_code_that_only_this_process_can_use() -> None:
+    with scripted(SIGNED_IN) as server, begin_browser(f"{server.url}/", "klein on anymal-3") as waiting:
+        page = urlsplit(waiting.url)
+        said = {name: value for name, (value,) in parse_qs(page.query).items()}
+        assert f"{page.scheme}://{page.netloc}{page.path}" == f"{server.url}/sign-in/cli"
+        assert said["client"] == "klein on anymal-3"
+        visit = f"http://127.0.0.1:{said['port']}/?code={'c' * 30}&state={said['state']}"
+        with urllib3.PoolManager(retries=False, timeout=5) as pool:
+            browser = threading.Thread(target=lambda: pool.request("GET", visit))
+            browser.start()
+            assert waiting.wait(10) == SIGNED_IN
+            browser.join()
+    (asked,) = server.asked
+    digest = hashlib.sha256(asked.body["code_verifier"].encode()).digest()
+    assert base64.urlsafe_b64encode(digest).decode().rstrip("=") == said["code_challenge"]
+    assert asked.body["code"] == "c" * 30
+    assert asked.body["code_verifier"] not in waiting.url
+    assert asked.body["code_verifier"] not in repr(waiting)
+
+
+def test_no_two_logins_have_the_same_secrets() -> None:
+    with begin_browser("http://lab", "klein") as one, begin_browser("http://lab", "klein") as other:
+        said = [parse_qs(urlsplit(login.url).query) for login in (one, other)]
+    for name in ("state", "code_challenge", "port"):
+        assert said[0][name] != said[1][name]
+
+
+def test_a_token_that_is_brought_along_is_tried() -> None:
+    with scripted(ME) as server:
+        assert who_has(server.url, "brought") == ME
+    assert (server.asked[0].path, server.asked[0].authorization) == ("/api/v1/me", "Bearer brought")
+
+
+def test_a_token_that_is_refused_says_how_to_get_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    refusal = NotAuthenticated(reason="the token is not valid here")
+    monkeypatch.delenv("KLEINKRAM_TOKEN", raising=False)
+    with scripted(refusal, refusal) as server:
+        with pytest.raises(NotAuthenticated, match=f"`klein login {server.url}`") as refused:
+            who_has(server.url, "brought")
+        assert "KLEINKRAM_TOKEN" not in str(refused.value)
+        monkeypatch.setenv("KLEINKRAM_TOKEN", "brought")
+        with pytest.raises(NotAuthenticated, match="KLEINKRAM_TOKEN"):
+            who_has(server.url, "brought")
+
+
+def test_ending_a_token_revokes_that_very_one() -> None:
+    with scripted(ME, b"") as server:
+        assert end_token(server.url, "mine") is True
+    assert [(asked.method, asked.path) for asked in server.asked] == [
+        ("GET", "/api/v1/me"),
+        ("DELETE", f"/api/v1/tokens/{ME.credential.id}?made=kept"),
+    ]
+    assert {asked.authorization for asked in server.asked} == {"Bearer mine"}
+
+
+def test_a_token_that_is_good_for_nothing_needs_no_ending() -> None:
+    with scripted(NotAuthenticated(reason="the token is not valid here")) as server:
+        assert end_token(server.url, "mine") is False
+
+
+def test_nobody_is_sent_to_what_is_no_server() -> None:
+    with scripted(NotAuthenticated(reason="the request has no bearer token")) as server:
+        see_server(server.url)
+    with scripted(b"<html>a printer</html>") as printer, pytest.raises(AnswerNotUnderstood):
+        see_server(printer.url)
+    with pytest.raises(ServerUnreachable):
+        begin_device(printer.url, "klein")
+    with (
+        scripted(ME, (502, b"<html>Bad Gateway</html>")) as proxy,
+        pytest.raises(ServerUnreachable, match=r"what stands before it says 502"),
+    ):
+        end_token(proxy.url, "mine")
+
+
+def test_a_token_is_not_in_what_is_printed() -> None:
+    assert "secret" not in repr(Endpoint("lab", "https://lab", "secret", EndpointSource.chosen))

@@ -1,0 +1,1 @@
+"""Makers and readers of recordings that several kinds of test share."""
