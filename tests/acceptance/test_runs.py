@@ -85,7 +85,7 @@ def test_a_run_is_followed_fetched_reused_and_leaves_its_lineage(
     assert retried["cause"]["retry_of_id"] == run["id"]
 
 
-def test_who_stops_following_does_not_stop_the_run(
+def test_ending_the_log_view_does_not_stop_the_run(
     terminal: Terminal, mission: tuple[str, ...], project: str, tmp_path: Path
 ) -> None:
     (tmp_path / "look.py").write_text(WHOLE)

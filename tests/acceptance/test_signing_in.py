@@ -150,7 +150,7 @@ def test_the_owner_of_this_machine_needs_no_sign_in(terminal: Terminal, instance
 
 
 @pytest.mark.slow
-def test_who_is_invited_gets_an_account_and_is_let_in_further(
+def test_an_invited_person_gets_an_account_and_the_invited_rights(
     terminal: Terminal, away: Terminal, browser: Browser, project: str
 ) -> None:
     email = f"ben-{uuid.uuid4().hex[:8]}@partner.example"

@@ -99,7 +99,7 @@ def test_a_download_waits_for_a_server_that_does_not_answer_for_a_while(behind: 
     assert (came.outcome.value, came.local.read_bytes()) == ("downloaded", b"notes")
 
 
-def test_who_follows_events_hears_of_all(behind: Behind) -> None:
+def test_a_followed_event_stream_is_complete(behind: Behind) -> None:
     heard: list[str] = []
     made: list[str] = []
 
@@ -126,7 +126,7 @@ def test_who_follows_events_hears_of_all(behind: Behind) -> None:
     assert set(heard) >= set(made)
 
 
-def test_who_follows_a_log_reads_all_of_it(behind: Behind) -> None:
+def test_a_followed_log_is_complete(behind: Behind) -> None:
     api = behind.api
     admin = people.person(api, admin=True)
     runner = Played(api.as_(people.token(api, admin, [Scope.run], kind=TokenKind.runner).secret))

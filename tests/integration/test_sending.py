@@ -126,7 +126,7 @@ def test_the_kernel_sends_the_bytes(source: OpenFile) -> None:
     assert body == source.file.source.read_bytes()[5:]
 
 
-def test_where_the_kernel_cannot_the_bytes_are_read(source: OpenFile, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bytes_are_read_where_sendfile_is_unavailable(source: OpenFile, monkeypatch: pytest.MonkeyPatch) -> None:
     def cannot(*_: object) -> int:
         raise OSError(errno.EINVAL, "not this file system")
 
@@ -192,7 +192,7 @@ _BUSY = b"<Error><Code>SlowDown</Code></Error>"
         (b"HTTP/1.1 412 Precondition Failed\r\nContent-Length: 0\r\n\r\n", None),
     ],
 )
-def test_whatever_else_is_answered_the_connection_serves_the_next(reply: bytes, expected: str | None) -> None:
+def test_the_connection_is_reused_after_any_other_response(reply: bytes, expected: str | None) -> None:
     (first, second), store = put_each(reply, _TAKEN)
     assert first.answer is (StoreAnswer.try_again if expected else StoreAnswer.taken)
     assert first.reason == (f"the store answered {expected}" if expected else "")

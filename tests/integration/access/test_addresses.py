@@ -79,7 +79,7 @@ def test_an_address_of_a_part_takes_that_part_and_no_other(api: Api, mission_id:
     assert put(signed, body) == 200
 
 
-def test_what_was_signed_before_a_right_was_withdrawn_dies_soon(brief: Api) -> None:
+def test_signed_urls_expire_soon_after_the_right_was_revoked(brief: Api) -> None:
     mission_id, partner = _mission(brief, Right.read)
     wanted = {"file_ids": [upload(brief, mission_id, "run.bin", b"secret")["id"]]}
     theirs = brief.as_(partner.token)
@@ -91,7 +91,7 @@ def test_what_was_signed_before_a_right_was_withdrawn_dies_soon(brief: Api) -> N
     assert said <= datetime.datetime.now(datetime.timezone.utc), "not before it said"
 
 
-def test_what_was_sent_after_a_right_was_withdrawn_makes_no_file(api: Api) -> None:
+def test_an_upload_completed_after_the_right_was_revoked_creates_no_file(api: Api) -> None:
     mission_id, partner = _mission(api, Right.create)
     theirs, body = api.as_(partner.token), b"too late"
     started = begin(theirs, mission_id, {"run.bin": body})[0]["upload"]

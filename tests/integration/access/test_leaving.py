@@ -51,7 +51,7 @@ def test_sessions_tokens_and_links_end_at_once(api: Api, ada: Person) -> None:
     assert (left["after"]["tokens"], left["after"]["projects"], left["as_admin"]) == (2, [project["name"]], True)
 
 
-def test_what_only_they_owned_goes_to_the_admins(api: Api, ada: Person) -> None:
+def test_projects_without_another_owner_pass_to_the_admins(api: Api, ada: Person) -> None:
     bob, hers = person(api), api.as_(ada.token)
     alone, shared, ending, trashed, by_address = (hers.project() for _ in range(5))
     for each, until in ((shared, None), (ending, 3600)):
@@ -69,7 +69,7 @@ def test_what_only_they_owned_goes_to_the_admins(api: Api, ada: Person) -> None:
     assert api.get(f"/projects/{alone['id']}").ok()["created_by"] == {"id": ada.id, "name": ada.name}
 
 
-def test_what_a_group_owns_stays_with_it_as_long_as_somebody_is_in_it(api: Api, ada: Person) -> None:
+def test_a_group_owns_its_projects_until_its_last_member_leaves(api: Api, ada: Person) -> None:
     bob, hers = person(api), api.as_(ada.token)
     lab = group(api, members=[ada, bob])
     project = hers.project()
@@ -109,7 +109,7 @@ def test_the_last_active_owner_cannot_go_while_the_other_has_left(api: Api, ada:
     api.as_(bob.token).patch(f"{grants}/{own}", {"expires_at": in_days(3)}).refused(409, "last_owner")
 
 
-def test_of_two_owners_one_leaves_while_the_other_goes_and_the_project_keeps_one(api: Api, ada: Person) -> None:
+def test_an_owner_cannot_leave_while_the_only_other_owner_is_removed(api: Api, ada: Person) -> None:
     bob = person(api)
     project = api.as_(bob.token).project()
     grant(api, ada, Right.delete, project_id=project["id"])
@@ -122,7 +122,7 @@ def test_of_two_owners_one_leaves_while_the_other_goes_and_the_project_keeps_one
     assert (gone.result().status, handed) in [(204, [project["name"]]), (409, [])]
 
 
-def test_whoever_leaves_while_they_make_a_project_leaves_none_behind(api: Api, ada: Person) -> None:
+def test_a_person_removed_while_creating_a_project_leaves_none_without_owner(api: Api, ada: Person) -> None:
     name = f"project {uuid.uuid4()}"
     with racing(api, *_HELD) as send:
         made = send(api.as_(ada.token).post, "/projects", {"name": name})

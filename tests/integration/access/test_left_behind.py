@@ -31,7 +31,7 @@ def test_a_link_rests_while_its_maker_may_not_share(api: Api) -> None:
     guest.get(f"/missions/{mission_id}").refused(401, "not_authenticated")
 
 
-def test_no_credential_is_made_for_somebody_who_is_leaving(api: Api) -> None:
+def test_no_credential_is_created_for_a_person_who_is_being_removed(api: Api) -> None:
     ada, project = people.person(api), api.project()
     mission_id = api.mission(project["id"])["id"]
     people.grant(api, ada, Right.write, project_id=project["id"])

@@ -166,7 +166,7 @@ def test_statistics(lab: Lab, by: str) -> None:
         assert {row["group"] for row in stats["rows"]} == groups.get(by, {row["group"] for row in stats["rows"]})
 
 
-def test_what_is_not_seen_is_not_found(lab: Lab) -> None:
+def test_search_finds_only_visible_missions(lab: Lab) -> None:
     for eye, api in _looks(lab):
         for project in _some(lab, eye, lab.projects):
             found = _found(api, "/projects", name=project.name)

@@ -30,7 +30,7 @@ def test_a_token_ends_after_the_usual_time(api: Api, kind: str, days: float, sai
     assert _days(made) == pytest.approx(days, abs=0.1)
 
 
-def test_it_may_be_chosen_up_to_the_most(api: Api) -> None:
+def test_the_expiry_of_a_token_is_limited_by_the_maximum(api: Api) -> None:
     assert _days(api.post("/tokens", {"name": "a", "expires_at": _in_days(365)}).ok(201)) == pytest.approx(365, abs=0.1)
     refused = api.post("/tokens", {"name": "b", "expires_at": _in_days(366)}).refused(422, "invalid_request")
     assert "365 days" in str(refused["problems"])

@@ -21,7 +21,7 @@ def lab(start_api: StartApi) -> Api:
     return start_api()
 
 
-def test_storage_is_told_by_state(lab: Api) -> None:
+def test_storage_is_reported_by_state(lab: Api) -> None:
     mission = lab.mission(lab.project()["id"])
     sample = Sample(lab)
     sample.file(mission["id"], "kept.mcap", size_bytes=3)
@@ -107,7 +107,7 @@ def test_a_job_shows_why_it_failed_while_it_is_tried_again(
     lab.sql("DELETE FROM procrastinate_jobs WHERE id = %s", job_id)
 
 
-def test_all_that_were_given_up_are_put_back_and_none_was_in_the_future(lab: Api) -> None:
+def test_all_failed_jobs_are_retried_and_none_is_scheduled_later(lab: Api) -> None:
     insert = "INSERT INTO procrastinate_jobs (queue_name, task_name, status, args) VALUES ('default', 'sweep',"
     job_id = lab.sql(f"{insert} 'failed', '{{}}') RETURNING id")[0][0]
     lab.sql(f"{insert} 'failed', '{{}}')")
@@ -132,7 +132,7 @@ def test_health_says_how_database_and_store_are(lab: Api) -> None:
     assert (told["store_checksum"], told["store_takes_pages"]) == ("crc64nvme", True)
 
 
-def test_settings_in_force_hold_no_secret(lab: Api) -> None:
+def test_effective_settings_contain_no_secret(lab: Api) -> None:
     told = {each["name"]: each for each in lab.get("/admin/settings").ok()["settings"]}
     assert told["KLEINKRAM_S3_BUCKET"]["value"] == lab.app.state.settings.s3_bucket
     assert told["KLEINKRAM_S3_BUCKET"]["is_set"] is True
@@ -149,7 +149,7 @@ def test_settings_in_force_hold_no_secret(lab: Api) -> None:
     assert [each for each in secrets if each in json.dumps(told)] == []
 
 
-def test_it_is_for_admins(lab: Api) -> None:
+def test_only_admins_have_access(lab: Api) -> None:
     member = lab.as_(people.person(lab).token)
     for page in ("storage", "jobs", "scrub", "health", "settings"):
         member.get(f"/admin/{page}").refused(403, "forbidden")

@@ -76,6 +76,6 @@ def test_health_and_storage_are_shown(klein: Klein) -> None:
 
 
 @pytest.mark.parametrize("command", [["jobs"], ["storage"], ["health"], ["retry", "1"]])
-def test_it_is_for_admins(lab: Api, klein: Klein, command: list[str]) -> None:
+def test_only_admins_have_access(lab: Api, klein: Klein, command: list[str]) -> None:
     with pytest.raises(Forbidden):
         klein(*command, token=person(lab).token)

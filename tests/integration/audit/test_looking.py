@@ -47,7 +47,7 @@ def test_one_look_an_hour_is_noted_for_each_mission_and_project(own: Api) -> Non
 
 
 @pytest.mark.parametrize("right", [*Right])
-def test_whoever_may_see_it_anyway_just_looks(own: Api, right: Right) -> None:
+def test_reads_with_own_rights_are_not_recorded_as_admin_access(own: Api, right: Right) -> None:
     project = own.project()["id"]
     mission = own.mission(project)["id"]
     admin = people.person(own, admin=True)

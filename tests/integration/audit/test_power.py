@@ -23,7 +23,7 @@ def _marks(api: Api, who: Person) -> list[tuple[str, bool]]:
     return [(event["operation"], event["as_admin"]) for event in reversed(api.all("/audit", {"person_id": who.id}))]
 
 
-def test_what_is_one_s_own_takes_no_power(api: Api, admin: Person, sample: Sample) -> None:
+def test_access_to_own_data_is_not_recorded_as_admin_access(api: Api, admin: Person, sample: Sample) -> None:
     asked = api.as_(admin.token)
     project = asked.project()["id"]
     mission = asked.mission(project)["id"]
@@ -53,7 +53,7 @@ ACTS: dict[str, tuple[Right, Act]] = {
 
 @pytest.mark.parametrize("operation", ACTS)
 @pytest.mark.parametrize("on_mission", [False, True])
-def test_whoever_holds_less_than_it_takes_used_their_power(
+def test_access_beyond_own_rights_is_recorded_as_admin_access(
     api: Api, sample: Sample, operation: str, on_mission: bool
 ) -> None:
     needed, act = ACTS[operation]
@@ -72,7 +72,7 @@ def test_whoever_holds_less_than_it_takes_used_their_power(
         assert _marks(api, admin)[-1] == (operation, not enough), held
 
 
-def test_what_is_public_takes_no_power_to_fetch(api: Api, sample: Sample, admin: Person) -> None:
+def test_downloads_of_public_data_are_not_recorded_as_admin_access(api: Api, sample: Sample, admin: Person) -> None:
     project = api.project()["id"]
     file_id = sample.file(api.mission(project)["id"], "a.mcap")
     api.sql("UPDATE project SET is_public = true WHERE id = %s", project)

@@ -51,7 +51,7 @@ async def _goes(courtesy: Courtesy) -> None:
     await asyncio.wait_for(courtesy.give_way(_LONG_S), 10)
 
 
-def test_it_waits_while_a_file_is_being_sent(api: Api, upload_id: str) -> None:
+def test_background_jobs_wait_during_uploads(api: Api, upload_id: str) -> None:
     _with_courtesy(api, _waits)
     api.delete(f"/uploads/{upload_id}").ok(204)
     _with_courtesy(api, _goes)
@@ -94,7 +94,9 @@ def test_a_worker_that_stops_waits_for_nobody(api: Api, upload_id: str) -> None:
     _with_courtesy(api, stop)
 
 
-def test_grouping_waits_from_when_it_was_asked_for(api: Api, upload_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_grouping_is_delayed_from_the_time_of_its_request(
+    api: Api, upload_id: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(recording_jobs, "SUMMARY_PATIENCE_S", _LONG_S)
     mission_id = uuid.UUID(api.mission(api.project()["id"])["id"])
 

@@ -23,7 +23,9 @@ def _doomed(api: Api) -> set[str]:
     return {str(row[0]) for row in api.sql("SELECT id FROM blob WHERE doomed_at IS NOT NULL")}
 
 
-def test_of_very_many_each_has_its_turn(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_blobs_are_checked_in_turn_when_there_are_many(
+    start_api: StartApi, monkeypatch: pytest.MonkeyPatch
+) -> None:
     api = start_api()
     sample = Sample(api)
     mission_id = api.mission(api.project()["id"])["id"]
@@ -43,7 +45,7 @@ def test_of_very_many_each_has_its_turn(start_api: StartApi, monkeypatch: pytest
     assert len(api.all("/files", {"mission_id": mission_id})) == len(kept)
 
 
-def test_of_few_all_are_looked_at(start_api: StartApi) -> None:
+def test_all_blobs_are_checked_when_there_are_few(start_api: StartApi) -> None:
     api = start_api()
     orphans = {Sample(api).blob() for _ in range(10)}
     assert on_site(api, _doom) == len(orphans)

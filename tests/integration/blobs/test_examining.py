@@ -52,7 +52,7 @@ def test_a_recording_is_summarised_and_verified(
     assert [(each["name"], each["kind"]) for each in recordings] == [(name, "single")]
 
 
-def test_many_small_files_are_examined_by_few_jobs(start_api: Any, tmp_path: Any) -> None:
+def test_many_small_files_are_summarised_in_one_job(start_api: Any, tmp_path: Any) -> None:
     api: Api = start_api()
     mission_id = api.mission(api.project()["id"])["id"]
     generate_mcap(tmp_path / "run.mcap", size_bytes=80_000, seed=7)
@@ -177,7 +177,7 @@ def test_a_project_leaves_the_trash_with_all_that_is_in_it(api: Api) -> None:
     assert api.sql("SELECT count(*) FROM mission WHERE id = %s", mission_id) == [(0,)]
 
 
-def test_a_doomed_blob_is_not_linked(api: Api, mission_id: str) -> None:
+def test_a_blob_marked_for_deletion_is_not_linked(api: Api, mission_id: str) -> None:
     body = os.urandom(300)
     file = upload(api, mission_id, "run.bin", body)
     api.sql("UPDATE blob SET doomed_at = now() WHERE id = (SELECT blob_id FROM file WHERE id = %s)", file["id"])
@@ -187,7 +187,7 @@ def test_a_doomed_blob_is_not_linked(api: Api, mission_id: str) -> None:
 @pytest.mark.parametrize(
     ("size_bytes", "wanted"), [(30, {"examine_blob"}), (SMALL_BYTES, {"verify_blob", "summarise_blob"})]
 )
-def test_blobs_and_missions_whose_jobs_were_given_up_are_taken_up_again(
+def test_blobs_and_missions_of_failed_jobs_are_processed_again(
     api: Api, mission_id: str, size_bytes: int, wanted: set[str]
 ) -> None:
     file = upload(api, mission_id, "run.bag", b"#ROSBAG V2.0\n" + os.urandom(size_bytes))

@@ -73,7 +73,7 @@ def test_a_child_that_takes_too_long_is_ended(recording: Path) -> None:
     _with_readers(work)
 
 
-def test_leaving_waits_for_a_child_that_is_just_retired(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_closing_waits_for_a_reader_that_is_ending(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reader_processes, "_IDLE_S", 0)
 
     async def run() -> None:

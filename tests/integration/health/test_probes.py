@@ -37,7 +37,7 @@ class _Silent:
         self._loop.call_soon_threadsafe(self._is_awake.set)
 
 
-def test_it_is_ready_when_all_is_there_and_says_what_is_not(start_api: StartApi) -> None:
+def test_readiness_names_unavailable_services(start_api: StartApi) -> None:
     api = start_api()
     status, text = _ready(api)
     assert (status, text.splitlines()[0]) == (200, "ready")
@@ -73,7 +73,7 @@ def test_a_store_that_does_not_answer_holds_up_nobody(start_api: StartApi, monke
     assert store.asked == 1
 
 
-def test_measures_are_whole_whoever_else_reads_them(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_metrics_are_complete_with_concurrent_readers(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(metrics_server, "_HOLDS_S", 3600)
     api = start_api()
     with api.statements() as statements, ThreadPoolExecutor(8) as pool:

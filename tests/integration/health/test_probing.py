@@ -52,7 +52,7 @@ def _from(number: int, count: int, blink: "Reply | Lost") -> Rule:
     return rule
 
 
-def test_it_finds_the_truth_of_a_store_that_does_not_blink(api: Api, store: RunningStore) -> None:
+def test_probing_finds_the_capabilities_of_a_reliable_store(api: Api, store: RunningStore) -> None:
     assert _probes(api, store, [lambda _asked: None]) == [_TRUTH]
 
 
@@ -63,7 +63,7 @@ def test_one_blink_changes_nothing(api: Api, store: RunningStore, blink: "Reply 
 
 
 @pytest.mark.parametrize("blink", [Reply(403, "AccessDenied"), Reply(404), Reply(502)], ids=repr)
-def test_a_store_that_goes_away_is_said_to_be_away(api: Api, store: RunningStore, blink: Reply) -> None:
+def test_an_unreachable_store_is_reported(api: Api, store: RunningStore, blink: Reply) -> None:
     found = _probes(api, store, [_from(number, 1000, blink) for number in range(0, _QUESTIONS, 3)])
     away = [isinstance(each, StoreUnavailable) for each in found]
     assert away == sorted(away, reverse=True), "away from some question on"

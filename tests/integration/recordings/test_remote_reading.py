@@ -101,6 +101,6 @@ def test_an_address_that_is_refused_is_made_anew(api: Api, client: Client, drive
         Recording.open(hopeless)
 
 
-def test_what_is_not_there_is_not_found(client: Client) -> None:
+def test_missing_recordings_are_not_found(client: Client) -> None:
     with pytest.raises(NotFound):
         client.recordings.open("no/such.mcap")

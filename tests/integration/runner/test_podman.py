@@ -13,7 +13,7 @@ pytestmark = [pytest.mark.soak, pytest.mark.parametrize("bench", ["podman"], ind
 
 
 @pytest.mark.parametrize("folder", ["/run", "/var/tmp"])
-def test_files_in_memory_count_as_memory_of_the_run(bench: Bench, folder: str) -> None:
+def test_tmpfs_counts_towards_the_memory_of_a_run(bench: Bench, folder: str) -> None:
     text = f"open('{folder}/one', 'w').close(); print('made', flush=True)\n"
     text += f"with open('{folder}/large', 'wb') as large:\n    while True: large.write(bytes(1_000_000))"
     job, ending = bench.run(text, memory_bytes=100_000_000)
@@ -33,7 +33,7 @@ def test_ended_by_hand(bench: Bench, words: list[str], reason: EndReason) -> Non
     assert bench.end_of(job).reason is reason
 
 
-def test_podman_without_an_event_log(bench: Bench) -> None:
+def test_podman_may_forget_its_containers(bench: Bench) -> None:
     """Whether somebody ended a container is not known then; how it ended is."""
     assert bench.engine is not None
     settings = bench.engine.folder / "containers.conf"

@@ -73,7 +73,7 @@ def test_a_runner_killed_right_after_it_submitted_a_job_finds_it_again(
 
 
 @EVERYWHERE
-def test_a_removed_job_is_lost_and_can_be_submitted_again(bench: Bench) -> None:
+def test_a_removed_container_is_reported_lost_and_may_be_started_again(bench: Bench) -> None:
     """As by Ctrl-C: the next runner begins anew, with the log of before, which is in the store already."""
     job = bench.job(LASTING)
     bench.executor.submit(job)

@@ -31,7 +31,7 @@ def test_inputs_stay_as_long_as_a_run_may_read_them(lab: Api, runner: Played, pl
     assert lab.sql("SELECT doomed_at IS NOT NULL FROM blob WHERE id = %s", blob_id) in ([(True,)], [])
 
 
-def test_what_a_run_left_stays_until_its_mission_goes(lab: Api, runner: Played, place: Place) -> None:
+def test_artifacts_of_a_run_remain_until_its_mission_is_deleted(lab: Api, runner: Played, place: Place) -> None:
     """With the mission goes all of it; the record still speaks of the run's token."""
     launch(lab, runner, place.mission, network="api", right="WRITE")
     claim = runner.claim()
@@ -97,7 +97,7 @@ def test_deleting_an_input_says_what_came_from_it(lab: Api, runner: Played, plac
     assert (other["read_by_runs"], other["made_from_it"]) == (1, []), "it was read, and nothing was made of it"
 
 
-def test_of_runners_that_ask_at_once_one_gets_a_run(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_is_assigned_to_one_of_several_concurrent_runners(lab: Api, runner: Played, place: Place) -> None:
     """Ten at once, forty runs: each is begun once."""
     runs = [launch(lab, runner, place.mission)["id"] for _ in range(40)]
     runners = [another(lab, runner) for _ in range(10)]

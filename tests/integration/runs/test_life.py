@@ -91,7 +91,7 @@ def test_a_run_that_loses_runner_after_runner_fails_with_the_reason(lab: Api, ru
     assert "3 times" in seen["message"]
 
 
-def test_what_has_run_is_its_runners_to_keep_for_longer(lab: Api, runner: Played, place: Place) -> None:
+def test_a_started_run_stays_with_its_runner_for_longer(lab: Api, runner: Played, place: Place) -> None:
     launch(lab, runner, place.mission)
     claim = runner.claim()
     lasting = []
@@ -102,7 +102,7 @@ def test_what_has_run_is_its_runners_to_keep_for_longer(lab: Api, runner: Played
     assert 50 < lasting[0] <= 60 < 800 < lasting[1] <= 900
 
 
-def test_what_a_silent_runner_holds_for_long_can_be_cancelled(lab: Api, runner: Played, place: Place) -> None:
+def test_runs_of_a_silent_runner_can_be_cancelled(lab: Api, runner: Played, place: Place) -> None:
     made = launch(lab, runner, place.mission)
     runner.heartbeat(runner.claim(), "collecting")
     assert lab.post(f"/runs/{made['id']}/cancel").ok()["state"] == "collecting"
@@ -119,7 +119,7 @@ def _expire_lease(lab: Api, run_id: str) -> None:
     lab.sql("UPDATE run SET lease_ends_at = now() - interval '1 second' WHERE id = %s", uuid.UUID(run_id))
 
 
-def test_what_is_put_back_is_a_file_with_its_lineage(lab: Api, runner: Played, place: Place) -> None:
+def test_a_restored_artifact_is_a_file_with_its_lineage(lab: Api, runner: Played, place: Place) -> None:
     made = launch(lab, runner, place.mission, right="CREATE")
     claim = runner.claim()
     runner.leave(claim, "clean.bin", b"cleaned")

@@ -48,7 +48,7 @@ def _sampled(monkeypatch: pytest.MonkeyPatch) -> int:
     return planner.SAMPLED_FILES
 
 
-def test_few_files_are_all_counted(full: Api) -> None:
+def test_a_small_number_of_files_is_counted_exactly(full: Api) -> None:
     found = full.get("/search", {"query": "drive"}).ok()
     assert (found["is_whole"], found["files"]["total"], found["missions"]["total"]) == (True, _FILES - _RARE, 1)
     assert found["topics"]["items"][0]["file_count"] == _FILES - _RARE
@@ -146,7 +146,7 @@ def _holding(api: Api, word: str) -> set[str]:
 
 @pytest.mark.parametrize("query", ["imu", "topic:/imu", "type:Imu", "imu drive"])
 @pytest.mark.usefixtures("sampled")
-def test_topics_kept_of_a_mission_exclude_it_only_where_they_are_current_and_whole(
+def test_stored_topics_exclude_a_mission_only_where_current_and_complete(
     full: Api, monkeypatch: pytest.MonkeyPatch, query: str
 ) -> None:
     """Among very many files, which are read mission by mission."""

@@ -46,7 +46,7 @@ def _restore(api: Api, noun: str, noun_id: str) -> Any:
 
 
 @pytest.mark.parametrize("noun", ["project", "mission", "file"])
-def test_what_is_due_to_be_swept_is_out_of_reach(own: Api, tree: dict[str, str], noun: str) -> None:
+def test_expired_trash_cannot_be_restored(own: Api, tree: dict[str, str], noun: str) -> None:
     own.delete(f"/{noun}s/{tree[noun]}").ok()
     _age(own, noun, tree[noun])
     assert tree[noun] not in [row["id"] for row in own.all("/trash")]
@@ -100,7 +100,7 @@ def test_a_round_takes_no_more_than_it_may_and_the_next_goes_on(own: Api, tree: 
 
 
 @pytest.mark.parametrize("noun", ["project", "mission", "file"])
-def test_what_is_held_is_passed_over(own: Api, tree: dict[str, str], noun: str) -> None:
+def test_locked_rows_are_skipped(own: Api, tree: dict[str, str], noun: str) -> None:
     own.delete(f"/{noun}s/{tree[noun]}").ok()
     _age(own, noun, tree[noun])
     with racing(own, f"SELECT 1 FROM {noun} WHERE id = %s FOR UPDATE", tree[noun]):
@@ -111,7 +111,7 @@ def test_what_is_held_is_passed_over(own: Api, tree: dict[str, str], noun: str) 
 
 
 @pytest.mark.parametrize("noun", ["mission", "file"])
-def test_what_comes_back_waits_for_its_project_first(own: Api, tree: dict[str, str], noun: str) -> None:
+def test_a_mission_is_restored_only_after_its_project(own: Api, tree: dict[str, str], noun: str) -> None:
     own.delete(f"/{noun}s/{tree[noun]}").ok()
     with racing(own, "SELECT 1 FROM project WHERE id = %s FOR UPDATE", tree["project"]) as send:
         restored = send(_restore, own, noun, tree[noun])

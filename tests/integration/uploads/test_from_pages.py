@@ -109,7 +109,7 @@ def test_a_store_that_knows_no_such_rules_is_used_all_the_same(
     assert "NotImplemented" in warning.__dict__["fields"]["reason"]
 
 
-def test_pages_are_told_where_the_store_is(lab: Api, store: RunningStore) -> None:
+def test_pages_receive_the_address_of_the_store(lab: Api, store: RunningStore) -> None:
     said = lab.as_(None).get("/service").ok()
     assert said["store_origin"] == store.endpoint
     assert said["name"] == "Kleinkram"

@@ -82,7 +82,7 @@ def _see_that_all_have_bytes(api: Api, mission_id: str, bodies: dict[str, bytes]
     assert [fetch(link["url"]) for link in links] == [(200, body) for body in bodies.values()]
 
 
-def test_what_is_being_linked_is_not_swept(api: Api, mission_id: str, other: _Twin) -> None:
+def test_a_blob_being_linked_is_not_collected(api: Api, mission_id: str, other: _Twin) -> None:
     twin = _Twin(api)
     with racing(api, _HOLD_NAME, mission_id, other.file["id"]) as send_one:
         linked = send_one(begin, api, mission_id, {"run.bin": twin.body})
@@ -92,7 +92,7 @@ def test_what_is_being_linked_is_not_swept(api: Api, mission_id: str, other: _Tw
     _see_that_all_have_bytes(api, mission_id, {"run.bin": twin.body})
 
 
-def test_what_was_linked_while_the_sweep_looked_is_not_swept(
+def test_a_blob_linked_during_garbage_collection_is_not_collected(
     api: Api, mission_id: str, other: _Twin, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     twin = _Twin(api)
@@ -121,7 +121,7 @@ def test_what_was_linked_while_the_sweep_looked_is_not_swept(
 
 
 @pytest.mark.parametrize("is_gone", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_who_would_link_what_the_sweep_took_is_told_to_send_it(
+def test_linking_a_collected_blob_requires_an_upload(
     api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch, is_gone: bool
 ) -> None:
     # Blobs are locked by their ids: at the first, which is held, it is known already that the second is there.

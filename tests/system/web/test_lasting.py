@@ -20,7 +20,7 @@ fields:
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_what_was_typed_lasts(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) -> None:
+def test_unsaved_input_survives(cluster: Cluster, act: Act, pictures: Path, tmp_path: Path) -> None:
     cluster.start()
     terminal = cluster.terminal
     (tmp_path / "fields.yaml").write_text(_FIELDS)

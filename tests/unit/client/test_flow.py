@@ -32,7 +32,7 @@ def test_things_arrive_in_order_and_in_batches() -> None:
     assert channel.take(3, timeout_s=0.01) == []
 
 
-def test_whoever_waits_is_woken_by_a_thing() -> None:
+def test_a_waiting_thread_is_woken_by_an_item() -> None:
     channel: WorkQueue[str] = WorkQueue(Stop())
     thread, answers = in_thread(lambda: channel.take(1))
     channel.put("thing")
@@ -54,7 +54,7 @@ def test_a_budget_bounds_what_is_under_way() -> None:
     budget.wait_until_free()
 
 
-def test_whoever_waits_for_the_budget_waits_until_half_of_it_is_free() -> None:
+def test_waiting_for_memory_ends_when_half_of_the_budget_is_free() -> None:
     budget = Budget(Stop(), 10)
     for _ in range(10):
         budget.acquire(1)

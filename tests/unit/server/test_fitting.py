@@ -5,7 +5,7 @@ from kleinkram.server.blobs.summaries import fit_text
 
 
 @given(st.text())
-def test_whatever_a_file_says_fits_into_the_database(text: str) -> None:
+def test_any_content_of_a_file_fits_into_the_database(text: str) -> None:
     fitted = fit_text(text)
     assert "\0" not in fitted
     assert len(fitted.encode()) <= 1000

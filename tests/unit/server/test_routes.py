@@ -81,7 +81,7 @@ def test_a_route_that_does_not_ask_who_comes_does_not_start() -> None:
         require_guards([router])
 
 
-def test_whatever_is_no_route_of_ours_does_not_start() -> None:
+def test_unknown_route_types_prevent_the_start() -> None:
     router = APIRouter()
     router.routes.append(Mount("/mounted", routes=[]))
     with pytest.raises(RuntimeError, match=r"/mounted has no row"):

@@ -20,7 +20,7 @@ def test_a_new_secret_is_found_and_verified(kind: SecretKind) -> None:
         assert secret.text not in repr(secret)
 
 
-def test_of_what_is_not_of_this_form_nothing_is_shown() -> None:
+def test_tokens_of_another_form_are_not_shown() -> None:
     assert beginning("klein_pat_too-short") == beginning("0123456789abcdef") == ""
 
 

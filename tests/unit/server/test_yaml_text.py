@@ -89,7 +89,7 @@ def test_every_value_has_its_place() -> None:
     ],
     ids=["brackets", "braces", "dashes", "items", "alias", "keys", "long key", "escape", "nodes"],
 )
-def test_what_would_grow_without_bound_is_given_up(text: str) -> None:
+def test_unbounded_yaml_expansion_is_aborted(text: str) -> None:
     with pytest.raises(YamlInvalid):
         read_yaml(text)
 
