@@ -17,7 +17,7 @@ class StateAmount(Response):
 
 
 class AdminStorage(Response):
-    """What the store keeps, by state; what only the trash still holds; what is on its way; what goes at the next sweep.
+    """Stored blobs by state, those that only the trash uses, uploads in progress, and what is about to be deleted.
 
     A blob counts once, however many files are made of it.
     """
@@ -27,7 +27,7 @@ class AdminStorage(Response):
     blobs: list[StateAmount]
     trash: StateAmount
     uploads: StateAmount
-    doomed: StateAmount
+    marked_for_deletion: StateAmount
 
 
 class JobAmount(Response):

@@ -27,12 +27,12 @@ def test_storage_is_reported_by_state(lab: Api) -> None:
     sample.file(mission["id"], "kept.mcap", size_bytes=3)
     trashed = sample.file(mission["id"], "trashed.mcap", size_bytes=5)
     lab.delete(f"/files/{trashed}").ok()
-    sample.blob(size_bytes=7, doomed_at="2026-01-01T00:00:00Z")
+    sample.blob(size_bytes=7, marked_for_deletion_at="2026-01-01T00:00:00Z")
     begin(lab, mission["id"], {"coming.bin": b"eleven byte"}, hashed=False)
     told = lab.get("/admin/storage").ok()
     assert told["blobs"] == [{"state": "stored", "count": 2, "size_bytes": 8}]
     assert told["trash"] == {"state": "trash", "count": 1, "size_bytes": 5}
-    assert told["doomed"] == {"state": "doomed", "count": 1, "size_bytes": 7}
+    assert told["marked_for_deletion"] == {"state": "marked_for_deletion", "count": 1, "size_bytes": 7}
     assert told["uploads"] == {"state": "under_way", "count": 1, "size_bytes": 11}
 
 
@@ -108,7 +108,9 @@ def test_a_job_shows_why_it_failed_while_it_is_tried_again(
 
 
 def test_all_failed_jobs_are_retried_and_none_is_scheduled_later(lab: Api) -> None:
-    insert = "INSERT INTO procrastinate_jobs (queue_name, task_name, status, args) VALUES ('default', 'sweep',"
+    insert = (
+        "INSERT INTO procrastinate_jobs (queue_name, task_name, status, args) VALUES ('default', 'collect_garbage',"
+    )
     job_id = lab.sql(f"{insert} 'failed', '{{}}') RETURNING id")[0][0]
     lab.sql(f"{insert} 'failed', '{{}}')")
     for kind, at in (("failed", "now() - interval '1 h'"), ("scheduled", "now() + interval '1 h'")):
@@ -121,7 +123,7 @@ def test_all_failed_jobs_are_retried_and_none_is_scheduled_later(lab: Api) -> No
         assert client.admin.retry_jobs() == len(told)
         assert client.admin.jobs().failed == []
         assert client.admin.retry_jobs() == 0
-    lab.sql("DELETE FROM procrastinate_jobs WHERE task_name = 'sweep'")
+    lab.sql("DELETE FROM procrastinate_jobs WHERE task_name = 'collect_garbage'")
 
 
 def test_health_says_how_database_and_store_are(lab: Api) -> None:

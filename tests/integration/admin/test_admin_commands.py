@@ -72,7 +72,11 @@ def test_health_and_storage_are_shown(klein: Klein) -> None:
     told: Any = json.loads(klein("health", "--json"))
     assert told["not_ready"] is None
     assert "under_way" in klein("storage")
-    assert json.loads(klein("storage", "--json"))["doomed"] == {"state": "doomed", "count": 0, "size_bytes": 0}
+    assert json.loads(klein("storage", "--json"))["marked_for_deletion"] == {
+        "state": "marked_for_deletion",
+        "count": 0,
+        "size_bytes": 0,
+    }
 
 
 @pytest.mark.parametrize("command", [["jobs"], ["storage"], ["health"], ["retry", "1"]])

@@ -57,7 +57,7 @@ def test_back_up_under_load_and_restore(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    api = start_api(trash_days=0, sweep_grace_s=0)
+    api = start_api(trash_days=0, garbage_grace_s=0)
     mission = api.mission(api.project()["id"])["id"]
     for number in range(3):
         upload(api, mission, f"large {number}", random.Random(number).randbytes(8_000_000))
@@ -140,7 +140,7 @@ def at_work(api: Api, mission: str, file_ids: list[str]) -> Iterator[dict[str, i
 def _recorded_checksums(blobs: list[str]) -> dict[str, str]:
     """Return the recorded SHA-256 of all blobs that are not marked for deletion, by key."""
     rows = [json.loads(text) for text in blobs]
-    return {row["key"]: row["sha256"].removeprefix("\\x") for row in rows if row["doomed_at"] is None}
+    return {row["key"]: row["sha256"].removeprefix("\\x") for row in rows if row["marked_for_deletion_at"] is None}
 
 
 @pytest.mark.timeout(300)

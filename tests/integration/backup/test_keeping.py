@@ -128,7 +128,7 @@ def test_encrypted_backups_reveal_nothing_and_can_be_restored(
 
 @pytest.mark.slow
 def test_pruning_removes_old_backups_and_their_objects(start_api: StartApi, tmp_path: Path) -> None:
-    api = start_api(trash_days=0, sweep_grace_s=0)
+    api = start_api(trash_days=0, garbage_grace_s=0)
     mission = api.mission(api.project()["id"])["id"]
     uploaded = upload(api, mission, "kept", b"kept")
     gone = upload(api, mission, "gone", b"gone")
@@ -284,7 +284,7 @@ def test_a_full_disk_fails_the_backup(populated: Api, tmp_path: Path) -> None:
 
 
 def test_no_garbage_is_collected_while_a_backup_copies(start_api: StartApi) -> None:
-    api = start_api(trash_days=0, sweep_grace_s=0)
+    api = start_api(trash_days=0, garbage_grace_s=0)
     mission = api.mission(api.project()["id"])["id"]
     file = upload(api, mission, "file", b"bytes")
     before = contents(settings_of(api))

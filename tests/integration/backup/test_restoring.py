@@ -41,7 +41,7 @@ def test_every_row_and_every_byte_are_restored(populated: Api, instances: EmptyI
         assert contents(target) == contents(source)
         assert len(contents(target)) == 7  # 4 files, an artifact and a log of a run, a log chunk of another
         with psycopg.connect(plain_dsn(target.database_url)) as database:
-            states = "SELECT DISTINCT state FROM blob WHERE doomed_at IS NULL"
+            states = "SELECT DISTINCT state FROM blob WHERE marked_for_deletion_at IS NULL"
             assert database.execute(states).fetchall() == [("stored",)]  # to be verified in the new store
             # The uploader starts again, and the name is free.
             assert database.execute("SELECT DISTINCT state FROM upload WHERE path = 'half.bin'").fetchall() == [

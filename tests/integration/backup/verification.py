@@ -45,7 +45,7 @@ async def _scrub(context: AppContext) -> list[str]:
 
 async def _read(context: AppContext) -> list[str]:
     async with context.database.begin() as db:
-        ids = (await db.execute(select(blob.c.id).where(blob.c.doomed_at.is_(None)))).scalars().all()
+        ids = (await db.execute(select(blob.c.id).where(blob.c.marked_for_deletion_at.is_(None)))).scalars().all()
         rows = await db.execute(queries.blobs_with_path(ids))
         blobs = [queries.BlobRow._make(row) for row in rows]
     differences = [(row.key, (await read_through(context, row.key)).differs_from(row)) for row in blobs]

@@ -20,7 +20,7 @@ async def _doom(context: AppContext) -> int:
 
 
 def _doomed(api: Api) -> set[str]:
-    return {str(row[0]) for row in api.sql("SELECT id FROM blob WHERE doomed_at IS NOT NULL")}
+    return {str(row[0]) for row in api.sql("SELECT id FROM blob WHERE marked_for_deletion_at IS NOT NULL")}
 
 
 def test_all_blobs_are_checked_in_turn_when_there_are_many(

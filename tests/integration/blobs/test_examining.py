@@ -20,7 +20,7 @@ Generate = Callable[..., Any]
 @pytest.fixture(name="api", scope="module")
 def _api(start_api: Any) -> Api:
     """An API of its own: its jobs are run by these tests alone."""
-    api: Api = start_api(sweep_grace_s=0)
+    api: Api = start_api(garbage_grace_s=0)
     return api
 
 
@@ -129,7 +129,7 @@ def test_an_altered_object_is_corrupt_and_can_be_mended(api: Api, mission_id: st
     assert 'kleinkram_blobs{state="corrupt"} 1' in api.metrics()
     mended = upload(api, mission_id, "run.bin", body)
     assert (mended["id"], mended["state"]) == (file["id"], "stored")
-    assert api.events(file["id"])[0]["operation"] == "file.mend"
+    assert api.events(file["id"])[0]["operation"] == "file.repair"
     link = api.post("/files/download", {"file_ids": [file["id"]]}).ok()["items"][0]
     assert fetch(link["url"]) == (200, body)
 
@@ -161,7 +161,7 @@ def test_deleted_files_leave_the_store_only_when_nothing_refers_to_their_bytes(a
         on_site(api, collect_garbage)
     assert on_site(api, lambda site: site.storage.find(key)) is None
     assert api.sql("SELECT count(*) FROM blob WHERE key = %s", key) == [(0,)]
-    assert api.events(first["id"])[0]["operation"] == "file.sweep"
+    assert api.events(first["id"])[0]["operation"] == "file.purge"
 
 
 def test_a_project_leaves_the_trash_with_all_that_is_in_it(api: Api) -> None:
@@ -180,7 +180,9 @@ def test_a_project_leaves_the_trash_with_all_that_is_in_it(api: Api) -> None:
 def test_a_blob_marked_for_deletion_is_not_linked(api: Api, mission_id: str) -> None:
     body = os.urandom(300)
     file = upload(api, mission_id, "run.bin", body)
-    api.sql("UPDATE blob SET doomed_at = now() WHERE id = (SELECT blob_id FROM file WHERE id = %s)", file["id"])
+    api.sql(
+        "UPDATE blob SET marked_for_deletion_at = now() WHERE id = (SELECT blob_id FROM file WHERE id = %s)", file["id"]
+    )
     assert begin(api, mission_id, {"again.bin": body})[0]["decision"] == "send"
 
 

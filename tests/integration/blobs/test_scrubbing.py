@@ -23,7 +23,7 @@ _AT_LEISURE = "SELECT args ->> 'ref' FROM procrastinate_jobs WHERE status = 'tod
 @pytest.fixture(name="api", scope="module")
 def _api(start_api: StartApi) -> Api:
     """An API of its own: what others leave in the store is nobody's to compare."""
-    return start_api(sweep_grace_s=0)
+    return start_api(garbage_grace_s=0)
 
 
 def _key(api: Api, file_id: str) -> str:

@@ -25,10 +25,10 @@ def test_inputs_stay_as_long_as_a_run_may_read_them(lab: Api, runner: Played, pl
     lab.sql("UPDATE run_input SET file_id = NULL WHERE file_id = %s", file_id)
     (blob_id,) = lab.sql("DELETE FROM file WHERE id = %s RETURNING blob_id", file_id)[0]
     on_site(lab, _sweep)
-    assert lab.sql("SELECT doomed_at FROM blob WHERE id = %s", blob_id) == [(None,)]
+    assert lab.sql("SELECT marked_for_deletion_at FROM blob WHERE id = %s", blob_id) == [(None,)]
     lab.post(f"/runs/{made['id']}/cancel").ok()
     on_site(lab, _sweep)
-    assert lab.sql("SELECT doomed_at IS NOT NULL FROM blob WHERE id = %s", blob_id) in ([(True,)], [])
+    assert lab.sql("SELECT marked_for_deletion_at IS NOT NULL FROM blob WHERE id = %s", blob_id) in ([(True,)], [])
 
 
 def test_artifacts_of_a_run_remain_until_its_mission_is_deleted(lab: Api, runner: Played, place: Place) -> None:
@@ -43,7 +43,7 @@ def test_artifacts_of_a_run_remain_until_its_mission_is_deleted(lab: Api, runner
     blobs = _blobs(lab, claim["run_id"])
     assert len(blobs) == 2
     on_site(lab, _sweep)
-    assert lab.sql("SELECT count(*) FROM blob WHERE id = ANY(%s) AND doomed_at IS NULL", blobs) == [(2,)]
+    assert lab.sql("SELECT count(*) FROM blob WHERE id = ANY(%s) AND marked_for_deletion_at IS NULL", blobs) == [(2,)]
     assert lab.sql("SELECT count(*) FROM log_chunk WHERE run_id = %s", claim["run_id"]) == [(0,)], "joined"
     lab.delete(f"/missions/{place.mission['id']}").ok()
     lab.sql("UPDATE upload SET cleaned_at = now() WHERE mission_id = %s", place.mission["id"])
@@ -51,7 +51,7 @@ def test_artifacts_of_a_run_remain_until_its_mission_is_deleted(lab: Api, runner
     for _ in range(3):
         on_site(lab, _sweep)
     assert lab.sql("SELECT count(*) FROM run WHERE id = %s", claim["run_id"]) == [(0,)]
-    assert lab.sql("SELECT count(*) FROM blob WHERE id = ANY(%s) AND doomed_at IS NULL", blobs) == [(0,)]
+    assert lab.sql("SELECT count(*) FROM blob WHERE id = ANY(%s) AND marked_for_deletion_at IS NULL", blobs) == [(0,)]
     assert lab.sql("SELECT count(*) FROM token WHERE kind = 'run' AND run_id IS NULL AND revoked_at IS NOT NULL")[0][0]
 
 

@@ -67,10 +67,10 @@ def test_all_of_what_is_due_goes_and_is_noted_with_its_project(
     _empty(own)
     assert _left(own, tree) == left
     events = own.all("/audit", {"project_id": tree["project"]})
-    swept = {
-        event["noun"]: (event["noun_id"], event["actor"]) for event in events if event["operation"].endswith("sweep")
+    purged = {
+        event["noun"]: (event["noun_id"], event["actor"]) for event in events if event["operation"].endswith("purge")
     }
-    assert swept == {each: (noun_id, None) for each, noun_id in tree.items() if each not in left}
+    assert purged == {each: (noun_id, None) for each, noun_id in tree.items() if each not in left}
 
 
 def test_an_upload_goes_with_its_mission_once_the_store_is_rid_of_it(own: Api, tree: dict[str, str]) -> None:

@@ -40,8 +40,8 @@ def test_deleted_objects_are_in_the_trash_with_place_size_and_expiry(api: Api, t
     row = _lying(api, tree["file"])
     assert (row["noun"], row["name"], row["place"]) == ("file", "a.mcap", place)
     assert (row["size_bytes"], row["file_count"], row["deleted_by"]["name"]) == (5, 1, "owner")
-    deleted_at, swept_after = (datetime.datetime.fromisoformat(row[name]) for name in ("deleted_at", "swept_after"))
-    assert swept_after - deleted_at == datetime.timedelta(days=30)
+    deleted_at, purged_after = (datetime.datetime.fromisoformat(row[name]) for name in ("deleted_at", "purged_after"))
+    assert purged_after - deleted_at == datetime.timedelta(days=30)
     api.delete(f"/missions/{mission['id']}").ok()
     row = _lying(api, mission["id"])
     assert (row["noun"], row["name"], row["place"]) == ("mission", mission["name"], project["name"])
@@ -128,7 +128,7 @@ def test_the_trash_is_listed_latest_first_by_noun_and_in_pages(start_api: StartA
     assert [row["id"] for row in rows] == [missions[1], file_id, missions[0]]
     assert [row["id"] for row in api.all("/trash", {"noun": "mission"})] == [missions[1], missions[0]]
     first = rows[0]
-    kept = datetime.datetime.fromisoformat(first["swept_after"]) - datetime.datetime.fromisoformat(first["deleted_at"])
+    kept = datetime.datetime.fromisoformat(first["purged_after"]) - datetime.datetime.fromisoformat(first["deleted_at"])
     assert kept.days == 3
     api.get("/trash", {"noun": "topic"}).refused(422, "invalid_request")
     with api.statements() as statements:

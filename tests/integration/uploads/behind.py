@@ -18,7 +18,9 @@ from kleinkram.server.s3.storage import open_storage
 from tests.integration.api_server import Api
 
 T = TypeVar("T")
-_ALL_BLOBS = text("UPDATE blob SET content = 'opaque', summarised_at = now() WHERE doomed_at IS NULL RETURNING id")
+_ALL_BLOBS = text(
+    "UPDATE blob SET content = 'opaque', summarised_at = now() WHERE marked_for_deletion_at IS NULL RETURNING id"
+)
 
 
 class SiteThread:

@@ -36,7 +36,7 @@ _GATE = 7
 @pytest.fixture(name="api", scope="module")
 def _api(start_api: StartApi) -> Api:
     """An API of its own, whose sweep lets go at once."""
-    return start_api(trash_days=0, sweep_grace_s=0)
+    return start_api(trash_days=0, garbage_grace_s=0)
 
 
 class _Twin:
@@ -76,7 +76,7 @@ def _see_that_all_have_bytes(api: Api, mission_id: str, bodies: dict[str, bytes]
     """Once more after the sweep: these files, and no row of any other refers to what is gone or goes."""
     there = _sweep(api)
     assert {row[0] for row in api.sql(_USED)} <= there
-    assert api.sql(f"{_USED} WHERE b.doomed_at IS NOT NULL") == []
+    assert api.sql(f"{_USED} WHERE b.marked_for_deletion_at IS NOT NULL") == []
     files = {file["path"]: file["id"] for file in api.all("/files", {"mission_id": mission_id})}
     links = api.post("/files/download", {"file_ids": [files[path] for path in bodies]}).ok()["items"]
     assert [fetch(link["url"]) for link in links] == [(200, body) for body in bodies.values()]

@@ -22,7 +22,7 @@ from tests.integration.uploads.machine import Machine, documented
 @pytest.fixture(name="machine", scope="module")
 def _machine(start_api: StartApi) -> Iterator[type[Machine]]:
     """The machine on an API of its own."""
-    api: Api = start_api(sweep_grace_s=0)
+    api: Api = start_api(garbage_grace_s=0)
     site = SiteThread(api)
     yield type("MachineHere", (Machine,), {"api": api, "context": site})
     site.close()

@@ -2768,16 +2768,16 @@ export interface components {
         };
         /**
          * AdminStorage
-         * @description What the store keeps, by state; what only the trash still holds; what is on its way; what goes at the next sweep.
+         * @description Stored blobs by state, those that only the trash uses, uploads in progress, and what is about to be deleted.
          *
          *     A blob counts once, however many files are made of it.
          */
         AdminStorage: {
             /** Blobs */
             blobs: components["schemas"]["StateAmount"][];
-            doomed: components["schemas"]["StateAmount"];
             /** Is Low */
             is_low: boolean;
+            marked_for_deletion: components["schemas"]["StateAmount"];
             store: components["schemas"]["StoreUse"];
             trash: components["schemas"]["StateAmount"];
             uploads: components["schemas"]["StateAmount"];
@@ -6524,13 +6524,13 @@ export interface components {
             noun: components["schemas"]["TrashNoun"];
             /** Place */
             place: string;
-            /** Size Bytes */
-            size_bytes: number;
             /**
-             * Swept After
+             * Purged After
              * Format: date-time
              */
-            swept_after: string;
+            purged_after: string;
+            /** Size Bytes */
+            size_bytes: number;
         };
         /**
          * Undeclared

@@ -44,7 +44,7 @@ GROUP BY c.relname ORDER BY c.relname
 # Blobs marked for deletion are left out: their objects may be gone. Chunks of logs have no known hash.
 _NAMED = """
 COPY (
-  SELECT key, size_bytes, encode(sha256, 'hex') FROM blob WHERE doomed_at IS NULL AND store_id = {store}
+  SELECT key, size_bytes, encode(sha256, 'hex') FROM blob WHERE marked_for_deletion_at IS NULL AND store_id = {store}
   UNION ALL
   SELECT key, size_bytes, NULL FROM log_chunk WHERE kept_at IS NOT NULL AND store_id = {store}
 ) TO STDOUT
@@ -156,7 +156,7 @@ def database_facts(connection: Connection, store_id: str) -> DatabaseFacts:
         raise BackupRequestInvalid("The database has no tables of Kleinkram: check which one the settings name.")
     listing = sql.SQL(", ").join(sql.Identifier("public", name) for name in tables)
     connection.execute(sql.SQL("LOCK TABLE {} IN ACCESS SHARE MODE").format(listing))
-    elsewhere = "SELECT count(*) FROM blob WHERE doomed_at IS NULL AND store_id <> %s"
+    elsewhere = "SELECT count(*) FROM blob WHERE marked_for_deletion_at IS NULL AND store_id <> %s"
     return DatabaseFacts(
         postgres=str(_value(connection, "SHOW server_version")),
         revision=str(_value(connection, "SELECT version_num FROM alembic_version")),
@@ -351,7 +351,7 @@ def _adjust_rows(
     database.execute("UPDATE run SET lease_ends_at = now() WHERE lease_ends_at > now()")
     database.execute(
         "UPDATE blob SET state = 'stored', state_reason = NULL, damaged_at = NULL"
-        " WHERE state <> 'stored' AND store_id = %s AND doomed_at IS NULL",
+        " WHERE state <> 'stored' AND store_id = %s AND marked_for_deletion_at IS NULL",
         (to,),
     )
     with database.cursor() as cursor:

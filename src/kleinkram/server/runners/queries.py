@@ -13,7 +13,7 @@ from kleinkram.server.db import among
 from kleinkram.server.paging import Order
 from kleinkram.server.runners.eligibility import is_alive, is_single_person_only, runs_scripts, with_limits
 from kleinkram.server.tables import action, action_version, mission, project, run, runner, token, token_limit
-from kleinkram.server.tables.run import HELD
+from kleinkram.server.tables.runs import HELD
 
 RUNNER_ORDER = Order([runner.c.name, runner.c.id])
 # Fractions of cores are summed as floats.

@@ -42,7 +42,7 @@ from kleinkram.server.runners import queries
 from kleinkram.server.runners.eligibility import has_single_person, with_limits
 from kleinkram.server.runs.lifecycle import end_run, requeue_lost_runs
 from kleinkram.server.tables import action_version, mission, project, run, run_input, runner, token, token_limit
-from kleinkram.server.tables.run import HELD
+from kleinkram.server.tables.runs import HELD
 
 _SCOPES = {
     Right.read: [Scope.read],

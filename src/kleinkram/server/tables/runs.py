@@ -1,4 +1,8 @@
-"""Runs: what they were given, what they said and left. Who holds one is told by attempt and lease."""
+"""Actions and their versions, runners, and runs with their inputs, results and logs.
+
+A version never changes, but for the digest that its image was first resolved to. Lease and attempt say who executes a
+run.
+"""
 
 from sqlalchemy import (
     ARRAY,
@@ -26,6 +30,69 @@ from kleinkram.contract.actions import Network
 from kleinkram.contract.reports import Severity
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.server.tables.base import created_at_column, id_column, metadata, one_of, sorted_text
+
+action = Table(
+    "action",
+    metadata,
+    id_column(),
+    # Null: the whole lab's.
+    Column("project_id", Uuid, ForeignKey("project.id", ondelete="CASCADE")),
+    sorted_text("name"),
+    sorted_text("name_key"),
+    Column("created_by_id", Uuid, ForeignKey("person.id"), nullable=False),
+    created_at_column(),
+    Column("archived_at", DateTime(timezone=True)),
+    Index(
+        "uq_action_name_key_live",
+        "project_id",
+        "name_key",
+        unique=True,
+        postgresql_where=text("archived_at IS NULL"),
+        postgresql_nulls_not_distinct=True,
+    ),
+    Index("ix_action_name", "name", "id"),
+)
+
+action_version = Table(
+    "action_version",
+    metadata,
+    id_column(),
+    # Null, with its number, where it was run without being published.
+    Column("action_id", Uuid, ForeignKey("action.id", ondelete="CASCADE")),
+    Column("number", Integer),
+    Column("definition", JSONB, nullable=False),
+    Column("definition_sha256", LargeBinary, nullable=False),
+    Column("image_digest", Text),
+    Column("created_by_id", Uuid, ForeignKey("person.id"), nullable=False),
+    created_at_column(),
+    UniqueConstraint("action_id", "number"),
+    CheckConstraint("(action_id IS NULL) = (number IS NULL)", name="published"),
+    Index(
+        "uq_action_version_unpublished",
+        "definition_sha256",
+        unique=True,
+        postgresql_where=text("action_id IS NULL"),
+    ),
+)
+
+
+runner = Table(
+    "runner",
+    metadata,
+    id_column(),
+    Column("person_id", Uuid, ForeignKey("person.id"), nullable=False, index=True),
+    # The token with which it last said hello. No foreign key: tokens of runs refer to runs, and these to runners.
+    Column("token_id", Uuid),
+    Column("name", Text, nullable=False),
+    Column("labels", ARRAY(Text), nullable=False, server_default="{}"),
+    Column("capacity", JSONB, nullable=False),
+    Column("abilities", JSONB, nullable=False),
+    Column("default_image", Text),
+    Column("version", Text, nullable=False),
+    created_at_column(),
+    Column("last_seen_at", DateTime(timezone=True), nullable=False, server_default=text("now()")),
+)
+
 
 HELD = (RunState.preparing.value, RunState.running.value, RunState.collecting.value)
 ACTIVE = (RunState.queued.value, *HELD)

@@ -1,6 +1,24 @@
-"""The record. The serving database role may add to it and read it, nothing else."""
+"""The audit log, the last errors of jobs, and the worker processes.
 
-from sqlalchemy import BigInteger, Boolean, Column, DateTime, ForeignKey, Identity, Index, Table, Text, Uuid, func, text
+The serving role of the database may add to the audit log and read it, nothing else. A row of `job_error` goes with
+its job, by a foreign key that only the migration names.
+"""
+
+from sqlalchemy import (
+    BigInteger,
+    Boolean,
+    Column,
+    DateTime,
+    ForeignKey,
+    Identity,
+    Index,
+    Integer,
+    Table,
+    Text,
+    Uuid,
+    func,
+    text,
+)
 from sqlalchemy.dialects.postgresql import JSONB
 
 from kleinkram.server.tables.base import metadata
@@ -35,4 +53,25 @@ audit_event = Table(
     Index("ix_audit_event_token_id", "token_id", "id"),
     Index("ix_audit_event_at", "at", postgresql_using="brin"),
     Index("ix_audit_event_as_admin", "id", postgresql_where=text("as_admin")),
+)
+
+
+job_error = Table(
+    "job_error",
+    metadata,
+    Column("job_id", BigInteger, primary_key=True, autoincrement=False),
+    Column("sentence", Text, nullable=False),
+)
+
+
+worker_process = Table(
+    "worker_process",
+    metadata,
+    Column("id", Uuid, primary_key=True),
+    Column("host", Text, nullable=False),
+    Column("pid", Integer, nullable=False),
+    Column("version", Text, nullable=False),
+    Column("started_at", DateTime(timezone=True), nullable=False, server_default=func.now()),
+    Column("seen_at", DateTime(timezone=True), nullable=False, server_default=func.now()),
+    Column("ended_at", DateTime(timezone=True)),
 )

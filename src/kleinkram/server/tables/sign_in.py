@@ -1,7 +1,7 @@
-"""Signing in: who a provider says somebody is, passwords, codes that are good once, and logins under way.
+"""Sign-in: identities at providers, passwords, one-time codes, and logins in progress.
 
-Secrets that are random are kept as SHA-256, passwords as argon2id. What a login under way needs back (`nonce`,
-`code_verifier`) is of no use without the browser or the program that began it, and gone within minutes.
+Random secrets are stored as SHA-256, passwords as argon2id. What a login in progress needs back (`nonce`,
+`code_verifier`) is useless without the browser or the program that began it, and deleted within minutes.
 """
 
 import enum
