@@ -6,7 +6,7 @@ import uuid
 
 from procrastinate import JobContext
 
-from kleinkram.recordings.recording_groups import METADATA_NAME
+from kleinkram.recordings.formats.rosbag2.metadata import METADATA_NAME
 from kleinkram.server.jobs.attempts import PATIENTLY, app_context, courtesy_of, given
 from kleinkram.server.jobs.courtesy import SUMMARY_PATIENCE_S
 from kleinkram.server.jobs.queue import Job, enqueued_at, queue
