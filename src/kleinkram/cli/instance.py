@@ -6,6 +6,7 @@ folder is named, backup and restore mean the instance of `klein up`.
 
 import json
 import os
+import re
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -50,7 +51,7 @@ def up(
     """Run Kleinkram on this machine: PostgreSQL, S3, API, worker and runner. Ctrl-C or `klein down` ends it."""
     from kleinkram.standalone.__main__ import arguments
     from kleinkram.standalone.address import Listening
-    from kleinkram.standalone.plan import UpOptions
+    from kleinkram.standalone.services import UpOptions
 
     options = UpOptions(
         data_dir=resolve_data_dir(data_dir),
@@ -76,7 +77,7 @@ def down(data_dir: DataDirOption = None, as_json: AsJson = False) -> None:
     """Stop the Kleinkram that runs on this machine, and wait until it has ended."""
     from kleinkram.standalone.data_dir import DataDir
     from kleinkram.standalone.errors import StandaloneError
-    from kleinkram.standalone.leftovers import stop_instance
+    from kleinkram.standalone.supervisor import stop_instance
 
     folder = resolve_data_dir(data_dir)
     try:
@@ -84,10 +85,10 @@ def down(data_dir: DataDirOption = None, as_json: AsJson = False) -> None:
     except StandaloneError as error:
         sys.exit(fail(code_of(error), str(error), ExitCode.server_failed))
     if as_json:
-        typer.echo(json.dumps({"data_dir": str(folder), "pid": ended.pid, "parts": ended.parts}, indent=2))
+        typer.echo(json.dumps({"data_dir": str(folder), "pid": ended.pid, "services": ended.services}, indent=2))
     else:
-        parts = ", ".join(ended.parts) or "it was still starting"
-        typer.echo(f"Ended Kleinkram on {folder} (pid {ended.pid}): {parts}.")
+        services = ", ".join(ended.services) or "it was still starting"
+        typer.echo(f"Ended Kleinkram on {folder} (pid {ended.pid}): {services}.")
 
 
 def doctor(data_dir: DataDirOption = None, as_json: AsJson = False) -> None:
@@ -120,10 +121,16 @@ def resolve_data_dir(data_dir: Path | None) -> Path:
     return (data_dir or default_data_dir()).expanduser().resolve()
 
 
-app = Noun("Create, list, verify and forget backups of a whole site.")
+app = Noun("Create, list, verify and prune backups of a whole instance.")
+_REMOTE = re.compile(r"s3://|[\w.+@-]+:")  # of rclone's configuration; a folder is made absolute
 _CONNECTIONS = 8
 Place = Annotated[
-    str, argument("PLACE", "A folder, or s3://bucket/folder (KLEINKRAM_BACKUP_S3_URL, _S3_ACCESS_KEY, _S3_SECRET_KEY).")
+    str,
+    argument(
+        "PLACE",
+        "A folder, s3://bucket/folder (KLEINKRAM_BACKUP_S3_URL, _S3_ACCESS_KEY, _S3_SECRET_KEY), or REMOTE:PATH "
+        "of rclone.",
+    ),
 ]
 PassphraseFile = Annotated[
     Path | None,
@@ -180,14 +187,14 @@ def verify(
 
 
 @app.command()
-def forget(
+def prune(
     place: Place,
     keep: Annotated[int, option("--keep", "N", "Keep the latest N backups.", min=1)],
     passphrase_file: PassphraseFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Delete all backups but the latest, with the files that only they contain."""
-    _execute_server(_command("forget", place, passphrase_file, as_json, keep=keep))
+    """Remove all backups but the latest, and the objects that only they contain."""
+    _execute_server(_command("prune", place, passphrase_file, as_json, keep=keep))
 
 
 def restore(
@@ -211,7 +218,7 @@ def _command(
     command: str, place: str, passphrase_file: Path | None, as_json: bool, **more: object
 ) -> dict[str, object]:
     # The process that does it has another working directory.
-    where = place if place.startswith("s3://") else str(Path(place).expanduser().resolve())
+    where = place if _REMOTE.match(place) else str(Path(place).expanduser().resolve())
     file = str(passphrase_file.expanduser().resolve()) if passphrase_file else None
     return {"command": command, "place": where, "passphrase_file": file, "as_json": as_json, **more}
 
@@ -220,9 +227,9 @@ def _execute(command: dict[str, object], data_dir: Path | None) -> None:
     if data_dir is None and "KLEINKRAM_DATABASE_URL" in os.environ:
         _execute_server(command)
     _require_server()
-    from kleinkram.standalone.backup import Errand
+    from kleinkram.standalone.backup import BackupTask
 
-    _become(Errand(str(resolve_data_dir(data_dir)), command, fills=command["command"] == "restore").command())
+    _become(BackupTask(str(resolve_data_dir(data_dir)), command, restores=command["command"] == "restore").command())
 
 
 def _execute_server(command: dict[str, object]) -> None:
