@@ -1,4 +1,4 @@
-"""A machine is lost with all that was on it, and comes back from a backup that was made while somebody was sending."""
+"""A machine is lost, and restored from a backup that was made during an upload."""
 
 import contextlib
 import os

@@ -1,4 +1,4 @@
-"""Engines that are killed under their containers: Docker, whose daemon holds them, and Podman, which has none."""
+"""Engines are killed while containers run: Docker with its daemon, and Podman without one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import wait_for_end
 from kleinkram.runner.executors.docker import DockerExecutor
-from tests.integration.runner import engines, podmen
+from tests.integration.runner import engines, private_podman
 from tests.integration.runner.conftest import Bench, log_of
 from tests.integration.runner.engines import Dockerd
 from tests.integration.runner.test_docker import COUNTS, another_runner, is_numbered, until_logged
@@ -64,8 +64,8 @@ def test_dockerd_is_killed(tmp_path: Path) -> None:
 
 @pytest.mark.soak
 def test_podmans_service_is_killed_and_runs_go_on(tmp_path: Path) -> None:
-    need(*podmen.PROGRAMS)
-    with podmen.podman("none", "127.0.0.1") as podman:
+    need(*private_podman.PROGRAMS)
+    with private_podman.podman("none", "127.0.0.1") as podman:
         bench = bench_on(podman, tmp_path)
         text = COUNTS.replace("10_000", "300")
 
@@ -87,8 +87,8 @@ def test_podmans_service_is_killed_and_runs_go_on(tmp_path: Path) -> None:
 
 @pytest.mark.soak
 def test_the_machine_goes_down_with_podman_and_its_runs(tmp_path: Path) -> None:
-    need(*podmen.PROGRAMS)
-    with podmen.podman("none", "127.0.0.1") as podman:
+    need(*private_podman.PROGRAMS)
+    with private_podman.podman("none", "127.0.0.1") as podman:
         bench = bench_on(podman, tmp_path)
         job = bench.job(COUNTS)
         with another_runner(bench, podman, job, COUNTS):
