@@ -4,7 +4,7 @@ import itertools
 import os
 import random
 
-from kleinkram.standalone.ports import is_free
+from kleinkram.standalone.address import is_free
 
 _FIRST, _COUNT, _WORKERS = 10_000, 2_000, 5
 # Those that are no worker's are of a session of its own: it begins anywhere, for there may be another one.

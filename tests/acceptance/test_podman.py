@@ -11,7 +11,7 @@ import pytest
 from tests.acceptance.conftest import Terminal
 from tests.acceptance.test_action_images import EXAMPLE, add_stock
 from tests.integration.runner.conftest import podman  # noqa: F401  a fixture
-from tests.integration.runner.private_podman import Podman
+from tests.integration.runner.podman_engines import Podman
 
 pytestmark = pytest.mark.soak
 DEMO = Path(__file__).parents[2] / "examples" / "demo.py"

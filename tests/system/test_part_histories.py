@@ -21,7 +21,7 @@ import urllib3
 
 from kleinkram.client import Client, connect
 from kleinkram.contract.uploads import MIN_PART_BYTES, PartToSign, Send, UploadFile, UploadFinish, UploadRead
-from kleinkram.standalone.binaries import locate_weed
+from kleinkram.standalone.object_store import locate_weed
 from tests.integration.upload_client import checksum, crc64, sha256
 from tests.system.cluster import Cluster
 

@@ -37,7 +37,7 @@ def _away(cluster: Cluster) -> None:
 
     Dying, it is started again after ever longer pauses, the last of which ends a moment after its last death.
     """
-    pid = cluster.runtime_info()["parts"]["store"]
+    pid = cluster.runtime_info()["services"]["store"]
     os.kill(pid, signal.SIGSTOP)
     threading.Event().wait(_SILENT_S)
     ends_at = time.monotonic() + _DYING_S

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 
-from kleinkram.runner.executors.docker import DockerExecutor
-from kleinkram.runner.executors.docker_client import DockerClient
+from kleinkram.runner.executors.docker.client import DockerClient
+from kleinkram.runner.executors.docker.executor import DockerExecutor
 
 
 @contextmanager

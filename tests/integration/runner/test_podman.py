@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner.executors.docker import DockerExecutor
+from kleinkram.runner.executors.docker.executor import DockerExecutor
 from tests.integration.runner.conftest import Bench, log_of
 from tests.integration.runner.test_docker import COUNTS
 

@@ -13,7 +13,7 @@ from kleinkram.contract.runs import EndReason
 from kleinkram.runner import state_directory
 from kleinkram.runner.executors import process_supervisor
 from kleinkram.runner.executors.base import wait_for_end
-from kleinkram.runner.executors.docker import DockerExecutor
+from kleinkram.runner.executors.docker.executor import DockerExecutor
 from tests.integration.runner.conftest import EVERYWHERE, Bench, log_of
 from tests.integration.runner.test_executors import LASTING, until_logged_by
 

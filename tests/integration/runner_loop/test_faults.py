@@ -14,7 +14,7 @@ from kleinkram.client.transfer import upload_pipeline
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner import artifact_upload
-from kleinkram.runner.cancellation import LEASE_MARGIN_S
+from kleinkram.runner.context import LEASE_MARGIN_S
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_runs import FakeRun
 from tests.integration.runner_loop.fake_server import FakeServer

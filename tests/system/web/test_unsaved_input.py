@@ -34,7 +34,7 @@ def test_unsaved_input_survives(cluster: Cluster, act: Act, pictures: Path, tmp_
     wait_until(lambda: "/imu/data" in terminal.run("mission", "info", mission, "--json").out, "its topics to be known")
     later = tmp_path / "later.txt"
     later.write_text("what was seen")
-    api = cluster.runtime_info()["parts"]["api"]
+    api = cluster.runtime_info()["services"]["api"]
     seen = act("lasting.mjs", cluster, invited["url"], mission, api, later, pictures, timeout_s=250)
 
     assert seen["errors"] == []
@@ -49,7 +49,7 @@ def test_unsaved_input_survives(cluster: Cluster, act: Act, pictures: Path, tmp_
     assert seen["loadsOfMission"] == 1, "the page was never loaded anew"
     assert seen["keptOfUpload"] == ["second", "beatrice"]
     assert "File uploaded." in seen["over"]
-    assert cluster.runtime_info()["parts"]["api"] != api
+    assert cluster.runtime_info()["services"]["api"] != api
     runtime_info = {row["name"]: row for row in terminal.run("mission", "list", "--json").json()["items"]}
     assert runtime_info["day"]["metadata"] == {"operator": "edith"}
     assert runtime_info["second"]["metadata"] == {"operator": "beatrice"}

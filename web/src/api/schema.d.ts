@@ -5570,6 +5570,8 @@ export interface components {
             attempt: number;
             /** Exit Code */
             exit_code?: number | null;
+            /** Image Digest */
+            image_digest?: string | null;
             /** Message */
             message: string;
             /**

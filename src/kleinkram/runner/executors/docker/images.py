@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import CannotStart, PinnedImage
-from kleinkram.runner.executors.docker_client import DockerClient, EngineError, EngineUnavailable, ImageInfo
+from kleinkram.runner.executors.docker.client import DockerClient, EngineError, EngineUnavailable, ImageInfo
 from kleinkram.runner.executors.local import cannot_start
 
 _HUB = "docker.io"

@@ -1,8 +1,7 @@
-"""The store's door for other machines: `python -m kleinkram.standalone.door ADDRESS PORT TARGET_PORT`.
+"""Forward a TCP port to the store: `python -m kleinkram.standalone.tcp_proxy ADDRESS PORT TARGET_PORT`.
 
-SeaweedFS binds all its services to one address, and those beside S3 ask for no credentials, so it stays on loopback and
-this process passes connections of one port on to its S3 port. Bytes go from socket to socket within the kernel (splice)
-and are never read here; where the store speaks TLS, so does this port, because nothing is opened on the way.
+SeaweedFS binds all its services to one address, and those beside S3 have no authentication, so it stays on loopback and
+this process forwards one port to its S3 port. The kernel moves bytes between the sockets (splice); TLS passes through.
 """
 
 import contextlib
@@ -13,12 +12,12 @@ import sys
 import threading
 import time
 
-_AT_ONCE_BYTES = 1024 * 1024
+_SPLICE_BYTES = 1024 * 1024
 _STACK_BYTES = 256 * 1024
 
 
 def main() -> None:
-    """Listen and pass on until killed."""
+    """Listen and forward until killed."""
     address, port, target_port = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
     hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
@@ -28,15 +27,15 @@ def main() -> None:
         while True:
             try:
                 client, _ = listener.accept()
-            except OSError as error:  # out of descriptors: some connection will end
-                print(f"cannot accept: {error}", file=sys.stderr, flush=True)  # noqa: T201  (goes to the part's log)
+            except OSError as error:  # no descriptors left: some connection will end
+                print(f"cannot accept: {error}", file=sys.stderr, flush=True)  # noqa: T201  (goes to the service's log)
                 time.sleep(0.1)
                 continue
             threading.Thread(target=_connect, args=(client, target_port), daemon=True).start()
 
 
 def _connect(client: socket.socket, target_port: int) -> None:
-    """Join one client with the store for as long as either side has something to say."""
+    """Connect one client with the store until both sides have closed."""
     with (
         client,
         contextlib.suppress(OSError),
@@ -46,17 +45,17 @@ def _connect(client: socket.socket, target_port: int) -> None:
             end.settimeout(None)
             end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             end.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        answers = threading.Thread(target=_pass_on, args=(store, client), daemon=True)
-        answers.start()
-        _pass_on(client, store)
-        answers.join()
+        responses = threading.Thread(target=_forward, args=(store, client), daemon=True)
+        responses.start()
+        _forward(client, store)
+        responses.join()
 
 
-def _pass_on(source: socket.socket, target: socket.socket) -> None:
-    """Move bytes one way until the source has said all, then tell the target so; a broken side ends both ways."""
+def _forward(source: socket.socket, target: socket.socket) -> None:
+    """Move bytes one way until the source closes, then close the target; an error closes both ways."""
     out, into = os.pipe()
     try:
-        while moved := os.splice(source.fileno(), into, _AT_ONCE_BYTES):
+        while moved := os.splice(source.fileno(), into, _SPLICE_BYTES):
             while moved:
                 moved -= os.splice(out, target.fileno(), moved)
         target.shutdown(socket.SHUT_WR)

@@ -1,57 +1,79 @@
-"""A site that is backed up and an empty one to restore into, without processes of their own; and looks at both."""
+"""Backups in this process, empty instances to restore to, and their rows and objects."""
 
 import asyncio
 import hashlib
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import psycopg
 
-from kleinkram.server.backup.creating import Made, Making, create
-from kleinkram.server.backup.restoring import Restored, Wish, restore
-from kleinkram.server.backup.verifying import Looking, Verified, verify
+from kleinkram.server.backup.operations import (
+    BackupOptions,
+    CreatedBackup,
+    Pruned,
+    Restored,
+    Verification,
+    create,
+    prune,
+    restore,
+    verify,
+)
+from kleinkram.server.backup.rclone import Rclone
 from kleinkram.server.s3.storage import Storage, open_storage
 from kleinkram.server.settings import Settings, plain_dsn
 from tests.integration.api_server import Api
 from tests.services import RunningPostgres, RunningStore
 
-# What a restored site resets: nothing is verified at its store yet, and no upload or run is active there.
-ANEW = {
+# Columns that restoring resets: nothing is verified in the new store, and no upload or run is active.
+RESET = {
     "blob": ("state", "state_reason", "damaged_at"),
     "upload": ("state", "completing_since"),
     "run": ("lease_ends_at",),
 }
-LEFT = {"alembic_version", "store_probe"}
+EXCLUDED = {"alembic_version", "store_probe"}
 _TABLES = "SELECT relname FROM pg_class WHERE relnamespace = 'public'::regnamespace AND relkind = 'r'"
 
 
-def back_up(settings: Settings, place: object, **more: Any) -> Made:
+def back_up(
+    settings: Settings,
+    place: object,
+    *,
+    encrypt: bool = False,
+    passphrase: str | None = None,
+    bytes_per_s: float | None = None,
+) -> CreatedBackup:
     """Make a backup."""
-    making = Making(str(place), sealed=False, passphrase=None, bytes_per_s=None, at_once=4, quiet=True)
-    return asyncio.run(create(settings, replace(making, **more)))
+    return create(settings, _options(place, passphrase, bytes_per_s), encrypt=encrypt)
 
 
-def look(place: object, **more: Any) -> Verified:
-    """Verify backups, by every byte unless told otherwise."""
-    looking = Looking(
-        str(place), passphrase=None, snapshot_id=None, read_all=True, bytes_per_s=None, at_once=4, quiet=True
-    )
-    return asyncio.run(verify(replace(looking, **more)))
+def verify_place(place: object, *, passphrase: str | None = None, read_all: bool = True) -> Verification:
+    """Verify backups, by default every byte."""
+    return verify(_options(place, passphrase), None, read_all=read_all)
 
 
-def fill(settings: Settings, place: object, **more: Any) -> Restored:
+def restore_to(
+    settings: Settings, place: object, *, passphrase: str | None = None, snapshot_id: str | None = None
+) -> Restored:
     """Restore a backup."""
-    wish = Wish(str(place), snapshot_id=None, passphrase=None, bytes_per_s=None, at_once=4, quiet=True)
-    return asyncio.run(restore(settings, replace(wish, **more)))
+    return restore(settings, _options(place, passphrase), snapshot_id)
+
+
+def prune_place(place: object, *, keep: int, passphrase: str | None = None) -> Pruned:
+    """Prune backups."""
+    return prune(_options(place, passphrase), keep=keep)
+
+
+def _options(place: object, passphrase: str | None, bytes_per_s: float | None = None) -> BackupOptions:
+    return BackupOptions(str(place), passphrase, Rclone({}, 4, bytes_per_s), quiet=True)
 
 
 @dataclass(frozen=True)
-class Sites:
-    """Where empty sites come from."""
+class EmptyInstances:
+    """Creates empty instances."""
 
     postgres: RunningPostgres
     store: RunningStore
@@ -60,7 +82,7 @@ class Sites:
     def empty(self) -> Iterator[Settings]:
         """A database without tables, and a bucket without objects."""
         name = self.postgres.create_database()
-        given: dict[str, Any] = {
+        settings: dict[str, Any] = {
             "database_url": self.postgres.serve_url(name),
             "migration_database_url": self.postgres.migrate_url(name),
             "s3_internal_url": self.store.endpoint,
@@ -69,7 +91,7 @@ class Sites:
             "s3_secret_key": self.store.secret_key,
         }
         try:
-            yield Settings(**given)
+            yield Settings(**settings)
         finally:
             self.postgres.drop_database(name)
 
@@ -81,24 +103,24 @@ def settings_of(api: Api) -> Settings:
 
 
 def rows(settings: Settings) -> dict[str, list[str]]:
-    """All rows of all tables, sorted, but for what a restored site says anew."""
-    found: dict[str, list[str]] = {}
+    """All rows of all tables, sorted, without the columns that restoring resets."""
+    rows_by_table: dict[str, list[str]] = {}
     dsn = plain_dsn(settings.migration_database_url or settings.database_url)
     with psycopg.connect(dsn) as database:
         for (table,) in database.execute(_TABLES).fetchall():
-            if table not in LEFT:
+            if table not in EXCLUDED:
                 selected = database.execute(f"SELECT to_jsonb(t) FROM {table} t").fetchall()
-                found[table] = sorted(as_kept(table, row) for (row,) in selected)
-    return found
+                rows_by_table[table] = sorted(comparable_row(table, row) for (row,) in selected)
+    return rows_by_table
 
 
-def as_kept(table: str, row: dict[str, Any]) -> str:
-    """A row as text, but for what a restored site says anew."""
-    return json.dumps({name: value for name, value in row.items() if name not in ANEW.get(table, ())}, sort_keys=True)
+def comparable_row(table: str, row: dict[str, Any]) -> str:
+    """A row as text, without the columns that restoring resets."""
+    return json.dumps({name: value for name, value in row.items() if name not in RESET.get(table, ())}, sort_keys=True)
 
 
 def contents(settings: Settings) -> dict[str, str]:
-    """The SHA-256 of every object that a blob or a piece of a log names, by key; `lost` where it is not."""
+    """Return the SHA-256 of every object of a blob or log chunk, by key; `lost` where it does not exist."""
     dsn = plain_dsn(settings.migration_database_url or settings.database_url)
     with psycopg.connect(dsn) as database:
         keys = [row[0] for row in database.execute("SELECT key FROM blob UNION SELECT key FROM log_chunk").fetchall()]
@@ -121,7 +143,7 @@ async def _content(storage: Storage, key: str) -> str:
 
 
 def delete_object(settings: Settings, key: str) -> None:
-    """Let the store lose an object."""
+    """Delete an object from the store."""
 
     async def go() -> None:
         async with open_storage(settings) as storage:
@@ -131,7 +153,7 @@ def delete_object(settings: Settings, key: str) -> None:
 
 
 def write_object(settings: Settings, key: str, body: bytes) -> None:
-    """Let the store hold other bytes under a key."""
+    """Write other bytes under a key."""
 
     async def go() -> None:
         async with open_storage(settings) as storage:
@@ -141,5 +163,6 @@ def write_object(settings: Settings, key: str, body: bytes) -> None:
 
 
 def content_files(place: Path) -> list[Path]:
-    """The files of a repository that hold contents, the largest last."""
-    return sorted(place.glob("data/*/*"), key=lambda path: path.stat().st_size)
+    """The files of objects, the largest last."""
+    files = [path for path in (place / "objects").rglob("*") if path.is_file()]
+    return sorted(files, key=lambda path: path.stat().st_size)

@@ -1,6 +1,6 @@
 """Runs jobs as containers of an engine with Docker's API: Docker or Podman.
 
-A container outlives the runner. A later runner finds it by name, and goes on with its log and its limits.
+A container outlives the runner. A later runner finds it by name, and continues its log and limits.
 """
 
 import contextlib
@@ -12,32 +12,29 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from http import HTTPStatus
-from itertools import groupby
-from pathlib import Path
 
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import ExecutorAbilities, Isolation
-from kleinkram.contract.runs import LOG_BYTES, EndReason, Usage
-from kleinkram.runner.executors import docker_container as containers
+from kleinkram.contract.runs import EndReason, Usage
 from kleinkram.runner.executors import port_forward
 from kleinkram.runner.executors.base import CannotStart, Ending, PinnedImage, RunJob
-from kleinkram.runner.executors.docker_client import (
+from kleinkram.runner.executors.docker import container as containers
+from kleinkram.runner.executors.docker.client import (
     UNSEEN_EXIT,
     ContainerInfo,
     DockerClient,
     EngineError,
     EngineUnavailable,
     ImageInfo,
-    OutputPiece,
 )
-from kleinkram.runner.executors.docker_images import Images, Pull
+from kleinkram.runner.executors.docker.container_log import LOG_CURSOR, ContainerLog
+from kleinkram.runner.executors.docker.images import Images, Pull
 from kleinkram.runner.executors.limits import (
     CANCELLED,
     DISK_FULL,
     LOG,
-    LOG_IS_FULL,
     LimitMonitor,
     boot_time_s,
     command_not_found,
@@ -46,15 +43,10 @@ from kleinkram.runner.executors.limits import (
     start_ticks,
 )
 from kleinkram.runner.executors.local import LocalExecutor, Machine, cannot_start, limits_of, make_directories
-from kleinkram.runner.executors.port_forward import Forward
-from kleinkram.runner.files import write_all, write_atomically
+from kleinkram.runner.files import write_atomically
 
 _log = logging.getLogger("kleinkram.runner")
 _STOP_REASON = "stop-reason.json"
-_LOG_CURSOR = "log.cursor"
-_GAP = b"\n[kleinkram] lines may be missing here: the engine did not keep all of the output\n"
-_FIRST_OUTPUT_BYTES = 2**12
-_LONGEST_LINE_BYTES = 2**16
 _RETRY_EVERY_S = 0.2
 # A restarted engine is back by then.
 _ENGINE_BACK_S = 60.0
@@ -69,7 +61,7 @@ _LOST = Ending(
 
 
 class DockerExecutor(LocalExecutor):
-    """Runs jobs as containers. `runner` separates its containers from those of other runners.
+    """Runs jobs as container. `runner` separates its containers from those of other runners.
 
     `allowed`: the registries, or namespaces of registries, that images may come from; None for all.
     """
@@ -138,7 +130,7 @@ class DockerExecutor(LocalExecutor):
 
     def _start(self, job: RunJob, image: ImageInfo, user: str) -> None:
         name, log = containers.container_name(job), job.directory / LOG
-        (job.directory / _LOG_CURSOR).unlink(missing_ok=True)
+        (job.directory / LOG_CURSOR).unlink(missing_ok=True)
         labels = {
             containers.JOB_LABEL: job.key,
             containers.RUNNER_LABEL: self._runner,
@@ -219,7 +211,9 @@ class ContainerMonitor:
         self._name = containers.container_name(job)
         self._is_reattached = is_reattached
         self._limits = LimitMonitor(job.directory, limits_of(job))
-        self._limits.reason = _read_stop_reason(job.directory)
+        with contextlib.suppress(FileNotFoundError, ValueError):
+            reason, message = json.loads((job.directory / _STOP_REASON).read_text())
+            self._limits.reason = reason, message
         self._log = ContainerLog(client, job, can_follow=can_follow)
         self._pid = self._start_ticks = 0
         self._groups: dict[str, str] = {}
@@ -263,7 +257,7 @@ class ContainerMonitor:
             _log.warning("the engine does not describe the container %s: %s", self._name, error)
             return None
         if container is None or container.status == "created":
-            return Ending(EndReason(self._limits.reason[0]), self._limits.reason[1]) if self._limits.reason else _LOST
+            return Ending.of(self._limits.reason) if self._limits.reason else _LOST
         self._log.follow(container)
         if container.status != "exited" and container.status != "dead":
             self._exited_at_s = None
@@ -306,12 +300,15 @@ class ContainerMonitor:
                     threading.Thread(target=self._await_death, daemon=True).start()
             if self._pid == container.pid:
                 self._open_port_forwards()
-        self._measure()
+        used = containers.cgroup_usage(self._groups) if self._groups else None
+        if used is not None:
+            peak = max(used.memory_bytes, self.usage.peak_memory_bytes if self.usage else 0)
+            self.usage = Usage(**used._asdict(), peak_memory_bytes=peak)
 
     def _open_port_forwards(self) -> None:
         if not self._job.port_forwards or self._listeners:
             return
-        forwards = [Forward(*vars(forward).values()) for forward in self._job.port_forwards]
+        forwards = self._job.port_forwards
         try:
             self._listeners = port_forward.listen_in_namespace(self._pid, forwards)
         except OSError as error:
@@ -328,12 +325,6 @@ class ContainerMonitor:
             select.select([process], [], [])
             os.close(process)
         self._was_oom_killed = containers.was_oom_killed(self._groups)
-
-    def _measure(self) -> None:
-        used = containers.cgroup_usage(self._groups) if self._groups else None
-        if used is not None:
-            peak = max(used.memory_bytes, self.usage.peak_memory_bytes if self.usage else 0)
-            self.usage = Usage(**used._asdict(), peak_memory_bytes=peak)
 
     def _enforce_limits(self) -> None:
         if not self._log.has_space:
@@ -364,22 +355,22 @@ class ContainerMonitor:
 
     def _ending_of(self, container: ContainerInfo) -> Ending:
         if self._limits.reason is not None:
-            return Ending(EndReason(self._limits.reason[0]), self._limits.reason[1])
+            return Ending.of(self._limits.reason)
         code = container.exit_code
-        if code in containers.NOT_EXECUTED_CODES and (detail := self._execution_error(code)) is not None:
-            reason, message = command_not_found(detail)
-            return Ending(EndReason(reason), message)
+        if code in containers.NOT_EXECUTED_CODES:
+            output = self._log.first_output().decode(errors="replace")
+            detail = containers.execution_error(output, self._job.command, code)
+            if detail is not None:
+                return Ending.of(command_not_found(detail))
         if code != 0 and self._was_out_of_memory(container):
-            reason, message = out_of_memory(self._job.resources.memory_bytes)
-            return Ending(EndReason(reason), message)
-        if self._was_ended_from_outside(code):
+            return Ending.of(out_of_memory(self._job.resources.memory_bytes))
+        # A restart of the engine, or somebody, may have ended it, whatever its exit code.
+        was_not_seen = self._is_reattached and code in (_KILLED, UNSEEN_EXIT)
+        if was_not_seen or self._client.was_killed(self._name):
             return _LOST
-        reason, message = reason_of_exit_code(code)
-        return Ending(EndReason(reason), message, code)
-
-    def _execution_error(self, exit_code: int) -> str | None:
-        output = self._log.first_output().decode(errors="replace")
-        return containers.execution_error(output, self._job.command, exit_code)
+        if self._was_unavailable and self._client.info().ends_with_containers:
+            return _LOST
+        return Ending.of(reason_of_exit_code(code), code)
 
     def _was_out_of_memory(self, container: ContainerInfo) -> bool:
         deadline = time.monotonic() + _OUT_OF_MEMORY_REPORTED_S
@@ -390,166 +381,10 @@ class ContainerMonitor:
             container = self._client.find_container(self._name) or container
         return True
 
-    def _was_ended_from_outside(self, exit_code: int) -> bool:
-        """Whether a restart of the engine, or somebody, ended the container, whatever its exit code then."""
-        if self._is_reattached and exit_code in (_KILLED, UNSEEN_EXIT):
-            return True
-        if self._client.was_killed(self._name):
-            return True
-        return self._was_unavailable and self._client.info().ends_with_containers
-
-
-class ContainerLog:
-    """Copies the output of a container to the log of its job, in a thread.
-
-    The engine stores the output as well. A copy that was interrupted goes on after as many bytes of each stream as it
-    has (the order of the two streams may change between reads): nothing is missing or there twice. These numbers are
-    written before each append, so that an append that was cut short counts, too. Without `can_follow` (Podman) the
-    stored output is read repeatedly.
-    """
-
-    def __init__(self, client: DockerClient, job: RunJob, *, can_follow: bool = True) -> None:
-        self._client = client
-        self._can_follow = can_follow
-        self._name = containers.container_name(job)
-        self._path = job.directory / LOG
-        self._cursor_path = job.directory / _LOG_CURSOR
-        self._thread: threading.Thread | None = None
-        self._is_closed = threading.Event()
-        self._has_exited = threading.Event()
-        self._offset = 0
-        self._cursor = -1
-        self._copied = {1: 0, 2: 0}
-        self.is_complete = False
-        self.has_space = True
-
-    def follow(self, container: ContainerInfo) -> None:
-        """Start copying, if that has not started."""
-        if self._thread is None:
-            self._offset = int(container.labels.get(containers.LOG_LABEL, 0))
-            self._thread = threading.Thread(target=self._copy, name="container log", daemon=True)
-            self._thread.start()
-
-    def finish(self) -> None:
-        """Note that the container has exited: nothing follows the stored output."""
-        self._has_exited.set()
-
-    def close(self) -> None:
-        """Stop copying soon."""
-        self._is_closed.set()
-        self._has_exited.set()
-
-    def first_output(self) -> bytes:
-        """Return the beginning of what this container wrote."""
-        with contextlib.suppress(FileNotFoundError), self._path.open("rb") as stream:
-            stream.seek(self._offset)
-            return stream.read(_FIRST_OUTPUT_BYTES)
-        return b""
-
-    def _copy(self) -> None:
-        log = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o600)
-        self._cursor = os.open(self._cursor_path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-        self._copied = self._read_cursor(log)
-        try:
-            while not self._is_closed.is_set():
-                had_exited = self._has_exited.is_set()
-                # The stream of a follower may end before the last words: what is stored is read once more.
-                is_whole = False
-                started_s = time.monotonic()
-                with contextlib.suppress(EngineUnavailable, EngineError):
-                    is_whole = self._copy_missing(log, is_final=had_exited)
-                if self._is_full(log) or (had_exited and is_whole):
-                    break
-                # Reading all of it takes at most a tenth of the time.
-                read_s = 0.0 if self._can_follow else time.monotonic() - started_s
-                self._has_exited.wait(max(_RETRY_EVERY_S, 10 * read_s))
-                if had_exited:
-                    self._is_closed.wait(_RETRY_EVERY_S)
-        except OSError:
-            self.has_space = False
-        finally:
-            os.close(log)
-            os.close(self._cursor)
-            self.is_complete = True
-
-    def _copy_missing(self, log: int, *, is_final: bool) -> bool:
-        """Append what is missing of the stored output; return whether that came to its end."""
-        skip = dict(self._copied)
-        since_ns = 0
-        if any(skip.values()) and not self._begins_alike(log):
-            since_ns, skip = os.fstat(log).st_mtime_ns, {1: 0, 2: 0}
-            write_all(log, _GAP)
-        stored = self._client.log(self._name, follow=self._can_follow and not is_final, since_ns=since_ns)
-        for stream, data in _complete_lines(stored, is_final=is_final):
-            known = min(skip[stream], len(data))
-            skip[stream] -= known
-            if known < len(data) and not self._append(log, stream, data[known:]):
-                return True
-            if self._is_closed.is_set():
-                return True
-        return True
-
-    def _begins_alike(self, log: int) -> bool:
-        """Whether the engine still stores the beginning of the output, which it drops of a very long one."""
-        pieces = next(iter(self._client.log(self._name, follow=False)), [])
-        if not pieces:
-            return True
-        first = pieces[0].data[: self._copied[pieces[0].stream]]
-        return first in os.pread(log, _FIRST_OUTPUT_BYTES + len(first), self._offset)
-
-    def _append(self, log: int, stream: int, data: bytes) -> bool:
-        """Append data up to the limit; return whether more is wanted."""
-        size = os.fstat(log).st_size
-        data = data[: LOG_BYTES - size]
-        cursor = {"size": size, "copied": [self._copied[1], self._copied[2]], "next": stream}
-        # A single write of constant length is atomic.
-        os.pwrite(self._cursor, json.dumps(cursor).ljust(120).encode(), 0)
-        write_all(log, data)
-        self._copied[stream] += len(data)
-        if size + len(data) < LOG_BYTES:
-            return True
-        write_all(log, LOG_IS_FULL)
-        return False
-
-    def _read_cursor(self, log: int) -> dict[int, int]:
-        text = os.pread(self._cursor, 4096, 0)
-        if not text:
-            return {1: 0, 2: 0}
-        cursor = json.loads(text)
-        copied = {1: cursor["copied"][0], 2: cursor["copied"][1]}
-        copied[cursor["next"]] += os.fstat(log).st_size - cursor["size"]
-        return copied
-
-    def _is_full(self, log: int) -> bool:
-        return os.fstat(log).st_size >= LOG_BYTES
-
-
-def _complete_lines(batches: Iterable[list[OutputPiece]], *, is_final: bool) -> Iterator[OutputPiece]:
-    """Yield output so that lines of one stream do not cut those of the other: Podman stores parts of lines."""
-    pending = {1: b"", 2: b""}
-    for pieces in batches:
-        for stream, same in groupby(pieces, key=lambda piece: piece.stream):
-            data = pending[stream] + b"".join(piece.data for piece in same)
-            end = data.rfind(b"\n") + 1 if len(data) < _LONGEST_LINE_BYTES else len(data)
-            pending[stream] = data[end:]
-            if end:
-                yield OutputPiece(stream, data[:end])
-    if is_final:
-        yield from (OutputPiece(stream, data) for stream, data in pending.items() if data)
-
-
-def _read_stop_reason(directory: Path) -> tuple[str, str] | None:
-    try:
-        reason, message = json.loads((directory / _STOP_REASON).read_text())
-    except (FileNotFoundError, ValueError):
-        return None
-    return reason, message
-
 
 def _start_failure(error: Exception) -> Ending:
     if isinstance(error, EngineError) and error.status == HTTPStatus.NOT_FOUND:
         return Ending(EndReason.image_unavailable, f"Its image was removed: {error}.")
     if "executable file not found" in str(error):
-        reason, message = command_not_found(str(error))
-        return Ending(EndReason(reason), message)
+        return Ending.of(command_not_found(str(error)))
     return Ending(EndReason.not_possible, f"It could not be started here: {error}.")

@@ -20,7 +20,7 @@ from tests.requirements import path_of
 
 PROGRAMS = ("podman", "crun", "catatonit", "docker", "docker-registry", "ip")
 # Where control groups are of both versions at once, crun wants those of the second out of its sight.
-_HOUSE = """
+_NAMESPACE_SCRIPT = """
 if mountpoint -q /sys/fs/cgroup/unified; then umount /sys/fs/cgroup/unified; fi
 mount -t tmpfs none /run && mount -t tmpfs none /dev/shm && echo made && exec sleep infinity
 """
@@ -40,8 +40,8 @@ class Podman(Dockerd):
     def start(self) -> None:
         """Start its service, again after `kill`, and wait until it answers."""
         if self.containerd is None:
-            self._settle()
-            self.containerd = self._house()
+            self._write_configuration()
+            self.containerd = self._start_namespace()
         service = ("system", "service", "--time", "0", f"unix://{self.socket}")
         self.process = self._run(
             *("nsenter", f"--mount=/proc/{self.containerd.pid}/ns/mnt"),
@@ -51,7 +51,7 @@ class Podman(Dockerd):
         )
         self.wait_until_it_answers(self.process, "nsenter")
 
-    def _settle(self) -> None:
+    def _write_configuration(self) -> None:
         (self.folder / "containers.conf").write_text(_SETTINGS.format(folder=self.folder))
         (self.folder / "registries.conf").write_text('[[registry]]\nlocation = "127.0.0.1"\ninsecure = true\n')
         (self.folder / "networks").mkdir(exist_ok=True)
@@ -61,10 +61,10 @@ class Podman(Dockerd):
         network = {"cniVersion": "0.4.0", "name": "podman", "plugins": [plugin]}
         (self.folder / "networks" / "podman.conflist").write_text(json.dumps(network))
 
-    def _house(self) -> subprocess.Popen[bytes]:
+    def _start_namespace(self) -> subprocess.Popen[bytes]:
         unshare = path_of("unshare")
         assert unshare is not None
-        words = [unshare, "--mount", "--propagation", "slave", "sh", "-ec", _HOUSE]
+        words = [unshare, "--mount", "--propagation", "slave", "sh", "-ec", _NAMESPACE_SCRIPT]
         made = subprocess.Popen(words, stdout=subprocess.PIPE, start_new_session=True)
         assert made.stdout is not None
         with made.stdout as values:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from kleinkram.contract.actions import Network
 from kleinkram.runner.executors.base import RunJob
-from kleinkram.runner.executors.docker_client import ImageInfo
+from kleinkram.runner.executors.docker.client import ImageInfo
 from kleinkram.runner.executors.port_forward import host_entries
 
 JOB_LABEL = "kleinkram.run"
