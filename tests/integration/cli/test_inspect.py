@@ -1,4 +1,4 @@
-"""`klein inspect`: what a person reads, what a script reads, and the exit code."""
+"""`klein inspect`: text for people, JSON for scripts, and the exit code."""
 
 from __future__ import annotations
 

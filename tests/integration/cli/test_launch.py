@@ -1,4 +1,4 @@
-"""`klein action run`: what is run, on what, and how its end is told, against a server that follows a script."""
+"""`klein action run` against a scripted server: what is launched, on what, and how the result is reported."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The entry: fast to ask for help, and every command is there."""
+"""The entry point: `--help` is fast, and every command exists."""
 
 import importlib
 import subprocess

@@ -1,4 +1,4 @@
-"""How runs, actions and lineage read on a terminal."""
+"""Runs, actions and lineage on a terminal."""
 
 import uuid
 

@@ -1,4 +1,4 @@
-"""Following events: what the client says when it comes back, so that nothing is left out unsaid."""
+"""Following events: after a reconnect the client requests the events it missed."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""A file arrives in any order, is verified as a whole, and only then gets its name."""
+"""A file is downloaded in any order, verified as a whole, and only then named."""
 
 import hashlib
 import os

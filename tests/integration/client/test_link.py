@@ -1,4 +1,4 @@
-"""How a transfer adapts to its link, and what it tells about it."""
+"""A transfer adapts to its network link and reports its state."""
 
 import contextlib
 import errno

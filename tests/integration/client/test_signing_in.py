@@ -1,4 +1,4 @@
-"""Getting a token: what is sent, how often is asked, and what each refusal becomes."""
+"""Getting a token: requests, polling interval, and errors."""
 
 import base64
 import datetime

@@ -1,4 +1,4 @@
-"""The shipped action on real recordings, against what another library and another formula say of them."""
+"""The shipped action on real recordings, compared with another library and another formula."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Asking too often is refused, with when to come back: each credential and each address by itself."""
+"""Rate limits per credential and per address, with Retry-After."""
 
 import datetime
 import uuid

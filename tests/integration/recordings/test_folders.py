@@ -1,4 +1,4 @@
-"""Recordings of several files: the server says of them what `klein inspect` says of the same folder."""
+"""Recordings of several files: the server agrees with `klein inspect` on the same folder."""
 
 import uuid
 from collections.abc import Mapping

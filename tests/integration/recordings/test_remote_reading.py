@@ -1,4 +1,4 @@
-"""Recordings on the server, read where they are: through the SDK, from a real store, by presigned ranges."""
+"""Recordings on the server are read in place through the SDK, by presigned ranges."""
 
 import uuid
 from collections.abc import Iterator

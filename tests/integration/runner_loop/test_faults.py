@@ -1,4 +1,4 @@
-"""What goes wrong: runners that are killed, servers that fall silent, runs that are cancelled, clocks that are off."""
+"""Killed runners, silent servers, cancelled runs, wrong clocks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each answer of the store means. An upload is gone only when the store itself says that it does not know it."""
+"""Interpretation of store responses: an upload is gone only when the store says that it does not know it."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""Users read our words for what fails validation, never pydantic's."""
+"""Validation errors are sentences of ours, not pydantic's."""
 
 import datetime
 import re

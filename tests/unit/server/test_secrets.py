@@ -1,4 +1,4 @@
-"""Secrets: what a scanner finds is what is given out, and the page says how to find it."""
+"""Secrets have a documented form that scanners find."""
 
 import re
 from pathlib import Path
