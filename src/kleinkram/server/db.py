@@ -44,7 +44,7 @@ from kleinkram.server.settings import Settings, async_dsn
 # Above any statement of the API on a large database; a worker may need longer.
 STATEMENT_TIMEOUT_S = 30
 _POOL_TIMEOUT_S = 20
-_NO_ROOM = "its disk is full: whoever runs the server has to make room on it"
+_NO_ROOM = "its disk is full: free space on the server"
 # What a service takes first: an open transaction it must not end.
 Connection = AsyncConnection
 
