@@ -134,7 +134,7 @@ class ScrubRead(Response):
 class ScrubState(Response):
     """The last scrub, if any, and the blobs by state; lost and corrupt ones count if something refers to them.
 
-    `oldest_verification_at` is the oldest `verified_at` of all blobs, which are verified again after `again_after_days`.
+    `oldest_verification_at` is the oldest `verified_at` of all blobs; they are verified again after `again_after_days`.
     """
 
     last: ScrubRead | None
