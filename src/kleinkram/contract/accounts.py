@@ -141,7 +141,7 @@ NewPassword = Annotated[
     Field(min_length=MIN_PASSWORD_CHARACTERS, max_length=MAX_PASSWORD_CHARACTERS),
 ]
 # Only compared, so its form is not checked.
-GivenPassword = Annotated[str, AfterValidator(check_text), Field(max_length=MAX_PASSWORD_CHARACTERS)]
+EnteredPassword = Annotated[str, AfterValidator(check_text), Field(max_length=MAX_PASSWORD_CHARACTERS)]
 # A code of an authenticator app, or a recovery code; spaces and hyphens are ignored.
 SecondFactor = Annotated[str, AfterValidator(check_text), Field(min_length=6, max_length=40)]
 OneTimeCode = Annotated[str, Field(min_length=20, max_length=100, pattern=r"^[A-Za-z0-9_-]+$")]
@@ -169,14 +169,14 @@ class PasswordSignIn(Request):
     """Sign in with a local account: `POST /auth/password`. `second_factor`: if the account has one."""
 
     email: Annotated[str, AfterValidator(check_text), Field(max_length=254)]
-    password: GivenPassword = Field(repr=False)
+    password: EnteredPassword = Field(repr=False)
     second_factor: SecondFactor | None = Field(default=None, repr=False)
 
 
 class PasswordReauthenticate(Request):
     """Enter the password again in a signed-in browser: `POST /auth/password/reauthenticate`."""
 
-    password: GivenPassword = Field(repr=False)
+    password: EnteredPassword = Field(repr=False)
     second_factor: SecondFactor | None = Field(default=None, repr=False)
 
 
@@ -241,7 +241,7 @@ class PasswordReset(Request):
 class PasswordChange(Request):
     """Change your password: `POST /auth/password/change`. Your other browsers are signed out."""
 
-    old_password: GivenPassword = Field(repr=False)
+    old_password: EnteredPassword = Field(repr=False)
     new_password: NewPassword = Field(repr=False)
 
 

@@ -4507,7 +4507,7 @@ export interface components {
          *
          *     `metadata_yaml` is all metadata anew; with `merge_yaml`, it changes the fields that it names, and a field without a
          *     value (null) is removed. `metadata` changes the fields that it names, null takes one away, and the
-         *     document that said all is dropped.
+         *     document that values all is dropped.
          */
         MissionUpdate: {
             /** Completed */
@@ -5262,20 +5262,6 @@ export interface components {
             codes: string[];
         };
         /**
-         * Refused
-         * @description This file cannot be uploaded; the others can.
-         */
-        Refused: {
-            /**
-             * @description discriminator enum property added by openapi-typescript
-             * @enum {string}
-             */
-            decision: "refused";
-            /** Path */
-            path: string;
-            problem: components["schemas"]["ProblemDocument"];
-        };
-        /**
          * Report
          * @description The whole report of a run. `metadata` is a proposal; a person accepts or ignores it.
          */
@@ -5892,7 +5878,7 @@ export interface components {
          * ScrubState
          * @description The last scrub, if any, and the blobs by state; lost and corrupt ones count if something refers to them.
          *
-         *     `oldest_verification_at` is the oldest `verified_at` of all blobs, which are verified again after `again_after_days`.
+         *     `oldest_verification_at` is the oldest `verified_at` of all blobs; they are verified again after `again_after_days`.
          */
         ScrubState: {
             /** Again After Days */
@@ -6570,7 +6556,7 @@ export interface components {
          */
         UploadDecisions: {
             /** Items */
-            items: (components["schemas"]["Present"] | components["schemas"]["Linked"] | components["schemas"]["HashFirst"] | components["schemas"]["Send"] | components["schemas"]["Refused"])[];
+            items: (components["schemas"]["Present"] | components["schemas"]["Linked"] | components["schemas"]["HashFirst"] | components["schemas"]["Send"] | components["schemas"]["UploadRefused"])[];
         };
         /**
          * UploadFile
@@ -6654,6 +6640,20 @@ export interface components {
             /** Size Bytes */
             size_bytes: number;
             state: components["schemas"]["UploadState"];
+        };
+        /**
+         * UploadRefused
+         * @description This file cannot be uploaded; the others can.
+         */
+        UploadRefused: {
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            decision: "refused";
+            /** Path */
+            path: string;
+            problem: components["schemas"]["ProblemDocument"];
         };
         /**
          * UploadsComplete

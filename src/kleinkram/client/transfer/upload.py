@@ -32,11 +32,11 @@ from kleinkram.contract.uploads import (
     HashFirst,
     Linked,
     Present,
-    Refused,
     Send,
     UploadDecision,
     UploadFile,
     UploadRead,
+    UploadRefused,
 )
 
 _FIRST_BATCH_FILES = 16
@@ -199,7 +199,7 @@ class Uploader:
         file = candidate.source.file
         if isinstance(decision, HashFirst):
             return self._hash_first(candidate)
-        if isinstance(decision, Refused):
+        if isinstance(decision, UploadRefused):
             return self._refused(candidate, from_problem(decision.problem))
         if isinstance(decision, Present | Linked):
             candidate.journal.forget()

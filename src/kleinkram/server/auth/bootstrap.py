@@ -93,8 +93,8 @@ async def let_owner_in(db: Connection, token_file: Path) -> None:
 
     Raises RuntimeError.
     """
-    held = (await asyncio.to_thread(token_file.read_text, encoding="ascii")).strip()
-    if held and await ensure_owner(db, held):
+    stored = (await asyncio.to_thread(token_file.read_text, encoding="ascii")).strip()
+    if stored and await ensure_owner(db, stored):
         return
     renewed = new_secret(SecretKind.personal).text
     await ensure_owner(db, renewed)
@@ -115,9 +115,9 @@ async def ensure_owner(db: Connection, secret_token: str) -> bool:
     # Processes that start together do this one after the other.
     await db.execute(select(person.c.id).where(person.c.id == OWNER_ID).with_for_update(key_share=True))
     secret = secret_hash(secret_token)
-    held = (await db.execute(select(token.c.revoked_at).where(token.c.secret_sha256 == secret))).one_or_none()
-    if held is not None:
-        return held.revoked_at is None
+    stored = (await db.execute(select(token.c.revoked_at).where(token.c.secret_sha256 == secret))).one_or_none()
+    if stored is not None:
+        return stored.revoked_at is None
     stale = (token.c.person_id == OWNER_ID) & (token.c.name == OWNER_TOKEN_NAME) & token.c.revoked_at.is_(None)
     revoked = await db.execute(update(token).where(stale).values(revoked_at=func.now()).returning(token.c.id))
     made = uuid.uuid4()

@@ -54,7 +54,7 @@ from kleinkram.server.http.dependencies import (
     Transaction,
     require_same_origin,
 )
-from kleinkram.server.paging import PageQuery
+from kleinkram.server.pagination import PageQuery
 from kleinkram.server.tables.signing_in import CodePurpose
 
 router = APIRouter(prefix="/api/v1/auth", tags=["signing in"])

@@ -39,7 +39,7 @@ from kleinkram.server.files.topics import topic_rows
 from kleinkram.server.filters.files import filter_files, filter_files_in_order
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
 from kleinkram.server.missions.amounts import file_amounts
-from kleinkram.server.paging import Order
+from kleinkram.server.pagination import Order
 from kleinkram.server.tables import blob, file, mission, person, project, run, run_artifact, run_input, topic
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)

@@ -59,7 +59,7 @@ _OLDEST_VERIFICATION = select(func.coalesce(func.extract("epoch", func.now() - f
     blob.c.state == BlobState.verified.value, blob.c.doomed_at.is_(None)
 )
 _SCRUB = select(scrub).where(scrub.c.ended_at.is_not(None)).order_by(scrub.c.ended_at.desc()).limit(1)
-_FINDINGS = ("lost", "corrupt", "found", "unknown")
+_FINDINGS = ("lost", "corrupt", "findings", "unknown")
 
 
 class MetricsPortUnusable(Exception):
@@ -190,13 +190,13 @@ async def _site_metrics(database: Database) -> list[Metric]:
         ),
     ]
     if last is not None:
-        found = {name: getattr(last, name) for name in _FINDINGS}
+        findings = {name: getattr(last, name) for name in _FINDINGS}
         ended_at, stopped = last.ended_at.timestamp(), int(last.stopped is not None)
         gauges += [
             GaugeMetricFamily("kleinkram_scrub_ended_timestamp_seconds", "When the last scrub ended.", value=ended_at),
             GaugeMetricFamily("kleinkram_scrub_stopped", "Whether it stopped and marked nothing.", value=stopped),
             GaugeMetricFamily("kleinkram_scrub_compared", "Blobs that it compared.", value=last.compared),
-            _gauge("kleinkram_scrub_findings", "What it found.", "finding", found),
+            _gauge("kleinkram_scrub_findings", "What it found.", "finding", findings),
         ]
     return gauges
 

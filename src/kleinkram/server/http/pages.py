@@ -104,7 +104,7 @@ def built_file(request: Request, settings: Settings, name: str, *, caching: str)
     """
     headers = {"Content-Security-Policy": app_policy(settings), "Cache-Control": caching}
     path = _within(BUILT, name)
-    accepted = {each.split(";")[0].strip() for each in request.headers.get("accept-encoding", "").split(",")}
+    accepted = {part.split(";")[0].strip() for part in request.headers.get("accept-encoding", "").split(",")}
     for coding, ending in _SMALLER:
         smaller = path.with_name(path.name + ending)
         if coding in accepted and smaller.is_file():

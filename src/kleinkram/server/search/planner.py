@@ -18,7 +18,7 @@ from kleinkram.server.filters.files import file_conditions
 from kleinkram.server.filters.plan import ID_COUNT, MatchedFiles, SearchPlan, rounded
 from kleinkram.server.filters.text import file_contains, has_index, look_up_words, words_of
 from kleinkram.server.missions.service import find_visible_mission_ids
-from kleinkram.server.paging import in_order
+from kleinkram.server.pagination import in_order
 from kleinkram.server.tables import file
 
 # Files sampled, and how many of them make a filter common: with those, an estimate is off by a third.

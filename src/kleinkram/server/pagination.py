@@ -106,8 +106,8 @@ async def fetch_page(
     if described is None:
         page = _first(statement.add_columns(*keys), order, request.limit, after)
     else:
-        found = statement.with_only_columns(*keys, maintain_column_froms=True)
-        first = _first(found, order, request.limit, after).subquery("page")
+        keys_only = statement.with_only_columns(*keys, maintain_column_froms=True)
+        first = _first(keys_only, order, request.limit, after).subquery("page")
         columns = [first.c[key.name] for key in keys]
         page = in_order(described(columns[-1]).add_columns(*first.c), columns, order)
     rows = await execute_after(db, page, after)
@@ -157,10 +157,10 @@ def values_after(request: PageRequest, order: Order) -> list[Any] | None:
 def _first(statement: Select[Any], order: Order, limit: int, after: Sequence[Any] | None) -> Select[Any]:
     """Return the rows of a page, and one more where there are more."""
     if after is not None:
-        given = [literal(value, column.type) for value, column in zip(after, order.columns, strict=True)]
-        row, place, first = tuple_(*order.columns), tuple_(*given), order.columns[0]
+        values = [literal(value, column.type) for value, column in zip(after, order.columns, strict=True)]
+        row, place, first = tuple_(*order.columns), tuple_(*values), order.columns[0]
         # The first column once more, by itself: where the others are of other tables, its index still serves.
-        ahead = first <= given[0] if order.descending else first >= given[0]
+        ahead = first <= values[0] if order.descending else first >= values[0]
         statement = statement.where(ahead, row < place if order.descending else row > place)
     return in_order(statement, order.columns, order).limit(limit + 1)
 
