@@ -1,4 +1,4 @@
-"""A server that says what a test tells it to, one answer after the other, and remembers what it was asked."""
+"""A server that returns scripted answers and records the requests."""
 
 import json
 import threading

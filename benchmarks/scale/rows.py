@@ -60,7 +60,7 @@ def load_rows(size: int, url: str, owner_token: str, environment: Mapping[str, s
     label = size_label(size)
     yield _crowd_row(label, _crowd([url], owner_token))
     yield _two_row(label, environment, owner_token)
-    yield _sweep_row(label, url, owner_token, environment)
+    yield _garbage_collection_row(label, url, owner_token, environment)
 
 
 def size_label(size: int) -> str:
@@ -142,7 +142,7 @@ def _wait_for(ready: Callable[[], bool]) -> None:
     raise SystemExit("an API process did not begin to answer")
 
 
-def _sweep_row(label: str, url: str, token: str, environment: Mapping[str, str]) -> Row:
+def _garbage_collection_row(label: str, url: str, token: str, environment: Mapping[str, str]) -> Row:
     """Delete a mission of very many files and collect the garbage while one client sends requests."""
     times: list[float] = []
     with psycopg.connect(environment["KLEINKRAM_DATABASE_URL"], autocommit=True) as database:
@@ -162,12 +162,12 @@ def _sweep_row(label: str, url: str, token: str, environment: Mapping[str, str])
             times.append((time.perf_counter() - began) * 1000)
             # As if it had been in the trash for long enough.
             database.execute("UPDATE mission SET deleted_at = now() - interval '1 year' WHERE id = md5('swept')::uuid")
-            sweeping = subprocess.Popen(
+            collection = subprocess.Popen(
                 [sys.executable, "-m", "benchmarks.scale.garbage_collection"],
                 env={**environment},
                 stdout=subprocess.PIPE,
             )
-            while sweeping.poll() is None:
+            while collection.poll() is None:
                 for path in _MEANWHILE:
                     requests = time.perf_counter()
                     pool.request("GET", f"{url}/api/v1/{path}", headers=headers)
@@ -177,7 +177,7 @@ def _sweep_row(label: str, url: str, token: str, environment: Mapping[str, str])
         "what": f"{label}: {_DELETED} files deleted and their rows swept in {seconds:.0f} s, asked meanwhile",
         "measured": f"{len(times)} answers, p99 {percentile(times, 99):.0f} ms, worst {max(times):.0f} ms",
         "bar": "none above 1000 ms",
-        "met": max(times) <= 1000 and sweeping.returncode == 0,
+        "met": max(times) <= 1000 and collection.returncode == 0,
     }
 
 

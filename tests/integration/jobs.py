@@ -1,4 +1,4 @@
-"""Jobs, run by the test itself when it wants them: the same worker, until the queue is empty."""
+"""Run background jobs inside a test until the queue is empty."""
 
 import asyncio
 import uuid

@@ -98,9 +98,9 @@ def _read(ask: Callable[[], T]) -> T:
 
 
 def _end_and_wait(cluster: Cluster, part: str, sign: signal.Signals) -> None:
-    pid = cluster.runtime_info()["parts"][part]
+    pid = cluster.runtime_info()["services"][part]
     os.kill(pid, sign)
-    wait_until(lambda: cluster.runtime_info()["parts"][part] not in {None, pid}, f"{part} to be started again")
+    wait_until(lambda: cluster.runtime_info()["services"][part] not in {None, pid}, f"{part} to be started again")
     wait_until(lambda: _status(cluster, "GET", "/health/ready", "")[0] == 200, "the API to be ready")
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from kleinkram.standalone.procs import marked_processes
+from kleinkram.standalone.processes import marked_processes
 from tests.acceptance.conftest import Terminal
 from tests.certificate import make_certificate
 from tests.system.cluster import Cluster
@@ -34,7 +34,7 @@ with kleinkram.connect() as client:
 """
 _MIB = 1024 * 1024
 # Tries to connect to every port it is given, and prints those that let it.
-_KNOCK = """
+_CONNECT = """
 import json, socket, sys
 def opens(port):
     try:
@@ -49,7 +49,7 @@ print(json.dumps([port for port in map(int, sys.argv[2:]) if opens(port)]))
 def test_over_plain_http(cluster: Cluster, other_machine: OtherMachine, tmp_path: Path) -> None:
     _listen(cluster, other_machine, "http")
     cluster.start()
-    _tell_the_story(cluster, other_machine.terminal(_folder(tmp_path / "robot")))
+    _upload_download_verify(cluster, other_machine.terminal(_folder(tmp_path / "robot")))
     assert _ports_that_open(cluster, other_machine) == {cluster.port, cluster.s3_port}
 
 
@@ -63,7 +63,7 @@ def test_over_tls_with_a_certificate_of_our_own(cluster: Cluster, other_machine:
     assert "certificate" in stranger.run("project", "list", code=None).err.lower()
     # The way that OpenSSL gives every program; the client has no setting of its own.
     robot = other_machine.terminal(_folder(tmp_path / "robot"), SSL_CERT_FILE=str(certificate))
-    _tell_the_story(cluster, robot)
+    _upload_download_verify(cluster, robot)
     assert _ports_that_open(cluster, other_machine) == {cluster.port, cluster.s3_port}
     (tmp_path / "asking.py").write_text(_ASKING)
     place = ("-p", "alpine", "-m", "day")
@@ -75,7 +75,7 @@ def _listen(cluster: Cluster, machine: OtherMachine, scheme: str) -> None:
     cluster.options += ["--listen", "0.0.0.0", "--public-url", f"{scheme}://{machine.our_address}:{cluster.port}"]
 
 
-def _tell_the_story(cluster: Cluster, robot: Terminal) -> None:
+def _upload_download_verify(cluster: Cluster, robot: Terminal) -> None:
     source, back = _folder(robot.home / "day"), robot.home / "back"
     sizes = {"large.bin": 20 * _MIB + 7, "small.bin": 1000, "empty.bin": 0}
     for name, size in sizes.items():
@@ -105,8 +105,8 @@ def _ports_that_open(cluster: Cluster, machine: OtherMachine) -> set[int]:
         cluster.runtime_info()["ports"]["s3_tls"],
         cluster.runtime_info()["ports"]["s3"],
     }
-    knock = [sys.executable, "-c", _KNOCK, machine.our_address, *map(str, sorted(ports))]
-    done = subprocess.run(machine.command(*knock), check=True, capture_output=True, text=True)
+    probe = [sys.executable, "-c", _CONNECT, machine.our_address, *map(str, sorted(ports))]
+    done = subprocess.run(machine.command(*probe), check=True, capture_output=True, text=True)
     return set(json.loads(done.stdout))
 
 

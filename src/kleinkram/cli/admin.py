@@ -92,7 +92,7 @@ def storage(as_json: AsJson = False) -> None:
             ("disk", size(status.store.disk_bytes)),
         ]
     )
-    amounts = [*status.blobs, status.trash, status.uploads, status.doomed]
+    amounts = [*status.blobs, status.trash, status.uploads, status.marked_for_deletion]
     table(["state", "count", "size"], [(row.state, row.count, size(row.size_bytes)) for row in amounts])
     if status.is_low:
         note("The store is nearly full: uploads will soon be refused.")

@@ -35,7 +35,7 @@ def list_(noun: NounOption = None, as_json: AsJson = False) -> None:
                 size(row.size_bytes),
                 row.deleted_at,
                 row.deleted_by.name,
-                row.swept_after,
+                row.purged_after,
                 row.id,
             )
             for row in rows

@@ -16,7 +16,7 @@ from kleinkram.cli.options import AsJson
 from kleinkram.failures import code_of
 
 if TYPE_CHECKING:
-    from kleinkram.standalone.doctor import Finding
+    from kleinkram.standalone.doctor import DoctorFinding
     from kleinkram.standalone.errors import StandaloneError
 
 DataDirOption = Annotated[
@@ -56,7 +56,7 @@ def up(
     """Run Kleinkram on this machine: PostgreSQL, S3, API, worker and runner. Ctrl-C or `klein down` ends it."""
     from kleinkram.standalone.__main__ import arguments
     from kleinkram.standalone.address import Listening
-    from kleinkram.standalone.plan import UpOptions
+    from kleinkram.standalone.services import UpOptions
 
     options = UpOptions(
         data_dir=resolve_data_dir(data_dir),
@@ -82,7 +82,7 @@ def down(data_dir: DataDirOption = None, as_json: AsJson = False) -> None:
     """End the Kleinkram that runs on this machine, in order; returns when it has ended."""
     from kleinkram.standalone.data_dir import DataDir
     from kleinkram.standalone.errors import StandaloneError
-    from kleinkram.standalone.leftovers import stop_instance
+    from kleinkram.standalone.supervisor import stop_instance
 
     folder = resolve_data_dir(data_dir)
     try:
@@ -90,10 +90,10 @@ def down(data_dir: DataDirOption = None, as_json: AsJson = False) -> None:
     except StandaloneError as error:
         _fail(error)
     if as_json:
-        typer.echo(json.dumps({"data_dir": str(folder), "pid": ended.pid, "parts": ended.parts}, indent=2))
+        typer.echo(json.dumps({"data_dir": str(folder), "pid": ended.pid, "services": ended.services}, indent=2))
     else:
         typer.echo(
-            f"Ended Kleinkram on {folder} (pid {ended.pid}): {', '.join(ended.parts) or 'it was still starting'}."
+            f"Ended Kleinkram on {folder} (pid {ended.pid}): {', '.join(ended.services) or 'it was still starting'}."
         )
 
 
@@ -112,8 +112,8 @@ def doctor(
             err=True,
         )
     if as_json:
-        told = [{"check": it.check, "ok": it.ok, "message": it.message, "remedy": it.remedy} for it in findings]
-        typer.echo(json.dumps({"ok": all(it.ok for it in findings), "checks": told}, indent=2))
+        checks = [{"check": it.check, "ok": it.ok, "message": it.message, "remedy": it.remedy} for it in findings]
+        typer.echo(json.dumps({"ok": all(it.ok for it in findings), "checks": checks}, indent=2))
     else:
         for finding in findings:
             typer.echo(_line(finding))
@@ -128,7 +128,7 @@ def resolve_data_dir(data_dir: Path | None) -> Path:
     return (data_dir or default_data_dir()).expanduser().resolve()
 
 
-def _line(finding: "Finding") -> str:
+def _line(finding: "DoctorFinding") -> str:
     mark = "ok     " if finding.ok else "PROBLEM"
     return f"{mark} {finding.check}: {finding.message}" + (f" {finding.remedy}" if finding.remedy else "")
 

@@ -17,7 +17,7 @@ class StateAmount(Response):
 
 
 class AdminStorage(Response):
-    """The blobs by state, those only in the trash, the uploads in progress, and the garbage that is deleted next.
+    """Stored blobs by state, those that only the trash uses, uploads in progress, and what is about to be deleted.
 
     A blob counts once, however many files have it.
     """
@@ -27,7 +27,7 @@ class AdminStorage(Response):
     blobs: list[StateAmount]
     trash: StateAmount
     uploads: StateAmount
-    doomed: StateAmount
+    marked_for_deletion: StateAmount
 
 
 class JobAmount(Response):

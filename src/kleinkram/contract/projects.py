@@ -129,7 +129,7 @@ class TrashRead(Response):
     file_count: int
     deleted_at: datetime.datetime
     deleted_by: PersonRef
-    swept_after: datetime.datetime
+    purged_after: datetime.datetime
 
 
 class Deleted(Response):

@@ -16,11 +16,8 @@ from kleinkram.recordings.messages import Selection
 
 MAX_SET_BYTES = 16 * 2**20
 
-ANY_CHANNEL = 0
-"""The set of a chunk of which is not known who is in it."""
-
-UNKNOWN = 2**64 - 1
-"""Stands for a number that the index of this format does not say."""
+ANY_CHANNEL = 0  # the set of a chunk of which is not known who is in it
+UNKNOWN = 2**64 - 1  # stands for a number that the index of this format does not say
 
 
 class ChannelSets:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from kleinkram.recordings.formats.rosbag2.metadata import (
     METADATA_NAME,
+    STORAGE_FORMATS,
     MemberFacts,
     Rosbag2Metadata,
     TopicFacts,
@@ -195,10 +196,7 @@ def _combine_topic(parts: list[TopicSummary], island: StampRun | None) -> TopicS
     )
 
 
-MESSAGE_ZSTD = "message-zstd"
-"""What `compression` says where the data of each message is compressed by itself."""
-
-_FORMATS = {"sqlite3": RecordingFormat.rosbag2_db3, "mcap": RecordingFormat.mcap}
+MESSAGE_ZSTD = "message-zstd"  # what `compression` says where the data of each message is compressed by itself
 
 
 def combine_folder(
@@ -234,7 +232,7 @@ def _without_data(metadata: Rosbag2Metadata) -> RecordingSummary:
     what = "a data file" if count == 1 else f"{count} data files"
     claimed = f" with {counted(metadata.message_count, 'message')}" if metadata.message_count is not None else ""
     return RecordingSummary(
-        format=_FORMATS.get(metadata.storage or "", RecordingFormat.rosbag2_metadata),
+        format=STORAGE_FORMATS.get(metadata.storage or "", RecordingFormat.rosbag2_metadata),
         content=Content.broken,
         reason=f"metadata.yaml names {what}{claimed}, but none is there",
         problems=bounded(compare_metadata(metadata, ())),

@@ -7,10 +7,7 @@ import re
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-# Names of seconds and nanoseconds: of ROS 2, ROS 1, Foxglove's JSON, and protobuf.
-_STAMPS = (("sec", "nanosec"), ("secs", "nsecs"), ("sec", "nsec"), ("seconds", "nanos"))
-END_OF_TIME_NS = 2**64
-"""Behind every log time that a file can hold."""
+END_OF_TIME_NS = 2**64  # behind every log time that a file can hold
 
 
 @dataclass(frozen=True)
@@ -90,13 +87,12 @@ class Message(NamedTuple):
     @property
     def stamp_ns(self) -> int | None:
         """When it was measured, in ns: the stamp in its header, or its own; None without one."""
-        header = _field(self.value, "header")
-        for stamp in (_field(header, "stamp"), _field(self.value, "stamp"), _field(self.value, "timestamp")):
-            for seconds, nanoseconds in _STAMPS:
-                whole, rest = _field(stamp, seconds), _field(stamp, nanoseconds)
-                if isinstance(whole, int) and isinstance(rest, int):
-                    return whole * 1_000_000_000 + rest
-        return None
+        from kleinkram.recordings.decoding import DecodeError, stamp_ns  # only for decoded messages
+
+        try:
+            return stamp_ns(self.value)
+        except DecodeError:
+            return None
 
 
 @dataclass(frozen=True)
@@ -123,11 +119,6 @@ class Selection(NamedTuple):
     topics: frozenset[str] | None = None
     start_ns: int = 0
     end_ns: int = END_OF_TIME_NS
-
-
-def _field(value: object, name: str) -> object:
-    """Return a field of a decoded or JSON message; None if it has none of that name."""
-    return value.get(name) if isinstance(value, dict) else getattr(value, name, None)
 
 
 _EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.timezone.utc)

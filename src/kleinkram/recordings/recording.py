@@ -50,8 +50,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
-Topics = str | Sequence[str]
-"""Names of topics, or globs of them (`*`, `?`)."""
+Topics = str | Sequence[str]  # names of topics, or globs of them (`*`, `?`)
 
 
 class Recording:
@@ -325,7 +324,6 @@ def _decode_blocks(blocks: Iterable[Block], problem_log: ProblemLog) -> Iterator
 
 
 def _decoder_of(message_encoding: str, schema: Schema) -> Decoder | Undecodable:
-    """Return the decoder of a message encoding and schema, or why there is none."""
     if (message_encoding, schema.encoding) == ("ulog", "ulog"):
         return decoder_for("ros1", schema.name, "ros1msg", as_ros1_definition(schema.name, schema.data))
     return decoder_for(message_encoding, schema.name, schema.encoding, schema.data)
@@ -361,14 +359,11 @@ def _have_one_layout(one: Schema, other: Schema, one_encoding: str, other_encodi
 
 
 class _DecodeProblemLogger:
-    """Reports messages that a table could not decode."""
-
     def __init__(self, topic: str, problem_log: ProblemLog) -> None:
         self._topic = topic
         self._problem_log = problem_log
 
     def __call__(self, log_time_ns: int, error: DecodeError) -> None:
-        """Note a message whose row has no fields."""
         self._problem_log.add(
             "message-undecodable", self._topic, f"at {log_time_ns} ns: {error}; what could not be decoded is null"
         )

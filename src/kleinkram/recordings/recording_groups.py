@@ -26,9 +26,13 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from kleinkram.recordings.errors import SourceError
-from kleinkram.recordings.formats.rosbag2.metadata import MAX_TEXT, Rosbag2Metadata, parse_rosbag2_metadata
+from kleinkram.recordings.formats.rosbag2.metadata import (
+    MAX_TEXT,
+    METADATA_NAME,
+    Rosbag2Metadata,
+    parse_rosbag2_metadata,
+)
 
-METADATA_NAME = "metadata.yaml"
 # `.active`: a bag whose recorder was killed, or is still at work.
 _RECORDING = re.compile(r".*\.(bag|mcap|db3|svo2|ulg)(\.zstd?)?(\.active)?", re.IGNORECASE | re.DOTALL)
 _ROSBAG2 = re.compile(r"(?P<stem>.+?)(_(?P<number>\d+))?(?P<suffix>\.(mcap|db3)(\.zstd?)?)", re.IGNORECASE | re.DOTALL)

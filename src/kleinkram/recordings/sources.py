@@ -255,7 +255,6 @@ class _Rewound:
         self._rest = rest
 
     def read(self, length: int) -> bytes:
-        """Return the next bytes; b"" at the end."""
         if not self._head:
             return self._rest.read(length)
         piece, self._head = self._head[:length], self._head[length:]

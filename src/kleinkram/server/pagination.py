@@ -6,13 +6,13 @@ import datetime
 import hashlib
 import json
 import uuid
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict
-from sqlalchemy import ColumnElement, Row, Select, func, literal, select, tuple_
+from sqlalchemy import ColumnElement, Row, Select, bindparam, func, select, tuple_
 from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.exc import DataError, DBAPIError, ProgrammingError, StatementError
 
@@ -86,37 +86,63 @@ class Rows:
     total: int | None
 
 
-async def fetch_page(
-    db: Connection,
-    statement: Select[Any],
-    order: Order,
-    request: PageRequest,
-    *,
-    described: Callable[[ColumnElement[Any]], Select[Any]] | None = None,
-) -> Rows:
-    """Run a select for one page.
+@dataclass(frozen=True)
+class Listing:
+    """A select of which pages are read in an order. Its statements are built once.
 
     With `described`, the select only finds the page, and reads no more than decides. The rows are then those that
     `described` selects for the page's ids, the last column of the order.
+    """
+
+    statement: Select[Any]
+    order: Order
+    described: Callable[[ColumnElement[Any]], Select[Any]] | None = None
+    _pages: dict[tuple[int, bool], Select[Any]] = field(default_factory=dict, init=False)
+
+    def page(self, limit: int, *, is_first: bool) -> Select[Any]:
+        """Return the rows of a page and the next one; after `after_0`, `after_1`, ... where it is not the first."""
+        if (limit, is_first) not in self._pages:
+            order, keys = self.order, [column.label(f"_key_{at}") for at, column in enumerate(self.order.columns)]
+            if self.described is None:
+                built = _page_of(self.statement.add_columns(*keys), order, limit, is_first=is_first)
+            else:
+                ids = self.statement.with_only_columns(*keys, maintain_column_froms=True)
+                page = _page_of(ids, order, limit, is_first=is_first).subquery("page")
+                columns = [page.c[key.name] for key in keys]
+                built = in_order(self.described(columns[-1]).add_columns(*page.c), columns, order)
+            self._pages[limit, is_first] = built
+        return self._pages[limit, is_first]
+
+    @cached_property
+    def count(self) -> Select[tuple[int]]:
+        """The number of all rows."""
+        ids = self.statement.with_only_columns(self.order.columns[-1]).order_by(None)
+        return select(func.count()).select_from(ids.subquery())
+
+
+async def fetch_page(db: Connection, statement: Select[Any], order: Order, request: PageRequest) -> Rows:
+    """Run a select for one page.
 
     Raises InvalidCursor.
     """
-    after = values_after(request, order)
-    keys = [column.label(f"_key_{number}") for number, column in enumerate(order.columns)]
-    if described is None:
-        page = _first(statement.add_columns(*keys), order, request.limit, after)
-    else:
-        keys_only = statement.with_only_columns(*keys, maintain_column_froms=True)
-        first = _first(keys_only, order, request.limit, after).subquery("page")
-        columns = [first.c[key.name] for key in keys]
-        page = in_order(described(columns[-1]).add_columns(*first.c), columns, order)
-    rows = await execute_after(db, page, after)
+    return await fetch_listing(db, Listing(statement, order), request)
+
+
+async def fetch_listing(
+    db: Connection, listing: Listing, request: PageRequest, values: Mapping[str, object] | None = None
+) -> Rows:
+    """Read one page of a listing, whose statements are executed with `values`.
+
+    Raises:
+        InvalidCursor: the cursor is not one of this list in this order.
+    """
+    after = values_after(request, listing.order)
+    rows = await execute_after(db, listing.page(request.limit, is_first=after is None), after, values)
     items = rows[: request.limit]
     total = len(items) if request.count else None
     if request.count and (after is not None or len(rows) > request.limit):
-        bare = statement.with_only_columns(order.columns[-1]).order_by(None)
-        total = (await db.execute(select(func.count()).select_from(bare.subquery()))).scalar_one()
-    return Rows(items, _encode(items[-1], order) if len(rows) > request.limit else None, total)
+        total = (await db.execute(listing.count, values)).scalar_one()
+    return Rows(items, _encode(items[-1], listing.order) if len(rows) > request.limit else None, total)
 
 
 async def read_page(
@@ -127,10 +153,12 @@ async def read_page(
     return Page(items=[read(row) for row in rows.items], next=rows.next, total=rows.total)
 
 
-async def execute_after(db: Connection, statement: Select[Any], after: Sequence[Any] | None) -> Sequence[Row[Any]]:
-    """Run a select that begins after the values of a cursor. Raises InvalidCursor."""
+async def execute_after(
+    db: Connection, statement: Select[Any], after: Sequence[Any] | None, values: Mapping[str, object] | None = None
+) -> Sequence[Row[Any]]:
+    """Run a select that begins after the values of a cursor, `after_0` and so on. Raises InvalidCursor."""
     try:
-        return (await db.execute(statement)).all()
+        return (await db.execute(statement, {**(values or {}), **_named(after or [])})).all()
     except (StatementError, UnicodeEncodeError) as error:
         if after is not None and not _is_of_database(error):
             raise InvalidCursor from error
@@ -154,13 +182,16 @@ def values_after(request: PageRequest, order: Order) -> list[Any] | None:
     return decoded
 
 
-def _first(statement: Select[Any], order: Order, limit: int, after: Sequence[Any] | None) -> Select[Any]:
-    """Return the rows of a page, and one more where there are more."""
-    if after is not None:
-        values = [literal(value, column.type) for value, column in zip(after, order.columns, strict=True)]
-        row, place, first = tuple_(*order.columns), tuple_(*values), order.columns[0]
+def _named(after: Sequence[Any]) -> dict[str, object]:
+    return {f"after_{at}": value for at, value in enumerate(after)}
+
+
+def _page_of(statement: Select[Any], order: Order, limit: int, *, is_first: bool) -> Select[Any]:
+    if not is_first:
+        after = [bindparam(f"after_{at}", type_=column.type) for at, column in enumerate(order.columns)]
+        row, place, first = tuple_(*order.columns), tuple_(*after), order.columns[0]
         # The first column once more, by itself: where the others are of other tables, its index still serves.
-        ahead = first <= values[0] if order.descending else first >= values[0]
+        ahead = first <= after[0] if order.descending else first >= after[0]
         statement = statement.where(ahead, row < place if order.descending else row > place)
     return in_order(statement, order.columns, order).limit(limit + 1)
 

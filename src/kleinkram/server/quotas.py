@@ -14,7 +14,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_projects
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import blob, file, mission, project, upload
-from kleinkram.server.tables.upload import UNDER_WAY
+from kleinkram.server.tables.blobs import UNDER_WAY
 
 # The first half of the keys of the advisory locks.
 _LOCK_CLASS = 0x6B6C5155

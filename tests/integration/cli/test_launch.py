@@ -1,4 +1,4 @@
-"""`klein action run`: what is run, on what, and how its end is told, against a server that follows a script."""
+"""`klein action run` against a scripted server: what is launched, on what, and how the result is reported."""
 
 import json
 from pathlib import Path
@@ -67,7 +67,7 @@ def test_a_version_of_a_published_action_is_named_with_it() -> None:
     assert script.asked[3].body["version"] == 3
 
 
-def test_many_missions_are_asked_about_first() -> None:
+def test_launching_on_many_missions_needs_confirmation() -> None:
     several = [MISSION, mission_read("dusk")]
     with scripted(page(*several), page(action_read("look"))) as script:
         ran = klein(script, "action", "run", "look", "--query", "alps")
@@ -80,7 +80,7 @@ def test_many_missions_are_asked_about_first() -> None:
     assert script.asked[2].body["force"] is True
 
 
-def test_what_makes_no_sense_is_said_before_anything_is_launched(tmp_path: Path) -> None:
+def test_invalid_arguments_are_reported_before_any_launch(tmp_path: Path) -> None:
     for arguments, why in (
         (["look"], "say which missions"),
         (["look", "-m", "day", "--query", "alps"], "say which missions"),

@@ -1,4 +1,4 @@
-"""The entry: fast to ask for help, and every command is there."""
+"""The entry point: `--help` is fast, and every command exists."""
 
 import importlib
 import subprocess
@@ -63,7 +63,7 @@ def test_an_unknown_command_is_a_usage_error() -> None:
     assert CliRunner().invoke(app, ["frobnicate"]).exit_code == 2
 
 
-def test_the_version_is_said() -> None:
+def test_the_version_is_printed() -> None:
     import kleinkram
 
     assert CliRunner().invoke(app, ["--version"]).output == f"{kleinkram.__version__}\n"

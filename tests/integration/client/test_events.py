@@ -1,4 +1,4 @@
-"""Following events: what the client says when it comes back, so that nothing is left out unsaid."""
+"""Following events: after a reconnect the client requests the events it missed."""
 
 import json
 
@@ -21,7 +21,7 @@ REFETCH = b'event: refetch\ndata: {"reason": "missed"}\n\n'
         pytest.param(b"", "nowhere", id="cut off before it knew where it was"),
     ],
 )
-def test_who_was_cut_off_asks_for_what_came_meanwhile(
+def test_after_a_lost_connection_missed_events_are_requested(
     monkeypatch: pytest.MonkeyPatch, first: bytes, came_back_with: str
 ) -> None:
     monkeypatch.setattr(server, "_PAUSE_S", 0.01)

@@ -1,4 +1,4 @@
-"""How a transfer adapts to its link, and what it tells about it."""
+"""A transfer adapts to its network link and reports its state."""
 
 import contextlib
 import errno
@@ -55,7 +55,7 @@ def clock() -> Clock:
     return Clock()
 
 
-def test_a_fast_link_is_used_in_full_after_a_few_parts(clock: Clock) -> None:
+def test_a_fast_link_is_fully_used_after_several_parts(clock: Clock) -> None:
     window = Window(_CONNECTIONS, clock=clock)
     assert window.limit_bytes == PART
     for _ in range(_CONNECTIONS):
@@ -116,7 +116,7 @@ def test_large_parts_of_a_very_large_file_are_judged_by_their_rate(clock: Clock)
     assert window.limit_bytes > 100 * PART
 
 
-def test_what_broke_off_goes_on_before_others_begin() -> None:
+def test_interrupted_parts_are_sent_before_new_ones() -> None:
     lane = Lane(Stop(), Window(_CONNECTIONS))
     order: list[str] = []
     is_waiting = threading.Event()
@@ -158,7 +158,7 @@ def _backoff() -> Backoff:
     return Backoff(10.0, lambda _: None)
 
 
-def test_silence_is_told_once_for_all_connections_that_it_ends(clock: Clock) -> None:
+def test_a_silent_network_is_reported_once_for_all_connections(clock: Clock) -> None:
     watch, said = _watch(clock)
     for _ in range(4):
         watch.lost("http://store:9000/b/k?signature=x", _backoff(), TimeoutError(), "it took too long")
@@ -169,7 +169,7 @@ def test_silence_is_told_once_for_all_connections_that_it_ends(clock: Clock) -> 
     assert watch.report() == LinkReport(connections_lost=4, longest_outage_s=35.0)
 
 
-def test_another_address_is_told_and_reconnected_from_at_once(clock: Clock) -> None:
+def test_a_changed_address_is_reported_and_reconnected_from_at_once(clock: Clock) -> None:
     watch, said = _watch(clock)
     watch.moved("10.0.0.7")
     assert watch.has_moved()
@@ -240,7 +240,7 @@ def test_a_store_that_refuses_connections_is_not_silent(clock: Clock) -> None:
         socket.gaierror(socket.EAI_AGAIN, "Temporary failure in name resolution"),
     ],
 )
-def test_a_machine_without_a_network_is_told_so(clock: Clock, cause: OSError, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_network_is_reported(clock: Clock, cause: OSError, monkeypatch: pytest.MonkeyPatch) -> None:
     watch, said = _watch(clock)
     backoff = _backoff()
     error = _unconnected(cause)

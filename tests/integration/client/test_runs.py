@@ -1,4 +1,4 @@
-"""Runs: launched by the thousand, followed by their log, waited for, and fetched with what they left."""
+"""Runs in the SDK: launch many, follow the log, wait, download artifacts."""
 
 import datetime
 import hashlib

@@ -1,4 +1,4 @@
-"""Getting a token: what is sent, how often is asked, and what each refusal becomes."""
+"""Getting a token: requests, polling interval, and errors."""
 
 import base64
 import datetime
@@ -55,7 +55,7 @@ ME = MeRead.model_validate(
 )
 
 
-def test_a_code_is_asked_for_by_a_stranger() -> None:
+def test_a_device_code_is_requested_without_a_token() -> None:
     with scripted(CODE) as server:
         assert begin_device(server.url, "klein on anymal-3") == CODE
     (asked,) = server.asked
@@ -63,7 +63,7 @@ def test_a_code_is_asked_for_by_a_stranger() -> None:
     assert asked.body == {"client": "klein on anymal-3"}
 
 
-def test_a_device_waits_as_long_as_it_is_told_to() -> None:
+def test_polling_waits_for_the_requested_interval() -> None:
     waited: list[float] = []
     limited = RateLimited(what="sign-ins", limit=10, window_s=60, retry_after_s=7)
     said = [SignInPending(interval_s=5), SlowDown(interval_s=10), SignInPending(interval_s=5), limited, None, SIGNED_IN]

@@ -1,4 +1,4 @@
-"""Asking too often is refused, with when to come back: each credential and each address by itself."""
+"""Rate limits per credential and per address, with Retry-After."""
 
 import datetime
 import uuid
@@ -48,7 +48,7 @@ def _fresh(api: Api) -> Api:
         ("GET", "/audit/export?until=2000-01-01", None, "exports"),
     ],
 )
-def test_what_is_expensive_is_limited(strict: Api, method: str, path: str, body: object, what: str) -> None:
+def test_expensive_requests_are_limited(strict: Api, method: str, path: str, body: object, what: str) -> None:
     api = _fresh(strict)
     for _ in range(3):
         assert api.call(method, path, body).status in {200, 404}
@@ -59,7 +59,7 @@ def test_what_is_expensive_is_limited(strict: Api, method: str, path: str, body:
     assert f"at most 3 {what} in 60 s" in problem["detail"]
 
 
-def test_what_is_cheap_is_not_limited_and_others_go_on(strict: Api) -> None:
+def test_cheap_requests_and_other_clients_are_not_limited(strict: Api) -> None:
     api = _fresh(strict)
     for _ in range(3):
         api.get("/stats").ok()

@@ -1,4 +1,4 @@
-"""What a project amounts to, by month and by metadata fields, in few buckets."""
+"""Statistics of a project by month and by metadata fields, in a bounded number of buckets."""
 
 import uuid
 from typing import Any

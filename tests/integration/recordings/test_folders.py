@@ -1,4 +1,4 @@
-"""Recordings of several files: the server says of them what `klein inspect` says of the same folder."""
+"""Recordings of several files: the server agrees with `klein inspect` on the same folder."""
 
 import uuid
 from collections.abc import Mapping
@@ -99,7 +99,7 @@ def test_deriving_takes_as_many_queries_for_many_recordings_as_for_one(api: Api,
 _BROKEN = b"\x89MCAP0\r\n"
 
 
-def test_what_stays_as_it_is_is_not_written_again(api: Api, mission_id: str) -> None:
+def test_unchanged_recordings_are_not_written_again(api: Api, mission_id: str) -> None:
     upload_all(api, mission_id, {"a.mcap": _BROKEN + b"a", "b.mcap": _BROKEN + b"b"})
     run_jobs(api)
     written = "SELECT name, xmin::text FROM recording WHERE mission_id = %s ORDER BY name"

@@ -1,4 +1,4 @@
-"""A name that a dead client holds: whoever wants it waits until the lease ends, and no longer."""
+"""A name reserved by a dead client is free when its lease ends."""
 
 import os
 import uuid

@@ -1,4 +1,4 @@
-"""What each answer of the store means. An upload is gone only when the store itself says that it does not know it."""
+"""Interpretation of store responses: an upload is gone only when the store says that it does not know it."""
 
 import os
 import re
@@ -158,7 +158,7 @@ def test_a_client_goes_on_sending_until_the_store_can(
         client.files.delete(result.file_id)
 
 
-def test_a_client_is_told_of_an_upload_that_is_gone(
+def test_an_unknown_upload_is_reported_to_the_client(
     api: Api, middleman: Middleman, client: Client, mission_id: str, tmp_path: Path
 ) -> None:
     file = tmp_path / "run.bin"

@@ -1,4 +1,4 @@
-"""Every failure has an exit code, and scripts can rely on it."""
+"""Every error has an exit code that scripts can rely on."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""What a stranger's code writes does not command the terminal of who reads it."""
+"""Untrusted log lines cannot control the terminal."""
 
 import pytest
 

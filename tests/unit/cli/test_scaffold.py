@@ -1,4 +1,4 @@
-"""`klein action init` makes what runs as it is."""
+"""`klein action init` creates an action that runs unchanged."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""A mission for each subfolder: what stops all of them, and what only one."""
+"""One mission per subfolder: errors that stop all of them, and errors that stop only one."""
 
 from pathlib import Path
 from typing import Any

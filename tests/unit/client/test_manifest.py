@@ -1,4 +1,4 @@
-"""Reading `action.yaml`, which may come from somebody else's repository."""
+"""Reading an untrusted `action.yaml`."""
 
 import time
 from pathlib import Path

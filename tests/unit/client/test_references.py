@@ -1,4 +1,4 @@
-"""From a name to the one noun meant."""
+"""Resolving a name to exactly one object."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""How long something is tried again."""
+"""How long an operation is retried."""
 
 from kleinkram.client._retry import LONGEST_WAIT_S, Backoff
 

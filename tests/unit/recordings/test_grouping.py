@@ -1,4 +1,4 @@
-"""Which files make one recording."""
+"""Grouping of files into recordings."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_metadata_of_real_recordings(entry: Entry, recordings_dir: Path) -> None
         "&a [*a]",
     ],
 )
-def test_what_is_no_metadata(text: str) -> None:
+def test_invalid_metadata_is_refused(text: str) -> None:
     assert parse_rosbag2_metadata(text) is None
 
 
@@ -137,7 +137,7 @@ def test_incomplete_metadata_is_read_as_far_as_possible() -> None:
     assert (actual.files, actual.message_count, actual.storage) == (("a.db3",), None, None)
 
 
-def test_what_metadata_say_decides_which_files_and_in_which_order() -> None:
+def test_the_metadata_decides_the_files_and_their_order() -> None:
     stated = Rosbag2Metadata(files=("run/b.db3", "a.db3"))
     paths = ["run/metadata.yaml", "run/a.db3", "run/b.db3", "run/a_1.db3", "run/other.bag"]
     assert group(paths, {"run/metadata.yaml": stated}) == [

@@ -1,4 +1,4 @@
-"""What is kept of why a job failed: one line, without what signs an address or opens a database."""
+"""The stored reason of a failed job: one line without secrets."""
 
 import pytest
 

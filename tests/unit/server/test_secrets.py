@@ -1,4 +1,4 @@
-"""Secrets: what a scanner finds is what is given out, and the page says how to find it."""
+"""Secrets have a documented form that scanners find."""
 
 import re
 from pathlib import Path
@@ -20,7 +20,7 @@ def test_a_new_secret_is_found_and_verified(kind: SecretKind) -> None:
         assert secret.text not in repr(secret)
 
 
-def test_of_what_is_not_of_this_form_nothing_is_shown() -> None:
+def test_tokens_of_another_form_are_not_shown() -> None:
     assert secret_prefix("klein_pat_too-short") == secret_prefix("0123456789abcdef") == ""
 
 

@@ -1,7 +1,6 @@
-import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
-import { api, call } from "./client";
+import { afterEach, beforeEach, describe, expect, it, test, vi } from "vitest";
+import { api, call, ifMatch, isSignInRequired, noteNewEtag, noteSignedIn, settle, signInAddress } from "./client";
 import { Problem } from "./problem";
-import { isAskingToSignIn, noteSignedIn, settle, signInAddress } from "./signing-in";
 
 const ENDED = { type: "x", title: "x", status: 401, detail: "The session has ended.", code: "not_authenticated" };
 const fetched = vi.fn<(request: Request) => Promise<Response>>();
@@ -31,18 +30,18 @@ describe("a session that ends while somebody works", () => {
       return bodies.length === 1 ? json(401, ENDED) : json(201, { id: "1" });
     });
     const made = make();
-    await vi.waitFor(() => expect(isAskingToSignIn.value).toBe(true));
+    await vi.waitFor(() => expect(isSignInRequired.value).toBe(true));
     settle(true);
     expect(await made).toEqual({ id: "1" });
     expect(bodies[1]).toBe(bodies[0]);
     expect(JSON.parse(bodies[1] ?? "")).toEqual({ name: "Alps", description: "" });
-    expect(isAskingToSignIn.value).toBe(false);
+    expect(isSignInRequired.value).toBe(false);
   });
   it("fails what was asked where they decline", async () => {
     noteSignedIn(true);
     fetched.mockImplementation(() => Promise.resolve(json(401, ENDED)));
     const made = make();
-    await vi.waitFor(() => expect(isAskingToSignIn.value).toBe(true));
+    await vi.waitFor(() => expect(isSignInRequired.value).toBe(true));
     settle(false);
     await expect(made).rejects.toMatchObject({ code: "not_authenticated" });
   });
@@ -52,13 +51,13 @@ it("does not ask to sign in again where a password was wrong", async () => {
   noteSignedIn(true);
   fetched.mockImplementation(() => Promise.resolve(json(401, { ...ENDED, code: "sign_in_failed" })));
   await expect(make()).rejects.toMatchObject({ code: "sign_in_failed" });
-  expect(isAskingToSignIn.value).toBe(false);
+  expect(isSignInRequired.value).toBe(false);
 });
 
 it("does not ask a stranger to sign in again", async () => {
   fetched.mockImplementation(() => Promise.resolve(json(401, ENDED)));
   await expect(make()).rejects.toBeInstanceOf(Problem);
-  expect(isAskingToSignIn.value).toBe(false);
+  expect(isSignInRequired.value).toBe(false);
 });
 
 it("says so where nothing answers", async () => {
@@ -68,4 +67,18 @@ it("says so where nothing answers", async () => {
 
 it("comes back from signing in to where one was", () => {
   expect(signInAddress("/missions/1?tab=topics&x=a b")).toBe("/sign-in?return_to=%2Fmissions%2F1%3Ftab%3Dtopics%26x%3Da+b");
+});
+
+test("a change names the etag that was looked at", () => {
+  expect(ifMatch("a0")).toEqual({ "If-Match": '"a0"' });
+  expect(ifMatch(undefined)).toEqual({});
+});
+
+test("what this page made of it counts as looked at, and going back ends nowhere", () => {
+  noteNewEtag("b0", "b1");
+  noteNewEtag("b1", "b2");
+  expect(ifMatch("b0")).toEqual({ "If-Match": '"b2"' });
+  noteNewEtag("b2", "b0");
+  expect(ifMatch("b1")).toEqual({ "If-Match": '"b0"' });
+  expect(ifMatch("b0")).toEqual({ "If-Match": '"b0"' });
 });

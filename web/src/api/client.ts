@@ -3,7 +3,7 @@
 import createClient from "openapi-fetch";
 import type { paths } from "./schema";
 import { problemOf, toProblem } from "./problem";
-import { signInAgain } from "./signing-in";
+import { readonly, ref } from "vue";
 
 const NOT_AUTHENTICATED = 401;
 const FORBIDDEN = 403;
@@ -20,8 +20,8 @@ async function send(request: Request): Promise<Response> {
 /** Says whether the session has ended (a wrong password or code is refused with 401 as well), or began too long ago. */
 async function whySignInAgain(answer: Response): Promise<"ended" | "too old" | null> {
   if (answer.status !== NOT_AUTHENTICATED && answer.status !== FORBIDDEN) return null;
-  const told: unknown = await answer.clone().json().catch(() => null);
-  const code = typeof told === "object" && told !== null && "code" in told ? told.code : "";
+  const body: unknown = await answer.clone().json().catch(() => null);
+  const code = typeof body === "object" && body !== null && "code" in body ? body.code : "";
   if (code === "sign_in_too_old") return "too old";
   const isWrong = code === "sign_in_failed" || code === "second_factor_needed" || code === "second_factor_wrong";
   return answer.status === NOT_AUTHENTICATED && !isWrong ? "ended" : null;
@@ -30,7 +30,7 @@ async function whySignInAgain(answer: Response): Promise<"ended" | "too old" | n
 /** The API, one method a verb: `call(api.GET("/api/v1/projects", { params }))`. */
 export const api = createClient<paths>({ baseUrl: globalThis.location.origin, fetch: send });
 
-interface Told<Data> {
+interface ApiResponse<Data> {
   readonly data?: Data;
   readonly error?: unknown;
   readonly response: Response;
@@ -41,14 +41,97 @@ interface Told<Data> {
  *
  * @throws {Problem} it failed, or nothing answered.
  */
-export async function call<Data>(asked: Promise<Told<Data>>): Promise<Data> {
-  let told: Told<Data>;
+export async function call<Data>(pending: Promise<ApiResponse<Data>>): Promise<Data> {
+  let body: ApiResponse<Data>;
   try {
-    told = await asked;
+    body = await pending;
   } catch (thrown) {
     if (thrown instanceof DOMException && thrown.name === "AbortError") throw thrown;
     throw toProblem(thrown);
   }
-  if (!told.response.ok) throw problemOf(told.error, told.response);
-  return told.data as Data;
+  if (!body.response.ok) throw problemOf(body.error, body.response);
+  return body.data as Data;
+}
+
+const CHANNEL = "kleinkram.session";
+
+type Outcome = (isSignedIn: boolean) => void;
+
+let wasSignedIn = false;
+let waiting: Outcome[] = [];
+const signInRequired = ref(false);
+const tooOld = ref(false);
+
+/** Whether requests wait for somebody to sign in again. */
+export const isSignInRequired = readonly(signInRequired);
+
+/** Whether they are signed in still, and only too long ago for what they want to do. */
+export const isSignInTooOld = readonly(tooOld);
+
+/** Remembers that somebody was signed in on this page: from now on a refused request is one whose session has ended. */
+export function noteSignedIn(isSignedIn: boolean): void {
+  wasSignedIn = isSignedIn;
+}
+
+/** Waits until somebody has signed in again. Says no at once where nobody had been, and when they decline. */
+export function signInAgain(why: "ended" | "too old" = "ended"): Promise<boolean> {
+  if (!wasSignedIn) return Promise.resolve(false);
+  if (!signInRequired.value) tooOld.value = why === "too old";
+  signInRequired.value = true;
+  return new Promise((resolve) => waiting.push(resolve));
+}
+
+/** Lets the requests that wait go on, or fail. */
+export function settle(isSignedIn: boolean): void {
+  const waited = waiting;
+  waiting = [];
+  signInRequired.value = false;
+  if (!isSignedIn && !tooOld.value) wasSignedIn = false;
+  tooOld.value = false;
+  for (const outcome of waited) outcome(isSignedIn);
+}
+
+/** Tells the other windows of this browser that somebody has signed in. */
+export function announceSignedIn(): void {
+  const channel = new BroadcastChannel(CHANNEL);
+  channel.postMessage("signed-in");
+  channel.close();
+}
+
+/** Calls back whenever another window has signed in; returns what ends that. */
+export function onSignedIn(callback: () => void): () => void {
+  const channel = new BroadcastChannel(CHANNEL);
+  channel.addEventListener("message", callback);
+  return () => channel.close();
+}
+
+/** Returns where one signs in, and comes back from to a page of the app. */
+export function signInAddress(returnTo: string, again = false): string {
+  return `/sign-in?${new URLSearchParams({ return_to: returnTo, ...(again ? { again: "1" } : {}) }).toString()}`;
+}
+
+/** What goes with a change that was made by looking at something. */
+export interface EtagCarrier {
+  readonly etag?: string | undefined;
+}
+
+// What this page itself made of an etag: of two forms that stand open, saving one does not outdate the other.
+const own = new Map<string, string>();
+
+/** Notes that a change of one's own led from one etag to another. */
+export function noteNewEtag(from: string | undefined, to: string | undefined): void {
+  if (from === undefined || to === undefined || from === to) return;
+  own.delete(to); // it is the newest now, also where it was there before
+  own.set(latest(from), to);
+}
+
+/** Returns the header by which the server refuses a change to anything but that etag, or what we made of it. */
+export function ifMatch(etag: string | undefined): { readonly "If-Match"?: string } {
+  return etag === undefined ? {} : { "If-Match": `"${latest(etag)}"` };
+}
+
+function latest(etag: string): string {
+  let at = etag;
+  for (let next = own.get(at); next !== undefined; next = own.get(at)) at = next;
+  return at;
 }

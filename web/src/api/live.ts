@@ -1,7 +1,9 @@
 // What changes on the server shows here by itself: events say which noun changed, and its answers are asked for anew.
 import { useQueryClient } from "@tanstack/vue-query";
-import { onScopeDispose, ref, type Ref, watch, type WatchSource } from "vue";
-import { isAskingToSignIn } from "./signing-in";
+import { onScopeDispose, ref, watch, type Ref, type WatchSource } from "vue";
+import { isSignInRequired } from "./client";
+import { keys } from "./queries";
+import { useMe } from "./session";
 
 /** Several changes within this time ask for everything once. */
 const GATHER_MS = 250;
@@ -63,7 +65,7 @@ export function useLive(path: WatchSource<string | null>, options: LiveOptions):
     breaks.value += 1;
     isBroken = true;
     clearTimeout(again);
-    if (source?.readyState === EventSource.CLOSED) again = setTimeout(() => isAskingToSignIn.value || open(at), AGAIN_MS);
+    if (source?.readyState === EventSource.CLOSED) again = setTimeout(() => isSignInRequired.value || open(at), AGAIN_MS);
   }
 
   function close(): void {
@@ -83,8 +85,8 @@ export function useLive(path: WatchSource<string | null>, options: LiveOptions):
 
   watch(path, open, { immediate: true });
   // What is told is told to a session: to the one that just began, anew.
-  watch(isAskingToSignIn, (isAsking) => {
-    if (!isAsking && source !== null) {
+  watch(isSignInRequired, (isRequired) => {
+    if (!isRequired && source !== null) {
       isBroken = true;
       open(source.url);
     }
@@ -94,4 +96,57 @@ export function useLive(path: WatchSource<string | null>, options: LiveOptions):
     close();
   });
   return { breaks };
+}
+
+type Key = readonly unknown[];
+
+interface Change {
+  readonly noun: string;
+  readonly id: string | null;
+  readonly mission_id: string | null;
+  readonly project_id: string | null;
+}
+
+/** An answer whose key begins with nothing is any. */
+const EVERYTHING: readonly Key[] = [[]];
+
+function isChange(value: unknown): value is Change {
+  return typeof value === "object" && value !== null && "noun" in value;
+}
+
+function inMission(change: Change): Key[] {
+  const list: Key[] = [["missions", "list"], ["projects", "list"], ["stats"]];
+  return change.mission_id === null ? [["missions"], ...list] : [keys.mission(change.mission_id), ...list];
+}
+
+const OF_NOUNS: Readonly<Record<string, (change: Change) => readonly Key[]>> = {
+  file: (change) => [...inMission(change), ["files", "list"], ["trash"], ...(change.id === null ? [["files", "one"]] : [keys.file(change.id)])],
+  recording: (change) => [...inMission(change), ["files", "list"]],
+  upload: (change) => (change.mission_id === null ? [] : [keys.uploads(change.mission_id)]),
+  mission: (change) => [change.id === null ? ["missions"] : keys.mission(change.id), ["missions", "list"], ["projects"], ["trash"], ["stats"]],
+  project: () => [["projects"], ["missions"], ["trash"], ["stats"]],
+  run: (change) => [["runs", "list"], change.id === null ? ["runs"] : keys.run(change.id), ...(change.id === null ? [] : [["files", "one"]])],
+  action: () => [["actions"]],
+  grant: () => [["access"], ["projects"], ["missions"]],
+  share: () => [["shares"]],
+  group: () => [["groups"], ["access"]],
+  person: () => [["people"], ["groups"]],
+  token: () => [["tokens"]],
+  session: () => [["sessions"]],
+};
+
+/** Returns the keys of the answers that an event makes old. */
+export function keysOf(kind: string, data: unknown): readonly Key[] {
+  if (kind === "refetch") return EVERYTHING;
+  return isChange(data) ? (OF_NOUNS[data.noun]?.(data) ?? []) : [];
+}
+
+/** Keeps what is shown current, for whoever is signed in. A window that nobody sees listens to nothing. */
+export function useChanges(): Live {
+  const { me } = useMe();
+  const isSeen = ref(document.visibilityState === "visible");
+  const look = () => (isSeen.value = document.visibilityState === "visible");
+  document.addEventListener("visibilitychange", look);
+  onScopeDispose(() => document.removeEventListener("visibilitychange", look));
+  return useLive(() => (me.value !== null && isSeen.value ? "/api/v1/events" : null), { kinds: ["change", "refetch"], keysOf });
 }

@@ -7,12 +7,12 @@ function answer(status: number): Response {
 }
 
 describe("what the server tells", () => {
-  const told = {
+  const body = {
     type: "about:blank", title: "Metadata invalid", status: 422, detail: "It lacks a robot.", code: "metadata_invalid",
     request_id: "from-the-document", problems: [{ field: "robot", message: "is required" }, "nonsense"],
   };
   it("is its own sentence, what to do, and the id", () => {
-    const problem = problemOf(told, answer(422));
+    const problem = problemOf(body, answer(422));
     expect(problem.message).toBe("It lacks a robot.");
     expect(problem.remedy).toBe(texts.remedies.metadata_invalid);
     expect(problem.requestId).toBe("from-the-document");

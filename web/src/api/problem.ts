@@ -23,13 +23,13 @@ export class Problem extends Error {
 
   /** What a person can do about it, in a sentence. */
   get remedy(): string {
-    return texts.remedies[this.code] ?? (this.status >= 500 ? texts.tellAdmin : "");
+    return texts.remedies[this.code] ?? (this.status >= 500 ? texts.contactAdmin : "");
   }
 
   /** What is wrong with single fields of what was sent, where the server says so. */
   get fields(): readonly FieldProblem[] {
-    const given = this.document.problems;
-    return Array.isArray(given) ? given.filter(isFieldProblem) : [];
+    const fields = this.document.problems;
+    return Array.isArray(fields) ? fields.filter(isFieldProblem) : [];
   }
 
   /** What is wrong with the name that was given, to be said where it was typed; empty where something else is wrong. */
@@ -52,10 +52,10 @@ function isDocument(value: unknown): value is ProblemDocument {
 }
 
 /** Returns the problem that an answer of the server tells. */
-export function problemOf(told: unknown, answer: Response): Problem {
+export function problemOf(body: unknown, answer: Response): Problem {
   const requestId = answer.headers.get("x-request-id");
-  if (isDocument(told)) {
-    return new Problem(told.code, told.status, told.title, told.detail, told.request_id ?? requestId, told);
+  if (isDocument(body)) {
+    return new Problem(body.code, body.status, body.title, body.detail, body.request_id ?? requestId, body);
   }
   const isGateway = answer.status >= 502 && answer.status <= 504;
   if (isGateway) return new Problem("unreachable", answer.status, texts.unreachable, texts.notAnswering, requestId);
@@ -75,6 +75,6 @@ export function toProblem(thrown: unknown): Problem {
   if (thrown instanceof TypeError && /fetch|network|load failed/i.test(thrown.message)) {
     return new Problem("unreachable", 0, texts.unreachable, texts.notAnswering);
   }
-  const said = thrown instanceof Error ? thrown.message : String(thrown);
-  return new Problem("unexpected", 0, texts.unexpected, said);
+  const detail = thrown instanceof Error ? thrown.message : String(thrown);
+  return new Problem("unexpected", 0, texts.unexpected, detail);
 }

@@ -2766,16 +2766,16 @@ export interface components {
         };
         /**
          * AdminStorage
-         * @description The blobs by state, those only in the trash, the uploads in progress, and the garbage that is deleted next.
+         * @description Stored blobs by state, those that only the trash uses, uploads in progress, and what is about to be deleted.
          *
          *     A blob counts once, however many files have it.
          */
         AdminStorage: {
             /** Blobs */
             blobs: components["schemas"]["StateAmount"][];
-            doomed: components["schemas"]["StateAmount"];
             /** Is Low */
             is_low: boolean;
+            marked_for_deletion: components["schemas"]["StateAmount"];
             store: components["schemas"]["StoreUse"];
             trash: components["schemas"]["StateAmount"];
             uploads: components["schemas"]["StateAmount"];
@@ -5550,6 +5550,8 @@ export interface components {
             attempt: number;
             /** Exit Code */
             exit_code?: number | null;
+            /** Image Digest */
+            image_digest?: string | null;
             /** Message */
             message: string;
             /**
@@ -6498,13 +6500,13 @@ export interface components {
             noun: components["schemas"]["TrashNoun"];
             /** Place */
             place: string;
-            /** Size Bytes */
-            size_bytes: number;
             /**
-             * Swept After
+             * Purged After
              * Format: date-time
              */
-            swept_after: string;
+            purged_after: string;
+            /** Size Bytes */
+            size_bytes: number;
         };
         /**
          * Undeclared

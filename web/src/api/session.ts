@@ -1,10 +1,9 @@
 // Who looks at the page, and what they may do here.
 import { useQuery } from "@tanstack/vue-query";
 import { computed, type ComputedRef } from "vue";
-import { api, call } from "./client";
-import { keys } from "./keys";
+import { api, call, noteSignedIn } from "./client";
+import { keys } from "./queries";
 import { Problem } from "./problem";
-import { noteSignedIn } from "./signing-in";
 import type { Me, Service } from "./types";
 
 /** Returns who is signed in; null for a stranger. */

@@ -20,7 +20,7 @@ function form() {
     "onUpdate:modelValue": (value: Values) => (values.value = value),
     "onUpdate:unconfirmed": (names: ReadonlySet<string>) => (unconfirmed.value = names),
   })));
-  const marked = () => wrapper.findAll("[data-unconfirmed]").map((each) => each.attributes("data-unconfirmed"));
+  const marked = () => wrapper.findAll("[data-unconfirmed]").map((item) => item.attributes("data-unconfirmed"));
   return { wrapper, values, unconfirmed, marked };
 }
 

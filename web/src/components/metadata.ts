@@ -58,7 +58,7 @@ const JUDGES: Readonly<Record<MetadataField["type"], Judge>> = {
   date: judgeDate,
   link: judgeLink,
   location: judgePlace,
-  choice: (value, field) => ((field.choices ?? []).some((each) => each === value) ? null : texts.wantsChoice),
+  choice: (value, field) => ((field.choices ?? []).some((item) => item === value) ? null : texts.wantsChoice),
 };
 
 /** Returns what is wrong with the value of one field; null where nothing is. */
@@ -95,14 +95,14 @@ export function undeclared(fields: MetadataFields, values: Values): string[] {
 
 /** Returns what to send to change one set of values into another: what differs, and null for what is to go. */
 export function changes(before: Values, after: Values): Record<string, unknown> {
-  const told: Record<string, unknown> = {};
+  const filled: Record<string, unknown> = {};
   for (const name of new Set([...Object.keys(before), ...Object.keys(after)])) {
     const [was, is] = [before[name], after[name]];
     if (isEmpty(is)) {
-      if (!isEmpty(was)) told[name] = null;
-    } else if (JSON.stringify(was) !== JSON.stringify(is)) told[name] = is;
+      if (!isEmpty(was)) filled[name] = null;
+    } else if (JSON.stringify(was) !== JSON.stringify(is)) filled[name] = is;
   }
-  return told;
+  return filled;
 }
 
 /** Returns a value as it is read: a place by its name or its degrees, lists and mappings as JSON. */

@@ -70,5 +70,5 @@ function distinct(values: readonly string[]): number {
 export function spreadOf({ problems }: ProblemKind): string {
   const topics = distinct(problems.map(({ where }) => (where.startsWith("/") ? where : "")));
   const sources = distinct(problems.map(({ source }) => source));
-  return [topics > 0 ? `on ${counted(topics, "topic")}` : "", sources > 1 ? `in ${counted(sources, "file")}` : ""].filter((each) => each !== "").join(", ");
+  return [topics > 0 ? `on ${counted(topics, "topic")}` : "", sources > 1 ? `in ${counted(sources, "file")}` : ""].filter((item) => item !== "").join(", ");
 }

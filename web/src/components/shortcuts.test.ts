@@ -22,7 +22,7 @@ beforeEach(() => {
 afterEach(() => {
   scope.stop();
   turnShortcuts(true);
-  for (const each of Object.values(run)) each.mockClear();
+  for (const item of Object.values(run)) item.mockClear();
   document.body.replaceChildren();
 });
 

@@ -8,7 +8,7 @@ export interface Shortcut {
   readonly run: () => void;
 }
 
-const KEPT_AS = "kleinkram.shortcuts";
+const STORAGE_KEY = "kleinkram.shortcuts";
 const BETWEEN_MS = 1200;
 
 /** All that are in force, the latest last. */
@@ -20,7 +20,7 @@ let firstAt = 0;
 
 function read(): boolean {
   try {
-    return localStorage.getItem(KEPT_AS) !== "off";
+    return localStorage.getItem(STORAGE_KEY) !== "off";
   } catch {
     return true; // a browser that keeps nothing
   }
@@ -30,7 +30,7 @@ function read(): boolean {
 export function turnShortcuts(isOn: boolean): void {
   areShortcutsOn.value = isOn;
   try {
-    localStorage.setItem(KEPT_AS, isOn ? "on" : "off");
+    localStorage.setItem(STORAGE_KEY, isOn ? "on" : "off");
   } catch {
     return; // they are off until the page is left
   }
@@ -57,22 +57,22 @@ function onKey(event: KeyboardEvent): void {
   const isWithCtrl = name.startsWith("mod+");
   const isDialogOpen = document.querySelector("dialog[open]") !== null;
   if (!isWithCtrl && (!areShortcutsOn.value || isTyping(event.target) || isDialogOpen)) return;
-  const found = shortcuts.findLast((each) => each.keys === name);
-  if (found !== undefined) {
+  const match = shortcuts.findLast((shortcut) => shortcut.keys === name);
+  if (match !== undefined) {
     event.preventDefault();
-    found.run();
-  } else if (shortcuts.some((each) => each.keys.startsWith(`${name} `))) {
+    match.run();
+  } else if (shortcuts.some((shortcut) => shortcut.keys.startsWith(`${name} `))) {
     first = name;
     firstAt = event.timeStamp;
   }
 }
 
 /** Puts shortcuts into force for as long as the component lives. */
-export function useShortcuts(wanted: readonly Shortcut[]): void {
+export function useShortcuts(added: readonly Shortcut[]): void {
   if (shortcuts.length === 0) window.addEventListener("keydown", onKey);
-  shortcuts.push(...wanted);
+  shortcuts.push(...added);
   onScopeDispose(() => {
-    for (const each of wanted) shortcuts.splice(shortcuts.indexOf(each), 1);
+    for (const item of added) shortcuts.splice(shortcuts.indexOf(item), 1);
     if (shortcuts.length === 0) window.removeEventListener("keydown", onKey);
   });
 }

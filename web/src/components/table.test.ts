@@ -1,5 +1,7 @@
-import { describe, expect, it } from "vitest";
+import { describe, expect, it, test } from "vitest";
 import { afterClick, columnsFor, drawnAfter, inSight, nextSort, placesOf, rowAfter, sortedAs, tracks } from "./table";
+import { mount } from "@vue/test-utils";
+import ColumnChooser from "./ColumnChooser.vue";
 
 const columns = [
   { key: "name", title: "Name", sort: "name" },
@@ -9,13 +11,13 @@ const columns = [
 
 describe("columns", () => {
   it("leaves out what there is no room for", () => {
-    expect(columnsFor(columns, 360).map((each) => each.key)).toEqual(["name"]);
-    expect(columnsFor(columns, 700).map((each) => each.key)).toEqual(["name", "size"]);
+    expect(columnsFor(columns, 360).map((item) => item.key)).toEqual(["name"]);
+    expect(columnsFor(columns, 700).map((item) => item.key)).toEqual(["name", "size"]);
     expect(columnsFor(columns, 1200)).toHaveLength(3);
   });
   it("leaves out those that have no room, the last ones first", () => {
     const many = Array.from({ length: 8 }, (_, at) => ({ key: String(at), title: "", width: "minmax(150px, 1fr)", ...(at > 0 && { from: "tablet" as const }) }));
-    expect(columnsFor(many, 800).map((each) => each.key)).toEqual(["0", "1", "2", "3"]);
+    expect(columnsFor(many, 800).map((item) => item.key)).toEqual(["0", "1", "2", "3"]);
   });
   it("has a track for each, and one for the boxes", () => {
     expect(tracks(columnsFor(columns, 700), true)).toBe("36px minmax(0, 1fr) 100px");
@@ -39,7 +41,7 @@ describe("orders", () => {
 describe("going from row to row", () => {
   it.each([
     ["ArrowDown", 0, 1], ["ArrowUp", 0, 0], ["End", 3, 99], ["Home", 50, 0], ["PageDown", 95, 99], ["a", 3, null],
-  ] as const)("%s from %d", (key, active, wanted) => expect(rowAfter(key, active, 100, 10)).toBe(wanted));
+  ] as const)("%s from %d", (key, active, expected) => expect(rowAfter(key, active, 100, 10)).toBe(expected));
   it("leads nowhere without rows", () => expect(rowAfter("End", 0, 0, 10)).toBeNull());
 });
 
@@ -105,4 +107,13 @@ describe("rows that come into sight", () => {
   it("begin with the one that has the focus, then those in the middle", () => {
     expect(drawnAfter([7], [100, 101, 102, 103, 104], 104, 3).filter((index) => index > 7)).toEqual([101, 102, 104]);
   });
+});
+
+test("a click on a box changes that column alone, also where columns of another time are remembered", async () => {
+  const columns = ["by", "took"].map((key) => ({ key, title: key }));
+  const wrapper = mount(ColumnChooser, { props: { columns, modelValue: ["metric.of_another_list", "by"] } });
+  const [by, took] = wrapper.findAll("input");
+  await took?.trigger("change");
+  await by?.trigger("change");
+  expect(wrapper.emitted("update:modelValue")).toEqual([[["metric.of_another_list", "by", "took"]], [["metric.of_another_list", "took"]]]);
 });

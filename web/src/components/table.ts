@@ -1,4 +1,6 @@
 // What a table is told of its columns, and how it finds its way among its rows.
+import { computed, ref, watch, type ComputedRef, type WritableComputedRef } from "vue";
+
 export interface Column<Row> {
   /** Also the name of the slot of its cells: `cell-KEY`. */
   readonly key: string;
@@ -29,11 +31,11 @@ function leastWidth({ width }: Pick<Column<unknown>, "width">): number {
 /** Returns the columns that a table of some width shows. Columns with `from` go, the last ones first, where all do not fit. */
 export function columnsFor<Row>(columns: readonly Column<Row>[], width: number): readonly Column<Row>[] {
   const fitting = columns.filter((column) => column.from === undefined || width >= WIDTHS[column.from]);
-  let wanted = fitting.reduce((sum, column) => sum + leastWidth(column), 0);
-  for (let at = fitting.length - 1; at > 0 && wanted > width - BESIDE; at -= 1) {
+  let target = fitting.reduce((sum, column) => sum + leastWidth(column), 0);
+  for (let at = fitting.length - 1; at > 0 && target > width - BESIDE; at -= 1) {
     const column = fitting[at];
     if (column?.from === undefined) continue;
-    wanted -= leastWidth(column);
+    target -= leastWidth(column);
     fitting.splice(at, 1);
   }
   return fitting;
@@ -75,8 +77,8 @@ export function rowAfter(key: string, active: number, count: number, page: numbe
     Home: 0,
     End: count - 1,
   };
-  const wanted = steps[key];
-  return wanted === undefined || count === 0 ? null : Math.max(0, Math.min(count - 1, wanted));
+  const target = steps[key];
+  return target === undefined || count === 0 ? null : Math.max(0, Math.min(count - 1, target));
 }
 
 /** Returns a selection after a click on a row; with shift, of all rows between this and the last one clicked. */
@@ -91,21 +93,21 @@ export function afterClick(
   if (key === undefined) return result;
   const isAdding = !selected.has(key);
   const [from, to] = anchor === null ? [clicked, clicked] : [Math.min(anchor, clicked), Math.max(anchor, clicked)];
-  for (const each of keys.slice(from, to + 1)) {
-    if (isAdding) result.add(each);
-    else result.delete(each);
+  for (const item of keys.slice(from, to + 1)) {
+    if (isAdding) result.add(item);
+    else result.delete(item);
   }
   return result;
 }
 
 /** Returns the rows of which something is to be seen from `top` on, some on both sides of these, and the one that is kept. */
-export function inSight(top: number, height: number, rowHeight: number, count: number, kept: number): readonly number[] {
+export function inSight(top: number, height: number, rowHeight: number, count: number, pinned: number): readonly number[] {
   const last = Math.min(count - 1, Math.ceil((top + height) / rowHeight) - 1 + OVERSCAN);
   const first = Math.max(0, Math.min(last, Math.floor(top / rowHeight) - OVERSCAN));
   const rows: number[] = [];
-  if (kept < first && kept < count) rows.push(kept);
+  if (pinned < first && pinned < count) rows.push(pinned);
   for (let index = first; index <= last; index += 1) rows.push(index);
-  if (kept > last && kept < count) rows.push(kept);
+  if (pinned > last && pinned < count) rows.push(pinned);
   return rows;
 }
 
@@ -113,13 +115,13 @@ export function inSight(top: number, height: number, rowHeight: number, count: n
  * Returns the rows that a frame draws: of those wanted, the ones that are drawn already and at most `most` that come,
  * `first` and then the middle before the edges. A row that went stays until one comes in its place. The first time, all come.
  */
-export function drawnAfter(before: readonly number[], wanted: readonly number[], first: number, most: number): readonly number[] {
-  const middle = wanted[wanted.length >> 1] ?? 0;
+export function drawnAfter(before: readonly number[], target: readonly number[], first: number, most: number): readonly number[] {
+  const middle = target[target.length >> 1] ?? 0;
   const urgency = (index: number) => (index === first ? -1 : Math.abs(index - middle));
-  const coming = wanted.filter((index) => !before.includes(index)).sort((one, other) => urgency(one) - urgency(other));
+  const coming = target.filter((index) => !before.includes(index)).sort((one, other) => urgency(one) - urgency(other));
   const drawn = coming.slice(0, before.length === 0 ? coming.length : most);
-  const gone = before.filter((index) => !wanted.includes(index)).slice(0, coming.length - drawn.length);
-  const staying = wanted.filter((index) => before.includes(index));
+  const gone = before.filter((index) => !target.includes(index)).slice(0, coming.length - drawn.length);
+  const staying = target.filter((index) => before.includes(index));
   return [...staying, ...drawn, ...gone].sort((one, other) => one - other);
 }
 
@@ -139,4 +141,45 @@ export function placesOf(indexes: readonly number[], before: ReadonlyMap<number,
     free += 1;
   }
   return places;
+}
+
+export interface Columns<Row> {
+  readonly shown: ComputedRef<readonly Column<Row>[]>;
+  /** The keys of the columns that are shown beside the first one, which always is. */
+  readonly chosen: WritableComputedRef<readonly string[]>;
+  /** What can be chosen from. */
+  readonly offered: ComputedRef<readonly Column<Row>[]>;
+}
+
+function read(key: string): readonly string[] | null {
+  try {
+    const stored: unknown = JSON.parse(localStorage.getItem(key) ?? "null");
+    return Array.isArray(stored) ? stored.filter((item): item is string => typeof item === "string") : null;
+  } catch {
+    return null; // no storage, or not what was written: the usual columns are shown
+  }
+}
+
+/** Returns the columns of the list called `name`. `usual` are the keys that are shown until somebody chooses. */
+export function useColumns<Row>(name: () => string, all: () => readonly Column<Row>[], usual: () => readonly string[]): Columns<Row> {
+  const key = computed(() => `kleinkram-columns-${name()}`);
+  const stored = ref(read(key.value));
+  watch(key, (now) => (stored.value = read(now)));
+  const chosen = computed({
+    get: () => stored.value ?? usual(),
+    set: (keys) => {
+      stored.value = keys;
+      try {
+        localStorage.setItem(key.value, JSON.stringify(keys));
+      } catch {
+        return; // shown all the same, until the page is left
+      }
+    },
+  });
+  const offered = computed(() => all().slice(1));
+  const shown = computed(() => {
+    const target = new Set(chosen.value);
+    return all().filter((column, at) => at === 0 || target.has(column.key));
+  });
+  return { shown, chosen, offered };
 }

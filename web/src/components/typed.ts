@@ -1,5 +1,5 @@
 // What somebody types into a box, and what it asks for after a pause.
-import { onScopeDispose, ref, type Ref, watch } from "vue";
+import { onScopeDispose, ref, watch, type Ref } from "vue";
 
 export interface Typed {
   readonly typed: Ref<string>;

@@ -1,7 +1,7 @@
 // Which rows of a long table are drawn: those in sight. The table scrolls with the page, or within a height of its own.
 // When many come into sight at once, as beneath a scroll bar that is pulled, each frame draws some: none takes long.
 // While it scrolls no element changes its place among its siblings, which would cost more than all else.
-import { onMounted, onScopeDispose, readonly, ref, type Ref, shallowRef, watch } from "vue";
+import { onMounted, onScopeDispose, readonly, ref, shallowRef, watch, type Ref } from "vue";
 import { drawnAfter, inSight } from "./table";
 
 const MOST_A_FRAME = 6;
@@ -24,7 +24,7 @@ export interface VirtualOptions {
   readonly scroller: Ref<HTMLElement | null>;
   readonly count: () => number;
   /** A row that stays drawn out of sight, since it has the focus. */
-  readonly kept: () => number;
+  readonly pinned: () => number;
   readonly rowHeight: () => number;
   readonly isOwnScroller: boolean;
   /** How much higher than the others the one open row is, in pixels. */
@@ -32,7 +32,7 @@ export interface VirtualOptions {
 }
 
 /** Returns the rows in sight. */
-export function useVirtualRows({ body, scroller, count, kept, rowHeight, isOwnScroller, extra }: VirtualOptions): VirtualRows {
+export function useVirtualRows({ body, scroller, count, pinned, rowHeight, isOwnScroller, extra }: VirtualOptions): VirtualRows {
   const width = ref(1024);
   const drawn = shallowRef<readonly number[]>([]);
   const isMoving = ref(false);
@@ -46,10 +46,10 @@ export function useVirtualRows({ body, scroller, count, kept, rowHeight, isOwnSc
   function draw(): void {
     const { top, height } = seen();
     // Rows below the open one stand lower than their number says, so some more are drawn above.
-    const wanted = inSight(top - extra(), height + extra(), rowHeight(), count(), kept());
-    drawn.value = drawnAfter(drawn.value, wanted, kept(), MOST_A_FRAME);
+    const visible = inSight(top - extra(), height + extra(), rowHeight(), count(), pinned());
+    drawn.value = drawnAfter(drawn.value, visible, pinned(), MOST_A_FRAME);
     const there = new Set(drawn.value);
-    frame = wanted.every((index) => there.has(index)) ? null : requestAnimationFrame(draw);
+    frame = visible.every((index) => there.has(index)) ? null : requestAnimationFrame(draw);
   }
 
   function follow(): void {
@@ -99,7 +99,7 @@ export function useVirtualRows({ body, scroller, count, kept, rowHeight, isOwnSc
     clearTimeout(resting);
     if (frame !== null) cancelAnimationFrame(frame);
   });
-  watch([count, kept, rowHeight, extra], follow);
+  watch([count, pinned, rowHeight, extra], follow);
   draw();
 
   return { drawn, isMoving: readonly(isMoving), reveal, rest, width: readonly(width) };

@@ -7,14 +7,12 @@ import { joined } from "./formats/recording";
 import { MOST_WHOLE_PACKED } from "./limits";
 import type { CurvesRequest } from "./protocol";
 import { Session } from "./session";
-import { madeBag } from "./testing/made_bag";
-import { madeMcap } from "./testing/made_mcap";
-import { storeOf } from "./testing/store";
+import { madeBag, madeMcap, storeOf } from "./testing/recordings";
 
 const COUNT = 1000;
 const VECTOR = "float64 x\n";
 const timeOf = (number: number): bigint => 1_700_000_000_000_000_000n + BigInt(number) * 10_000_000n;
-const ALL: CurvesRequest = { kind: "curves", topic: "/wave", fields: ["x"], fromNs: 0n, toNs: timeOf(COUNT), mostBytes: Infinity };
+const ALL: CurvesRequest = { topic: "/wave", fields: ["x"], fromNs: 0n, toNs: timeOf(COUNT), mostBytes: Infinity };
 const quiet = { signal: new AbortController().signal, onCurves: () => undefined };
 
 function mcap(): Promise<Uint8Array> {
@@ -70,7 +68,7 @@ describe("a recording with a damaged chunk", () => {
     expect(drawn.messages).toBeGreaterThan(COUNT / 2);
     const middle = ((part?.fromSeconds ?? 0) + (part?.toSeconds ?? 0)) / 2;
     expect(drawn.values[0]?.[drawn.seconds.indexOf(middle)]).toBeNull();
-    const inside = drawn.seconds.filter((each) => each >= (part?.fromSeconds ?? 0) && each <= (part?.toSeconds ?? 0));
+    const inside = drawn.seconds.filter((second) => second >= (part?.fromSeconds ?? 0) && second <= (part?.toSeconds ?? 0));
     expect(inside).toEqual(expect.arrayContaining([middle]));
     expect(drawn.values[0]?.at(-1)).toBe(COUNT - 1);
   });
@@ -86,9 +84,9 @@ describe("a recording with a damaged chunk", () => {
   it("is a bag as well", async () => {
     const bytes = bag();
     const name = new TextEncoder().encode("compression=none");
-    const found = [...bytes.keys()].filter((at) => name.every((byte, place) => bytes[at + place] === byte));
-    bytes.set(new TextEncoder().encode("size"), (found[2] ?? 0) - 4); // the chunk's header is no header now
-    bytes.fill(255, (found[2] ?? 0) - 4, (found[2] ?? 0) + 16);
+    const places = [...bytes.keys()].filter((at) => name.every((byte, place) => bytes[at + place] === byte));
+    bytes.set(new TextEncoder().encode("size"), (places[2] ?? 0) - 4); // the chunk's header is no header now
+    bytes.fill(255, (places[2] ?? 0) - 4, (places[2] ?? 0) + 16);
     const drawn = await (await session("rosbag1", bytes)).curves(ALL, quiet);
     expect([drawn.messages, drawn.damaged.length]).toEqual([COUNT - 50, 1]);
   });
@@ -112,7 +110,7 @@ describe("a file that is compressed as a whole", () => {
     const packed = zstd(joined([await mcap(), new Uint8Array(200_000)])).slice(0, 100_020);
     const opened = (await session("mcap", packed)).opened();
     expect(opened.topics.map(({ name }) => name)).toEqual(["/wave"]);
-    expect(opened.mendedUntil).not.toBeNull();
+    expect(opened.indexedUntil).not.toBeNull();
   });
 
   it("says what to do instead where it is too large to hold", async () => {

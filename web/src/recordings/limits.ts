@@ -11,7 +11,7 @@ export const MOST_READ_AT_ONCE = 96 * MIB;
 /** The largest chunk once it is decompressed. */
 export const MOST_UNPACKED = 128 * MIB;
 /** Decompressed chunks that overlap in time and so are held together. */
-export const MOST_HELD = 384 * MIB;
+export const MOST_OVERLAPPING = 384 * MIB;
 /** A file that is compressed as a whole, as it is stored, and decompressed into memory. */
 export const MOST_WHOLE_PACKED = 64 * MIB;
 export const MOST_WHOLE_UNPACKED = 256 * MIB;

@@ -1,50 +1,41 @@
-/** What the page and the reading worker say to each other. */
+/** Messages between the page and the reading worker. */
 
 import type { Curves } from "./curves/curves";
 import type { FieldNode } from "./decoding/fields";
 import type { FailureCode } from "./failures";
 import type { Address } from "./ranges";
 
-/** The formats that can be looked into here, as the server names them. */
+/** Formats that the preview reads, by their names in the API. */
 export const READABLE_FORMATS = ["mcap", "rosbag1"] as const;
 export type ReadableFormat = (typeof READABLE_FORMATS)[number];
 
-export interface OpenRequest {
-  kind: "open";
+/** The recording to open. */
+export interface RecordingFile {
   format: ReadableFormat;
   sizeBytes: number;
 }
 
 /** Which picture: the first at or after `atNs` (the last before it where there is none), or its neighbours. */
 export interface PictureRequest {
-  kind: "picture";
   topic: string;
   atNs: bigint;
   step: "here" | "next" | "previous";
 }
 
-export interface FieldsRequest {
-  kind: "fields";
-  topic: string;
-}
-
 export interface CurvesRequest {
-  kind: "curves";
   topic: string;
   fields: string[];
   fromNs: bigint;
   toNs: bigint;
-  /** What it may read; less of the time is shown where the whole needs more. */
+  /** Byte limit; a recording that needs more is shown up to the time that the limit reaches. */
   mostBytes: number;
 }
-
-export type Request = OpenRequest | PictureRequest | FieldsRequest | CurvesRequest;
 
 export interface Opened {
   /** Null where the recording holds no message. */
   span: { fromNs: bigint; toNs: bigint } | null;
   /** Null for a recording with an index; else how many bytes from its beginning were read to make one. */
-  mendedUntil: number | null;
+  indexedUntil: number | null;
   topics: { name: string; messageType: string }[];
 }
 
@@ -77,22 +68,26 @@ export interface DrawnCurves extends Curves {
   untilNs: bigint;
 }
 
-/** What the answer to a request is. */
-export interface Answers {
-  open: Opened;
-  picture: ShownPicture;
-  fields: OfferedFields;
-  curves: DrawnCurves;
+/** Requests of the page by kind, each with its answer. A viewer that needs other data adds its kind here. */
+export interface Requests {
+  open: { request: RecordingFile; answer: Opened };
+  picture: { request: PictureRequest; answer: ShownPicture };
+  fields: { request: { topic: string }; answer: OfferedFields };
+  curves: { request: CurvesRequest; answer: DrawnCurves };
 }
 
+export type RequestKind = keyof Requests;
+export type Answer<K extends RequestKind = RequestKind> = Requests[K]["answer"];
+export type Request = { [K in RequestKind]: { kind: K } & Requests[K]["request"] }[RequestKind];
+
 export type ToWorker =
-  | { type: "ask"; id: number; request: Request }
+  | { type: "request"; id: number; request: Request }
   | { type: "cancel"; id: number }
   | { type: "address"; id: number; address: Address | null; reason: FailureCode };
 
 export type FromWorker =
-  | { type: "answer"; id: number; answer: Answers[keyof Answers] }
+  | { type: "answer"; id: number; answer: Answer }
   | { type: "failure"; id: number; code: FailureCode; detail: string }
-  | { type: "progress"; id: number; curves: DrawnCurves | null }
+  | { type: "progress"; id: number; curves: DrawnCurves }
   | { type: "read"; bytes: number }
   | { type: "renew"; id: number };

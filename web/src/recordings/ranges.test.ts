@@ -1,17 +1,17 @@
 import { describe, expect, it } from "vitest";
 import { BLOCK, MOST_READ_AT_ONCE } from "./limits";
-import { storeOf } from "./testing/store";
+import { storeOf } from "./testing/recordings";
 
 const BYTES = Uint8Array.from({ length: 5 * BLOCK + 17 }, (_, at) => (at * 7 + (at >> 8)) & 255);
 
 describe("Ranges", () => {
   it("gives the bytes asked for, across blocks and at the end", async () => {
     const { ranges } = storeOf(BYTES);
-    const wanted: [number, number][] = [[0, 10], [BLOCK - 3, 6], [2 * BLOCK, BLOCK], [BYTES.length - 20, 20], [0, BYTES.length]];
-    for (const [offset, length] of wanted) {
-      const found = await ranges.read(offset, length);
-      expect(found).toHaveLength(length);
-      expect(found.every((byte, at) => byte === BYTES[offset + at])).toBe(true);
+    const requests: [number, number][] = [[0, 10], [BLOCK - 3, 6], [2 * BLOCK, BLOCK], [BYTES.length - 20, 20], [0, BYTES.length]];
+    for (const [offset, length] of requests) {
+      const read = await ranges.read(offset, length);
+      expect(read).toHaveLength(length);
+      expect(read.every((byte, at) => byte === BYTES[offset + at])).toBe(true);
     }
     expect(ranges.bytesRead).toBe(BYTES.length);
   });

@@ -60,8 +60,8 @@ export class Ranges implements Source {
     const whole = new Uint8Array(length);
     const last = Math.ceil(end / BLOCK);
     for (let block = Math.floor(offset / BLOCK); block < last; ) {
-      const kept = this.kept(block);
-      const bytes = kept ?? (await this.fetchBlocks(block, last));
+      const cached = this.cached(block);
+      const bytes = cached ?? (await this.fetchBlocks(block, last));
       copyInto(whole, offset, bytes, block * BLOCK);
       block += Math.ceil(bytes.length / BLOCK);
     }
@@ -71,16 +71,16 @@ export class Ranges implements Source {
   /** Fetch from `block` to the next one that is there already, or to `last`, or further if reading ahead. */
   private async fetchBlocks(block: number, last: number): Promise<Uint8Array> {
     const blocks = Math.ceil(this.sizeBytes / BLOCK);
-    const wanted = Math.min(blocks, Math.max(last, block + Math.ceil(this.ahead / BLOCK)));
+    const limit = Math.min(blocks, Math.max(last, block + Math.ceil(this.ahead / BLOCK)));
     let until = block + 1;
-    while (until < wanted && !this.blocks.has(until)) until += 1;
+    while (until < limit && !this.blocks.has(until)) until += 1;
     const start = block * BLOCK;
     const bytes = await this.fetchRange(start, Math.min(until * BLOCK, this.sizeBytes));
-    for (let at = 0; at < bytes.length; at += BLOCK) this.keep(block + at / BLOCK, bytes.slice(at, at + BLOCK));
+    for (let at = 0; at < bytes.length; at += BLOCK) this.cache(block + at / BLOCK, bytes.slice(at, at + BLOCK));
     return bytes;
   }
 
-  private kept(block: number): Uint8Array | undefined {
+  private cached(block: number): Uint8Array | undefined {
     const bytes = this.blocks.get(block);
     if (bytes !== undefined) {
       this.blocks.delete(block); // and put it back as the youngest
@@ -89,7 +89,7 @@ export class Ranges implements Source {
     return bytes;
   }
 
-  private keep(block: number, bytes: Uint8Array): void {
+  private cache(block: number, bytes: Uint8Array): void {
     this.blocks.set(block, bytes);
     for (const oldest of this.blocks.keys()) {
       if (this.blocks.size * BLOCK <= MOST_CACHED) break;

@@ -1,17 +1,16 @@
 import { describe, expect, it, vi } from "vitest";
 import type { FromWorker, ToWorker } from "./protocol";
-import { RecordingReader } from "./reader";
-import type { WorkerLike } from "./reader";
+import { RecordingReader, type WorkerLike } from "./reader";
 
 /** A worker that does what the test says. */
-class ToldWorker implements WorkerLike {
+class ScriptedWorker implements WorkerLike {
   onmessage: WorkerLike["onmessage"] = null;
   onerror: WorkerLike["onerror"] = null;
   onmessageerror: WorkerLike["onmessageerror"] = null;
   isEnded = false;
   readonly heard: ToWorker[] = [];
 
-  constructor(private readonly act: (worker: ToldWorker, message: ToWorker) => void) {}
+  constructor(private readonly act: (worker: ScriptedWorker, message: ToWorker) => void) {}
 
   postMessage(message: ToWorker): void {
     this.heard.push(message);
@@ -27,21 +26,21 @@ class ToldWorker implements WorkerLike {
   }
 }
 
-const OPENED = { span: null, mendedUntil: null, topics: [] };
+const OPENED = { span: null, indexedUntil: null, topics: [] };
 
-function answering(worker: ToldWorker, message: ToWorker): void {
-  if (message.type !== "ask") return;
+function answering(worker: ScriptedWorker, message: ToWorker): void {
+  if (message.type !== "request") return;
   if (message.request.kind === "open") worker.say({ type: "answer", id: message.id, answer: OPENED });
   else worker.say({ type: "answer", id: message.id, answer: { fields: [] } });
 }
 
-function reader(acts: ((worker: ToldWorker, message: ToWorker) => void)[], more: { patienceMs?: number; onRead?: (bytes: number) => void } = {}) {
-  const workers: ToldWorker[] = [];
+function reader(acts: ((worker: ScriptedWorker, message: ToWorker) => void)[], more: { patienceMs?: number; onRead?: (bytes: number) => void } = {}) {
+  const workers: ScriptedWorker[] = [];
   const made = new RecordingReader({
     file: { format: "mcap", sizeBytes: 10 },
     address: () => Promise.resolve({ url: "http://store.test/x", expiresAtMs: 1 }),
     start: () => {
-      const worker = new ToldWorker(acts[workers.length] ?? answering);
+      const worker = new ScriptedWorker(acts[workers.length] ?? answering);
       workers.push(worker);
       return worker;
     },
@@ -53,29 +52,29 @@ function reader(acts: ((worker: ToldWorker, message: ToWorker) => void)[], more:
 describe("RecordingReader", () => {
   it("opens once, then asks", async () => {
     const { made, workers } = reader([]);
-    await Promise.all([made.fields("/a"), made.fields("/b")]);
-    const kinds = workers.flatMap(({ heard }) => heard).map((message) => (message.type === "ask" ? message.request.kind : message.type));
+    await Promise.all([made.request("fields", { topic: "/a" }), made.request("fields", { topic: "/b" })]);
+    const kinds = workers.flatMap(({ heard }) => heard).map((message) => (message.type === "request" ? message.request.kind : message.type));
     expect(kinds).toEqual(["open", "fields", "fields"]);
   });
 
   it("tells that a worker died, and starts another for the next question", async () => {
-    const dying = (worker: ToldWorker, message: ToWorker): void => {
-      if (message.type === "ask" && message.request.kind === "fields") worker.onerror?.(new ErrorEvent("error", { cancelable: true }));
+    const dying = (worker: ScriptedWorker, message: ToWorker): void => {
+      if (message.type === "request" && message.request.kind === "fields") worker.onerror?.(new ErrorEvent("error", { cancelable: true }));
       else answering(worker, message);
     };
     const { made, workers } = reader([dying]);
-    await expect(made.fields("/a")).rejects.toMatchObject({ code: "worker_ended" });
+    await expect(made.request("fields", { topic: "/a" })).rejects.toMatchObject({ code: "worker_ended" });
     expect(workers[0]?.isEnded).toBe(true);
-    expect(await made.fields("/a")).toEqual({ fields: [] });
+    expect(await made.request("fields", { topic: "/a" })).toEqual({ fields: [] });
     expect(workers).toHaveLength(2);
   });
 
   it("ends a worker that owes an answer and says nothing", async () => {
     vi.useFakeTimers();
     const { made, workers } = reader([() => undefined], { patienceMs: 1000 });
-    const asked = expect(made.open()).rejects.toMatchObject({ code: "worker_silent" });
+    const expectation = expect(made.open()).rejects.toMatchObject({ code: "worker_silent" });
     await vi.advanceTimersByTimeAsync(1001);
-    await asked;
+    await expectation;
     expect(workers[0]?.isEnded).toBe(true);
     expect(await made.open()).toEqual(OPENED);
     vi.useRealTimers();
@@ -90,15 +89,15 @@ describe("RecordingReader", () => {
 
   it("passes cancelling on, and counts what was read over workers", async () => {
     const read: number[] = [];
-    const busy = (worker: ToldWorker, message: ToWorker): void => {
+    const busy = (worker: ScriptedWorker, message: ToWorker): void => {
       if (message.type === "cancel") worker.say({ type: "failure", id: message.id, code: "cancelled", detail: "" });
-      else if (message.type === "ask" && message.request.kind === "open") answering(worker, message);
+      else if (message.type === "request" && message.request.kind === "open") answering(worker, message);
     };
     const { made, workers } = reader([busy], { onRead: (bytes) => read.push(bytes) });
     await made.open();
     workers[0]?.say({ type: "read", bytes: 100 });
     const ending = new AbortController();
-    const fields = made.fields("/a", { signal: ending.signal });
+    const fields = made.request("fields", { topic: "/a" }, { signal: ending.signal });
     await vi.waitFor(() => expect(workers[0]?.heard).toHaveLength(2));
     ending.abort();
     await expect(fields).rejects.toMatchObject({ code: "cancelled" });

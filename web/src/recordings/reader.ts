@@ -1,18 +1,8 @@
-/** The page's side of the reading worker: asks, cancels, and starts another where one dies or falls silent. */
+/** The page's client of the reading worker. It starts another worker after one crashed or stopped responding. */
 
-import { ReadFailure } from "./failures";
-import type { FailureCode } from "./failures";
+import { ReadFailure, type FailureCode } from "./failures";
 import { WORKER_PATIENCE_MS } from "./limits";
-import type {
-  Answers,
-  CurvesRequest,
-  DrawnCurves,
-  FromWorker,
-  OpenRequest,
-  PictureRequest,
-  Request,
-  ToWorker,
-} from "./protocol";
+import type { Answer, DrawnCurves, FromWorker, RecordingFile, Request, RequestKind, Requests, ToWorker } from "./protocol";
 import type { Address } from "./ranges";
 
 /** What of a Worker is used. */
@@ -25,7 +15,7 @@ export interface WorkerLike {
 }
 
 export interface ReaderOptions {
-  file: Omit<OpenRequest, "kind">;
+  file: RecordingFile;
   /** Asks the server for an address; rejects with a ReadFailure where it gives none. */
   address: () => Promise<Address>;
   start: () => WorkerLike;
@@ -39,14 +29,14 @@ interface Waiting {
   onCurves: ((curves: DrawnCurves) => void) | undefined;
 }
 
-export interface AskOptions {
+export interface RequestOptions {
   signal?: AbortSignal;
   onCurves?: (curves: DrawnCurves) => void;
 }
 
 export class RecordingReader {
   private worker: WorkerLike | null = null;
-  private opened: Promise<Answers["open"]> | null = null;
+  private opened: Promise<Answer<"open">> | null = null;
   private readonly waiting = new Map<number, Waiting>();
   private lastId = 0;
   private watch: ReturnType<typeof setTimeout> | undefined;
@@ -55,26 +45,17 @@ export class RecordingReader {
 
   constructor(private readonly options: ReaderOptions) {}
 
-  /** Open the recording, once a worker. */
-  open(): Promise<Answers["open"]> {
+  /** Open the recording, once per worker. */
+  open(): Promise<Answer<"open">> {
     this.opened ??= this.send<"open">({ kind: "open", ...this.options.file }, {});
     this.opened.catch(() => (this.opened = null));
     return this.opened;
   }
 
-  async picture(request: Omit<PictureRequest, "kind">, options: AskOptions = {}): Promise<Answers["picture"]> {
+  /** Send a request to the worker, after the recording is open. */
+  async request<K extends Exclude<RequestKind, "open">>(kind: K, request: Requests[K]["request"], options: RequestOptions = {}): Promise<Answer<K>> {
     await this.open();
-    return this.send<"picture">({ kind: "picture", ...request }, options);
-  }
-
-  async fields(topic: string, options: AskOptions = {}): Promise<Answers["fields"]> {
-    await this.open();
-    return this.send<"fields">({ kind: "fields", topic }, options);
-  }
-
-  async curves(request: Omit<CurvesRequest, "kind">, options: AskOptions = {}): Promise<Answers["curves"]> {
-    await this.open();
-    return this.send<"curves">({ kind: "curves", ...request }, options);
+    return this.send<K>({ kind, ...request } as unknown as Request, options);
   }
 
   /** End the worker; what is asked is cancelled. */
@@ -82,14 +63,14 @@ export class RecordingReader {
     this.end("cancelled");
   }
 
-  private send<K extends keyof Answers>(request: Request, { signal, onCurves }: AskOptions): Promise<Answers[K]> {
+  private send<K extends RequestKind>(request: Request, { signal, onCurves }: RequestOptions): Promise<Answer<K>> {
     if (signal?.aborted === true) return Promise.reject(new ReadFailure("cancelled"));
     const worker = this.started();
     const id = ++this.lastId;
     const cancel = (): void => worker.postMessage({ type: "cancel", id });
     signal?.addEventListener("abort", cancel, { once: true });
-    const answer = new Promise<Answers[K]>((resolve, reject) => this.waiting.set(id, { resolve, reject, onCurves }));
-    worker.postMessage({ type: "ask", id, request });
+    const answer = new Promise<Answer<K>>((resolve, reject) => this.waiting.set(id, { resolve, reject, onCurves }));
+    worker.postMessage({ type: "request", id, request });
     this.watchOver();
     return answer.finally(() => signal?.removeEventListener("abort", cancel));
   }
@@ -97,9 +78,9 @@ export class RecordingReader {
   private started(): WorkerLike {
     if (this.worker !== null) return this.worker;
     const worker = this.options.start();
-    worker.onmessage = ({ data }) => this.hear(worker, data);
+    worker.onmessage = ({ data }) => this.receive(worker, data);
     worker.onerror = (event) => {
-      event.preventDefault(); // it is told in words, not to the console
+      event.preventDefault(); // shown as a ReadFailure, not in the console
       this.end("worker_ended");
     };
     worker.onmessageerror = () => this.end("worker_ended");
@@ -107,13 +88,12 @@ export class RecordingReader {
     return worker;
   }
 
-  private hear(worker: WorkerLike, message: FromWorker): void {
+  private receive(worker: WorkerLike, message: FromWorker): void {
     this.watchOver();
     if (message.type === "renew") void this.renew(worker);
     else if (message.type === "read") this.noteRead(message.bytes);
-    else if (message.type === "progress") {
-      if (message.curves !== null) this.waiting.get(message.id)?.onCurves?.(message.curves);
-    } else {
+    else if (message.type === "progress") this.waiting.get(message.id)?.onCurves?.(message.curves);
+    else {
       const waiting = this.waiting.get(message.id);
       this.waiting.delete(message.id);
       if (message.type === "answer") waiting?.resolve(message.answer as never);

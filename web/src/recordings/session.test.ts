@@ -4,14 +4,9 @@ import { MessageWriter as Ros2Writer } from "@foxglove/rosmsg2-serialization";
 import { describe, expect, it } from "vitest";
 import { ReadFailure } from "./failures";
 import { openRecording } from "./formats/open";
-import type { DrawnCurves } from "./protocol";
-import type { CurvesRequest } from "./protocol";
+import type { CurvesRequest, DrawnCurves } from "./protocol";
 import { Session } from "./session";
-import { madeBag } from "./testing/made_bag";
-import type { BagMessage } from "./testing/made_bag";
-import { madeMcap } from "./testing/made_mcap";
-import type { MadeMessage } from "./testing/made_mcap";
-import { storeOf } from "./testing/store";
+import { madeBag, madeMcap, storeOf, type BagMessage, type MadeMessage } from "./testing/recordings";
 
 const START = 1_700_000_000_000_000_000n;
 const RATE_HZ = 100;
@@ -79,13 +74,13 @@ async function opened(format: keyof typeof MADE): Promise<{ session: Session; re
 }
 
 function request(more: Partial<CurvesRequest> = {}): CurvesRequest {
-  return { kind: "curves", topic: "/wave", fields: ["x", "y"], fromNs: START, toNs: timeOf(COUNT), mostBytes: Infinity, ...more };
+  return { topic: "/wave", fields: ["x", "y"], fromNs: START, toNs: timeOf(COUNT), mostBytes: Infinity, ...more };
 }
 
 const quiet = { signal: new AbortController().signal, onCurves: () => undefined };
 
-function shade(found: { picture: { kind: string; data: Uint8Array } }): number | undefined {
-  return found.picture.data[0];
+function shade(shown: { picture: { kind: string; data: Uint8Array } }): number | undefined {
+  return shown.picture.data[0];
 }
 
 describe.each(["mcap", "rosbag1"] as const)("a session with %s", (format) => {
@@ -98,7 +93,7 @@ describe.each(["mcap", "rosbag1"] as const)("a session with %s", (format) => {
 
   it("shows the first picture at or after a time, and its neighbours", async () => {
     const { session } = await opened(format);
-    const at = (atNs: bigint, step: "here" | "next" | "previous") => session.picture({ kind: "picture", topic: "/camera", atNs, step });
+    const at = (atNs: bigint, step: "here" | "next" | "previous") => session.picture({ topic: "/camera", atNs, step });
     const first = await at(START, "here");
     expect(first.logTimeNs).toBe(timeOf(300));
     expect(shade(first)).toBe(300 % 256);
@@ -135,11 +130,11 @@ describe.each(["mcap", "rosbag1"] as const)("a session with %s", (format) => {
   it("says in a word what does not work", async () => {
     const { session } = await opened(format);
     await expect(session.fields("/nowhere")).rejects.toMatchObject({ code: "topic_unknown" });
-    await expect(session.picture({ kind: "picture", topic: "/wave", atNs: START, step: "here" })).rejects.toMatchObject({ code: "not_a_picture" });
+    await expect(session.picture({ topic: "/wave", atNs: START, step: "here" })).rejects.toMatchObject({ code: "not_a_picture" });
     const ended = new AbortController();
     ended.abort();
-    const told: DrawnCurves[] = [];
-    await session.curves(request(), { signal: ended.signal, onCurves: (curves) => told.push(curves) }).catch((failure: unknown) => {
+    const drawn: DrawnCurves[] = [];
+    await session.curves(request(), { signal: ended.signal, onCurves: (curves) => drawn.push(curves) }).catch((failure: unknown) => {
       expect(failure).toMatchObject({ code: "cancelled" });
     });
   });
@@ -155,7 +150,7 @@ describe.each(["mcap", "rosbag1"] as const)("a session with %s", (format) => {
       try {
         const session = new Session(await openRecording(format, storeOf(bytes).ranges));
         await session.curves(request(), quiet);
-        await session.picture({ kind: "picture", topic: "/camera", atNs: START, step: "here" });
+        await session.picture({ topic: "/camera", atNs: START, step: "here" });
       } catch (thrown) {
         expect(thrown).toBeInstanceOf(ReadFailure);
       }
@@ -166,18 +161,18 @@ describe.each(["mcap", "rosbag1"] as const)("a session with %s", (format) => {
     const whole = await MADE[format];
     const cut = whole.slice(0, whole.length * 0.7);
     const session = new Session(await openRecording(format, storeOf(cut).ranges));
-    const { span, mendedUntil } = session.opened();
-    expect(mendedUntil).toBeGreaterThan(cut.length * 0.9);
-    expect(mendedUntil).toBeLessThanOrEqual(cut.length);
+    const { span, indexedUntil } = session.opened();
+    expect(indexedUntil).toBeGreaterThan(cut.length * 0.9);
+    expect(indexedUntil).toBeLessThanOrEqual(cut.length);
     expect(span?.fromNs).toBe(START);
     const { seconds, values } = await session.curves(request(), quiet);
     expect(seconds.length).toBeGreaterThan(COUNT * 0.6);
-    expect(values[0]).toEqual(seconds.map((each) => wave(Math.round(each * RATE_HZ))));
-    const found = await session.picture({ kind: "picture", topic: "/camera", atNs: START, step: "here" });
-    expect(shade(found)).toBe(300 % 256);
+    expect(values[0]).toEqual(seconds.map((item) => wave(Math.round(item * RATE_HZ))));
+    const shown = await session.picture({ topic: "/camera", atNs: START, step: "here" });
+    expect(shade(shown)).toBe(300 % 256);
     const little = storeOf(cut).ranges;
     const beginning = new Session(await openRecording(format, little, cut.length / 4));
-    expect(beginning.opened().mendedUntil).toBeLessThan(cut.length / 2);
+    expect(beginning.opened().indexedUntil).toBeLessThan(cut.length / 2);
   });
 
   it("says so where there is nothing to make an index of", async () => {
@@ -204,8 +199,8 @@ describe("a session", () => {
     const messages = Array.from({ length: 200 }, (_, number) => ({ topic: number === 120 ? "/camera" : "/bulk", logTimeNs: timeOf(number), data: number === 120 ? picture : bulk }));
     const { ranges } = storeOf(await madeMcap(topics, messages, { chunkSize: 500_000 }));
     const session = new Session(await openRecording("mcap", ranges));
-    const found = await session.picture({ kind: "picture", topic: "/camera", atNs: START, step: "here" });
-    expect(found.logTimeNs).toBe(timeOf(120));
+    const shown = await session.picture({ topic: "/camera", atNs: START, step: "here" });
+    expect(shown.logTimeNs).toBe(timeOf(120));
     expect(ranges.bytesRead).toBeLessThan(ranges.sizeBytes / 10);
   });
 });

@@ -1,31 +1,28 @@
-/** One opened recording: answers the page's questions, one after the other. Runs in the worker; knows no messages. */
+/** One open recording and the requests that it answers, one at a time. Runs in the worker. */
 
 import { CurveCollector } from "./curves/curves";
-import { decoderOf } from "./decoding/decoder";
+import { decoderOf, type Decode, type Value } from "./decoding/decoder";
 import { fieldTree, numberAt, stepsOf } from "./decoding/fields";
-import type { Decode, Value } from "./decoding/value";
 import { ReadFailure } from "./failures";
-import { cost } from "./formats/recording";
-import type { Message, OnDamage, Order, Piece, Recording, Schema, Span } from "./formats/recording";
+import { cost, type Message, type OnDamage, type Order, type Piece, type Recording, type Schema, type Span } from "./formats/recording";
 import { MOST_DAMAGED, READ_AHEAD } from "./limits";
-import { pictureOf } from "./pictures/picture";
-import type { Picture } from "./pictures/picture";
+import { pictureOf, type Picture } from "./pictures/picture";
 import type { CurvesRequest, DamagedPart, DrawnCurves, OfferedFields, Opened, PictureRequest } from "./protocol";
 
-export interface FoundPicture {
+export interface PictureMessage {
   logTimeNs: bigint;
   picture: Picture;
   /** Parts between what was asked for and this that could not be read. */
   damaged: DamagedPart[];
 }
 
-/** What a long reading tells, and how it is ended. */
-export interface Listener {
+/** Receives curves while they are read; `signal` cancels. */
+export interface Observer {
   signal: AbortSignal;
   onCurves: (curves: DrawnCurves) => void;
 }
 
-const TELL_EVERY_MS = 400;
+const REPORT_EVERY_MS = 400;
 const SECOND_NS = 1e9;
 /** Where the pieces that are wanted are most of what lies between them, reading ahead saves requests. */
 const DENSE = 0.5;
@@ -37,12 +34,12 @@ export class Session {
 
   opened(): Opened {
     const topics = this.recording.topics.map(({ name, schema }) => ({ name, messageType: schema.name }));
-    const { span, mendedUntil } = this.recording;
-    return { span, mendedUntil, topics };
+    const { span, indexedUntil } = this.recording;
+    return { span, indexedUntil, topics };
   }
 
   /** @throws ReadFailure topic_silent, not_a_picture, and whatever reading may. */
-  async picture({ topic, atNs, step }: PictureRequest): Promise<FoundPicture> {
+  async picture({ topic, atNs, step }: PictureRequest): Promise<PictureMessage> {
     const span = this.span(topic);
     const noticed = new Damages(span.fromNs);
     const after = { fromNs: step === "next" ? atNs + 1n : atNs, toNs: span.toNs };
@@ -69,27 +66,27 @@ export class Session {
   }
 
   /** Curves of fields against seconds since the start of the recording, as far as `mostBytes` reach. */
-  async curves(request: CurvesRequest, { signal, onCurves }: Listener): Promise<DrawnCurves> {
+  async curves(request: CurvesRequest, { signal, onCurves }: Observer): Promise<DrawnCurves> {
     const start = this.span(request.topic).fromNs;
-    const asked = { fromNs: request.fromNs, toNs: request.toNs };
-    const pieces = this.recording.pieces(request.topic, asked);
-    const span = affordable(asked, pieces, request.mostBytes);
+    const requested = { fromNs: request.fromNs, toNs: request.toNs };
+    const pieces = this.recording.pieces(request.topic, requested);
+    const span = affordable(requested, pieces, request.mostBytes);
     const paths = request.fields.map((field) => stepsOf(field) ?? []);
     const seconds = (timeNs: bigint): number => Number(timeNs - start) / SECOND_NS;
     const collector = new CurveCollector(paths.length, seconds(span.fromNs), seconds(span.toNs));
     const noticed = new Damages(start, (part) => collector.breakAt((part.fromSeconds + part.toSeconds) / 2));
     const drawn = (): DrawnCurves => ({ ...collector.curves(), damaged: [...noticed.parts], wholeBytes: cost(pieces), untilNs: span.toNs });
     this.recording.source.ahead = this.isDense(pieces) ? READ_AHEAD : 0;
-    let told = Date.now();
+    let reportedAt = Date.now();
     try {
       for await (const message of this.recording.messages(request.topic, span, "forward", noticed.note)) {
         const value = this.decodeOrNote(message, noticed);
         collector.add(seconds(message.logTimeNs), paths.map((path) => (value === null ? null : numberAt(value, path))));
-        if (Date.now() - told < TELL_EVERY_MS) continue;
+        if (Date.now() - reportedAt < REPORT_EVERY_MS) continue;
         onCurves(drawn());
         await breath(); // lets a cancellation in
         if (signal.aborted) throw new ReadFailure("cancelled");
-        told = Date.now();
+        reportedAt = Date.now();
       }
     } finally {
       this.recording.source.ahead = 0;

@@ -1,16 +1,14 @@
-/** The reading worker: one recording a worker. It reads a stranger's bytes, so it holds no right but the address. */
+/** The reading worker of one recording. The bytes are untrusted, so the worker has no credential but the URL of the file. */
 
 import { failureOf, ReadFailure } from "./failures";
 import { openRecording } from "./formats/open";
 import { checkCompressed } from "./pictures/picture";
 import { pixelsOf } from "./pictures/pixels";
-import type { FromWorker, Request, ShownPicture, ToWorker } from "./protocol";
-import { Ranges } from "./ranges";
-import type { Address } from "./ranges";
-import { Session } from "./session";
-import type { FoundPicture } from "./session";
+import type { Answer, FromWorker, RecordingFile, Request, RequestKind, Requests, ShownPicture, ToWorker } from "./protocol";
+import { Ranges, type Address } from "./ranges";
+import { Session, type Observer, type PictureMessage } from "./session";
 
-const SAY_READ_EVERY_MS = 200;
+const REPORT_EVERY_MS = 200;
 
 // The DOM's types know no worker's own scope; this is what is used of it.
 const scope = self as unknown as {
@@ -23,59 +21,57 @@ let queue: Promise<void> = Promise.resolve();
 let source: Ranges | null = null;
 let session: Session | null = null;
 let awaitingAddress: ((message: Extract<ToWorker, { type: "address" }>) => void) | null = null;
-let saidAtMs = 0;
+let reportedAtMs = 0;
 
 scope.onmessage = ({ data: message }) => {
   if (message.type === "cancel") running.get(message.id)?.abort();
   else if (message.type === "address") awaitingAddress?.(message);
-  else ask(message.id, message.request);
+  else enqueue(message.id, message.request);
 };
 
-function ask(id: number, request: Request): void {
+/** Handlers by kind of request; `open` makes the session that they read. */
+const handlers: {
+  [K in Exclude<RequestKind, "open">]: (session: Session, request: Requests[K]["request"], observer: Observer) => Promise<Answer<K>>;
+} = {
+  picture: async (session, request) => bitmapOf(await session.picture(request)),
+  fields: (session, { topic }) => session.fields(topic),
+  curves: (session, request, observer) => session.curves(request, observer),
+};
+
+function enqueue(id: number, request: Request): void {
   const controller = new AbortController();
   running.set(id, controller);
-  queue = queue.then(() => answered(id, request, controller.signal)).finally(() => running.delete(id));
+  queue = queue.then(() => respond(id, request, controller.signal)).finally(() => running.delete(id));
 }
 
-async function answered(id: number, request: Request, signal: AbortSignal): Promise<void> {
+async function respond(id: number, request: Request, signal: AbortSignal): Promise<void> {
   try {
     if (signal.aborted) throw new ReadFailure("cancelled");
-    await answer(id, request, signal);
+    const answer = request.kind === "open" ? await open(request, signal) : await handle(id, request, signal);
+    scope.postMessage({ type: "answer", id, answer }, "bitmap" in answer ? [answer.bitmap] : []);
   } catch (thrown) {
     const { code, detail } = failureOf(thrown, "chunk_damaged");
     scope.postMessage({ type: "failure", id, code, detail });
   } finally {
-    sayRead();
+    reportBytesRead();
   }
 }
 
-async function answer(id: number, request: Request, signal: AbortSignal): Promise<void> {
-  if (request.kind === "open") {
-    source = new Ranges({ sizeBytes: request.sizeBytes, renew, onBytes });
-    source.signal = signal;
-    session = new Session(await openRecording(request.format, source));
-    scope.postMessage({ type: "answer", id, answer: session.opened() });
-    return;
-  }
+async function open({ format, sizeBytes }: RecordingFile, signal: AbortSignal): Promise<Answer<"open">> {
+  source = new Ranges({ sizeBytes, renew, onBytes });
+  source.signal = signal;
+  session = new Session(await openRecording(format, source));
+  return session.opened();
+}
+
+function handle(id: number, request: Exclude<Request, { kind: "open" }>, signal: AbortSignal): Promise<Answer> {
   if (session === null || source === null) throw new ReadFailure("worker_ended");
   source.signal = signal;
-  if (request.kind === "picture") {
-    const shown = await bitmapOf(await session.picture(request));
-    scope.postMessage({ type: "answer", id, answer: shown }, [shown.bitmap]);
-  } else if (request.kind === "fields") {
-    scope.postMessage({ type: "answer", id, answer: await session.fields(request.topic) });
-  } else {
-    const onCurves = (curves: FromWorker & { type: "progress" }): void => scope.postMessage(curves);
-    const listener = { signal, onCurves: (curves: Parameters<typeof progress>[1]) => onCurves(progress(id, curves)) };
-    scope.postMessage({ type: "answer", id, answer: await session.curves(request, listener) });
-  }
+  const observer: Observer = { signal, onCurves: (curves) => scope.postMessage({ type: "progress", id, curves }) };
+  return handlers[request.kind](session, request as never, observer);
 }
 
-function progress(id: number, curves: (FromWorker & { type: "progress" })["curves"]): FromWorker & { type: "progress" } {
-  return { type: "progress", id, curves };
-}
-
-async function bitmapOf({ logTimeNs, picture, damaged }: FoundPicture): Promise<ShownPicture> {
+async function bitmapOf({ logTimeNs, picture, damaged }: PictureMessage): Promise<ShownPicture> {
   if (picture.kind === "raw") {
     const { width, height, rgba, range } = pixelsOf(picture);
     const bitmap = await createImageBitmap(new ImageData(rgba, width, height));
@@ -103,10 +99,10 @@ function renew(): Promise<Address> {
 }
 
 function onBytes(): void {
-  if (Date.now() - saidAtMs > SAY_READ_EVERY_MS) sayRead();
+  if (Date.now() - reportedAtMs > REPORT_EVERY_MS) reportBytesRead();
 }
 
-function sayRead(): void {
-  saidAtMs = Date.now();
+function reportBytesRead(): void {
+  reportedAtMs = Date.now();
   scope.postMessage({ type: "read", bytes: source?.bytesRead ?? 0 });
 }

@@ -1,13 +1,13 @@
 // How one goes from view to view: who is not signed in signs in first and comes back; the heading gets the focus.
 import { noop, type QueryClient } from "@tanstack/vue-query";
 import { createRouter, createWebHistory, type Router } from "vue-router";
-import { followLeaving } from "./query";
+import { discardOnNavigation } from "./query";
 import { routes } from "./routes";
 import { toProblem } from "@/api/problem";
 import { meQuery } from "@/api/session";
-import { signInAddress } from "@/api/signing-in";
+import { signInAddress } from "@/api/client";
 import { arrive } from "@/components/titles";
-import { tell } from "@/components/toasts";
+import { showToast } from "@/components/toasts";
 import { texts } from "@/texts/shell";
 
 /** Returns whether somebody is signed in; where the server does not answer, the page itself is to say so. */
@@ -31,7 +31,7 @@ export function openRouter(queries: QueryClient): Router {
       return to.path === from.path ? false : { top: 0 };
     },
   });
-  followLeaving(router);
+  discardOnNavigation(router);
   router.beforeEach(async (to) => {
     if (to.meta.guests === true) return true;
     if (await isSomebodyHere(queries)) {
@@ -50,7 +50,7 @@ export function openRouter(queries: QueryClient): Router {
     if (sessionStorage.getItem(key) === null) {
       sessionStorage.setItem(key, "yes");
       globalThis.location.assign(to.fullPath);
-    } else tell({ tone: "bad", text: texts.pageGone });
+    } else showToast({ tone: "bad", text: texts.pageGone });
   });
   return router;
 }

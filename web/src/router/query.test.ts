@@ -2,11 +2,11 @@ import { mount } from "@vue/test-utils";
 import { expect, it } from "vitest";
 import { nextTick } from "vue";
 import { createMemoryHistory, createRouter } from "vue-router";
-import { followLeaving, useQueryList, useQueryText } from "./query";
+import { discardOnNavigation, useQueryList, useQueryText } from "./query";
 
 async function page(at: string) {
   const router = createRouter({ history: createMemoryHistory(), routes: [{ path: "/:path(.*)*", component: { template: "<i/>" } }] });
-  followLeaving(router);
+  discardOnNavigation(router);
   await router.push(at);
   const view = mount(
     { setup: () => ({ text: useQueryText("q"), sort: useQueryText("sort", "name"), topics: useQueryList("topic") }), template: "<i/>" },

@@ -1,19 +1,19 @@
 // What a view is narrowed to stands in its address: filters, orders, tabs. So every view is a link, and back works.
 import { computed, type WritableComputedRef } from "vue";
-import { type LocationQueryRaw, type Router, useRoute, useRouter } from "vue-router";
+import { useRoute, useRouter, type LocationQueryRaw, type Router } from "vue-router";
 
 export type Way = "push" | "replace";
 
-let isLeaving = false;
+let isNavigating = false;
 let pending: { readonly query: LocationQueryRaw; readonly way: Way; readonly path: string } | null = null;
 
 /** Follows where a router goes, so that a late change of a view's address does not call one back who is leaving it. */
-export function followLeaving(router: Router): void {
+export function discardOnNavigation(router: Router): void {
   router.beforeEach((to, from) => {
-    isLeaving = to.path !== from.path;
+    isNavigating = to.path !== from.path;
   });
   router.afterEach(() => {
-    isLeaving = false;
+    isNavigating = false;
   });
 }
 
@@ -29,11 +29,11 @@ function change(router: Router, name: string, value: string | readonly string[] 
   };
   if (!isFirst) return;
   setTimeout(() => {
-    const wanted = pending;
+    const changes = pending;
     pending = null;
     const route = router.currentRoute.value;
-    if (wanted === null || isLeaving || wanted.path !== route.path) return;
-    void router[wanted.way]({ path: route.path, query: wanted.query, hash: route.hash });
+    if (changes === null || isNavigating || changes.path !== route.path) return;
+    void router[changes.way]({ path: route.path, query: changes.query, hash: route.hash });
   });
 }
 
@@ -57,7 +57,7 @@ export function useQueryList(name: string, way: Way = "replace"): WritableComput
   return computed({
     get: () => {
       const value = route.query[name];
-      return (Array.isArray(value) ? value : [value]).filter((each): each is string => typeof each === "string");
+      return (Array.isArray(value) ? value : [value]).filter((item): item is string => typeof item === "string");
     },
     set: (value) => change(router, name, value.length === 0 ? undefined : value, way),
   });

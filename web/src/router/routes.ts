@@ -18,7 +18,7 @@ const guests = { guests: true };
 
 export const routes: RouteRecordRaw[] = [
   { path: "/", name: "home", meta: { asksFirst: homeQuery }, component: () => import("@/features/home/HomePage.vue") },
-  { path: "/public", name: "public", meta: guests, component: () => import("@/features/public/PublicPage.vue") },
+  { path: "/public", name: "public", meta: guests, component: () => import("@/features/share/PublicPage.vue") },
   { path: "/projects", name: "projects", component: () => import("@/features/project/ProjectsPage.vue") },
   { path: "/projects/:projectId", name: "project", meta: guests, component: () => import("@/features/project/ProjectPage.vue") },
   { path: "/missions/:missionId", name: "mission", meta: guests, component: () => import("@/features/mission/MissionPage.vue") },
@@ -37,10 +37,10 @@ export const routes: RouteRecordRaw[] = [
   { path: "/groups/:groupId", name: "group", component: () => import("@/features/groups/GroupPage.vue") },
   { path: "/account", name: "account", component: () => import("@/features/account/AccountPage.vue") },
   { path: "/tokens", name: "tokens", component: () => import("@/features/tokens/TokensPage.vue") },
-  { path: "/sessions", name: "sessions", component: () => import("@/features/sessions/SessionsPage.vue") },
+  { path: "/sessions", name: "sessions", component: () => import("@/features/account/SessionsPage.vue") },
   { path: "/audit", name: "audit", component: () => import("@/features/audit/AuditPage.vue") },
   { path: "/trash", name: "trash", component: () => import("@/features/trash/TrashPage.vue") },
   { path: "/admin", name: "admin", component: () => import("@/features/admin/AdminPage.vue") },
-  { path: "/signed-in", name: "signed-in", meta: { guests: true, bare: true }, component: () => import("@/features/session/SignedInPage.vue") },
-  { path: "/:path(.*)*", name: "not-found", meta: guests, component: () => import("@/features/session/NotFoundPage.vue") },
+  { path: "/signed-in", name: "signed-in", meta: { guests: true, bare: true }, component: () => import("@/shell/SignedInPage.vue") },
+  { path: "/:path(.*)*", name: "not-found", meta: guests, component: () => import("@/shell/NotFoundPage.vue") },
 ];

@@ -1,6 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { commandsFor, matches, searchCommand } from "./commands";
-import { placesFor } from "./places";
+import { commandsFor, matches, placesFor, searchCommand } from "./commands";
 
 const ADMIN = { isSignedIn: true, isAdmin: true };
 
@@ -11,14 +10,14 @@ describe("the palette", () => {
     expect(matches("Public projects", "pub pro")).toBe(true);
   });
   it("offers what one may go to", () => {
-    expect(commandsFor("", ADMIN).map((each) => each.label)).toContain("Admin");
-    expect(commandsFor("", { isSignedIn: true, isAdmin: false }).map((each) => each.label)).not.toContain("Admin");
-    expect(commandsFor("", { isSignedIn: false, isAdmin: false }).map((each) => each.label)).toEqual(["Public projects", "Search"]);
+    expect(commandsFor("", ADMIN).map((item) => item.label)).toContain("Admin");
+    expect(commandsFor("", { isSignedIn: true, isAdmin: false }).map((item) => item.label)).not.toContain("Admin");
+    expect(commandsFor("", { isSignedIn: false, isAdmin: false }).map((item) => item.label)).toEqual(["Public projects", "Search"]);
   });
   it("shows the actions in the menu of everybody who signed in", () => {
-    expect(placesFor(true, false).map((each) => each.label)).toContain("Actions");
+    expect(placesFor(true, false).map((item) => item.label)).toContain("Actions");
   });
-  it("acts, too", () => expect(commandsFor("dark", ADMIN).map((each) => each.id)).toEqual(["theme dark"]));
+  it("acts, too", () => expect(commandsFor("dark", ADMIN).map((item) => item.id)).toEqual(["theme dark"]));
   it("searches for whatever was typed", () => {
     expect(searchCommand("a & b")).toMatchObject({ to: { name: "search", query: { q: "a & b" } } });
   });

@@ -1,12 +1,33 @@
 // What the palette offers for what was typed.
 import type { RouteLocationRaw } from "vue-router";
-import { isShowingKeys } from "./open";
-import { furtherPlaces, type Place, placesFor } from "./places";
-import { signOut } from "./signOut";
 import { chooseTheme, THEMES } from "./theme";
 import type { Mission, Project } from "@/api/types";
-import { iconFolder, iconKeys, iconMission, iconSearch, iconSignOut, iconTheme } from "@/components/icons";
+import {
+  iconAction,
+  iconAdmin,
+  iconAudit,
+  iconFolder,
+  iconHome,
+  iconKeys,
+  iconMe,
+  iconMission,
+  iconPeople,
+  iconProjects,
+  iconPublic,
+  iconRuns,
+  iconSearch,
+  iconSession,
+  iconSignOut,
+  iconTheme,
+  iconToken,
+  iconTrash,
+  iconUpload,
+} from "@/components/icons";
 import { texts } from "@/texts/shell";
+import { ref } from "vue";
+import { api, call } from "@/api/client";
+import { toProblem } from "@/api/problem";
+import { showToast } from "@/components/toasts";
 
 interface Offer {
   readonly id: string;
@@ -53,11 +74,11 @@ export function commandsFor(typed: string, viewer: Viewer): readonly Command[] {
   const places = placesFor(viewer.isSignedIn, viewer.isAdmin).map(going);
   const further = viewer.isSignedIn ? [...furtherPlaces.map(going), ...acts()] : [];
   if (typed === "") return [...places, ...further.slice(0, furtherPlaces.length)];
-  return [...places, ...further].filter((each) => matches(each.label, typed));
+  return [...places, ...further].filter((item) => matches(item.label, typed));
 }
 
 /** Returns projects and missions as places to go to. */
-export function found(projects: readonly Project[], missions: readonly Mission[]): readonly Command[] {
+export function foundCommands(projects: readonly Project[], missions: readonly Mission[]): readonly Command[] {
   return [
     ...projects.map((project) => ({
       id: project.id, label: project.name, hint: texts.kinds.project, icon: iconFolder,
@@ -73,4 +94,68 @@ export function found(projects: readonly Project[], missions: readonly Mission[]
 /** Returns the way to a search for what was typed. */
 export function searchCommand(typed: string): Command {
   return { id: "search", label: texts.searchFor(typed), hint: texts.kinds.place, icon: iconSearch, to: { name: "search", query: { q: typed } } };
+}
+
+export const isShowingKeys = ref(false);
+export const isShowingPalette = ref(false);
+
+/** Signs out, and goes to the page on which one signs in. */
+export async function signOut(): Promise<void> {
+  try {
+    await call(api.POST("/api/v1/auth/sign-out"));
+    globalThis.location.assign("/sign-in");
+  } catch (thrown) {
+    showToast({ tone: "bad", text: toProblem(thrown).message });
+  }
+}
+
+export interface Place {
+  readonly name: string;
+  readonly label: string;
+  readonly icon: string;
+  readonly to: RouteLocationRaw;
+  /** Names of the other pages that belong to it. */
+  readonly also: readonly string[];
+  /** The second key after `g` that leads there. */
+  readonly key: string;
+  readonly forAdmins?: boolean;
+}
+
+function place(name: keyof typeof texts.places, icon: string, key: string, more: Partial<Place> = {}): Place {
+  return { name, label: texts.places[name], icon, to: { name }, also: [], key, ...more };
+}
+
+export const places: readonly Place[] = [
+  place("home", iconHome, "h"),
+  place("projects", iconProjects, "p", { also: ["project", "mission", "file"] }),
+  place("search", iconSearch, "s"),
+  place("upload", iconUpload, "u"),
+  place("actions", iconAction, "i", { also: ["action"] }),
+  place("runs", iconRuns, "x", { also: ["run", "launch"] }),
+  place("people", iconPeople, "e", { also: ["person", "groups", "group", "access"] }),
+  place("trash", iconTrash, "t"),
+  place("audit", iconAudit, "r"),
+  place("admin", iconAdmin, "a", { forAdmins: true }),
+];
+
+/** Pages that the rail does not show, and the palette does. */
+export const furtherPlaces: readonly Place[] = [
+  place("groups", iconPeople, "o"),
+  place("account", iconMe, "c"),
+  place("tokens", iconToken, "k"),
+  place("sessions", iconSession, "n"),
+  place("public", iconPublic, "b"),
+];
+
+/** What strangers may go to. */
+export const publicPlaces: readonly Place[] = [place("public", iconPublic, "b"), place("search", iconSearch, "s")];
+
+/** Returns the places of somebody. */
+export function placesFor(isSignedIn: boolean, isAdmin: boolean): readonly Place[] {
+  return isSignedIn ? places.filter((item) => isAdmin || item.forAdmins !== true) : publicPlaces;
+}
+
+/** Says whether the page of that name belongs to a place. */
+export function isAt(where: Place, routeName: unknown): boolean {
+  return typeof routeName === "string" && (where.name === routeName || where.also.includes(routeName));
 }

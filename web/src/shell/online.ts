@@ -1,6 +1,6 @@
 // Whether the server answers: told from how the latest requests went, of whatever page, and asked where the line broke.
 import { useQueryClient } from "@tanstack/vue-query";
-import { onScopeDispose, readonly, ref, type Ref, watch } from "vue";
+import { onScopeDispose, readonly, ref, watch, type Ref } from "vue";
 import { Problem } from "@/api/problem";
 
 const AGAIN_MS = 5000;

@@ -3,25 +3,25 @@ import { ref } from "vue";
 
 export type Theme = "system" | "light" | "dark";
 export const THEMES: readonly Theme[] = ["system", "light", "dark"];
-const KEPT_AS = "kleinkram.theme";
+const STORAGE_KEY = "kleinkram.theme";
 
-function kept(): Theme {
+function storedTheme(): Theme {
   try {
-    const value = localStorage.getItem(KEPT_AS);
+    const value = localStorage.getItem(STORAGE_KEY);
     return value === "light" || value === "dark" ? value : "system";
   } catch {
     return "system";
   }
 }
 
-export const theme = ref<Theme>(kept());
+export const theme = ref<Theme>(storedTheme());
 
 /** Chooses the colours, here and at the next visit. */
-export function chooseTheme(wanted: Theme): void {
-  theme.value = wanted;
+export function chooseTheme(choice: Theme): void {
+  theme.value = choice;
   try {
-    if (wanted === "system") localStorage.removeItem(KEPT_AS);
-    else localStorage.setItem(KEPT_AS, wanted);
+    if (choice === "system") localStorage.removeItem(STORAGE_KEY);
+    else localStorage.setItem(STORAGE_KEY, choice);
   } catch {
     return; // a browser that keeps nothing stays as the system is
   }

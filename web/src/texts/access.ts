@@ -29,7 +29,7 @@ export const texts = {
   candidates: "Matches",
   untilHint: "Leave empty for no expiry.",
   give: "Grant",
-  given: (name: string) => `Right granted to ${name}.`,
+  granted: (name: string) => `Right granted to ${name}.`,
 
   access: "Effective access",
   accessWhy: "If a person has several rights, the highest applies.",

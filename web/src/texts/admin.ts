@@ -2,7 +2,7 @@
 import { counted } from "@/components/format";
 
 const states: Readonly<Record<string, string>> = {
-  stored: "Stored", verified: "Verified", lost: "Lost", corrupt: "Corrupt", doomed: "Marked for deletion", todo: "Queued", doing: "Running", failed: "Failed",
+  stored: "Stored", verified: "Verified", lost: "Lost", corrupt: "Corrupt", marked_for_deletion: "Marked for deletion", todo: "Queued", doing: "Running", failed: "Failed",
 };
 
 export const texts = {
@@ -19,15 +19,15 @@ export const texts = {
     free: (free: string) => `${free} free`,
     unknown: "The store does not report its free space.",
     holds: (size: string) => `${size} stored.`,
-    kept: "Stored data",
+    storedData: "Stored data",
     columns: { what: "Kind", count: "Count", size: "Size" },
     blobs: (state: string) => `Files: ${states[state]?.toLowerCase() ?? state}`,
     trash: "Only in the trash",
     trashWhy: "Content that only files in the trash use",
     uploads: "Uploads in progress",
     uploadsWhy: "Uploads that started and did not complete yet",
-    doomed: "Marked for deletion",
-    doomedWhy: "Content that no file uses; the next garbage collection deletes it",
+    markedForDeletion: "Marked for deletion",
+    markedForDeletionWhy: "Content that no file uses; the next garbage collection deletes it",
     openTrash: "Open trash",
   },
   scrub: {

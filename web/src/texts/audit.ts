@@ -18,7 +18,7 @@ const operations: Readonly<Record<string, string>> = {
   "file.leave": "moved out",
   "file.link": "linked",
   "file.look": "viewed",
-  "file.mend": "repaired",
+  "file.repair": "repaired",
   "file.verify": "requested verification of",
   "file.put_back": "created in a run",
   "file.restore": "restored",
@@ -78,7 +78,7 @@ const operations: Readonly<Record<string, string>> = {
 };
 
 /** What an admin viewed, by operation; follows “viewed as an admin”. */
-const looks: Readonly<Record<string, string>> = {
+const reads: Readonly<Record<string, string>> = {
   export_audit_events: "the audit log (export)",
   get_action: "an action",
   get_admin_health: "the health of the service",
@@ -136,7 +136,7 @@ export const texts = {
   lead: "All changes in the projects that you own, newest first. Admins see everything. Entries cannot be changed.",
   label: "Events",
   operations,
-  looks,
+  reads,
   columns: { at: "Time", who: "Person", did: "Event", more: "Changes" },
   person: "Person",
   noun: "Object type",

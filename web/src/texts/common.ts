@@ -1,4 +1,6 @@
 // Texts that several pages share.
+import type { Span } from "@/components/time";
+
 export const texts = {
   product: "Kleinkram",
   busy: "Working",
@@ -25,7 +27,7 @@ export const texts = {
   filters: "Filters",
   undo: "Undo",
   dismiss: "Dismiss",
-  kept: "I saved it",
+  saved: "I saved it",
   typeToConfirm: (word: string) => `Type ${word} to confirm`,
   breadcrumbs: "Breadcrumbs",
   severities: { error: "Error", warning: "Warning", info: "Info" },
@@ -53,3 +55,7 @@ export const texts = {
   cli: "Command line",
   sdk: "Python",
 } as const;
+
+const spans: Readonly<Record<Span, string>> = { 1: "Until tomorrow", 30: "For 30 days", 90: "For 90 days", 365: "For a year" };
+
+export const untilTexts = { never: "No expiry", spans, day: "Until a date…", dayLabel: "Last day" } as const;

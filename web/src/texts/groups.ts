@@ -41,7 +41,7 @@ export const texts = {
   add: "Add member",
   addTitle: (group: string) => `Add a member to ${group}`,
   findPerson: "Name or email address",
-  whom: "Person",
+  personLegend: "Person",
   nobody: "No matching people. An admin can invite new people.",
   until: "Expiry",
   isEditor: "Can manage members",

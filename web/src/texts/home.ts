@@ -30,10 +30,10 @@ export const texts = {
 
   uploads: "Your unfinished uploads",
   uploadsWhy: "To resume, choose the same folder again. Uploaded files are not sent again.",
-  goOn: "Resume",
+  resume: "Resume",
   sent: (sent: number | null, whole: number) =>
     sent === null ? formatSize(whole) : `${formatSize(sent)} of ${formatSize(whole)}, ${formatShare(sent, whole)}`,
-  lapses: "expires",
+  expires: "expires",
   moreFiles: (count: number) => `and ${counted(count, "file")} more`,
   progress: (mission: string) => `Upload progress for ${mission}`,
 

@@ -3,7 +3,7 @@ export const texts = {
   empty: "–",
   yes: "Yes",
   no: "No",
-  notSaid: "Not set",
+  notSet: "Not set",
   required: "Required.",
   wantsText: "Enter text.",
   wantsPattern: (pattern: string) => `Must match ${pattern}.`,

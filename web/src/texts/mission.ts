@@ -101,7 +101,7 @@ export const texts = {
   missingFile: (path: string) => `The recording lists ${path}, but this file is missing. Upload it to complete the recording.`,
   surplusFile: (path: string) => `${path} is in the folder of the recording, but the recording does not list it.`,
   metadataProblem: (field: string, message: string) => `${field}: ${message}`,
-  moreOdd: (most: number) => `Showing the first ${formatCount(most)} files.`,
+  moreWithWarnings: (most: number) => `Showing the first ${formatCount(most)} files.`,
 
   commands: "Commands",
   commandsAll: "These commands download the whole mission. Select files to download only those.",

@@ -14,8 +14,8 @@ const through: Readonly<Record<AccessThrough, string>> = {
 
 function ended(departure: Departure): string {
   const parts = [counted(departure.sessions, "session"), counted(departure.tokens, "token"), counted(departure.links, "link")];
-  const given = departure.projects.length === 0 ? "" : ` Projects now owned by the admins: ${departure.projects.join(", ")}.`;
-  return `${departure.person.name} is deactivated. Revoked: ${parts.join(", ")}.${given}`;
+  const transferred = departure.projects.length === 0 ? "" : ` Projects now owned by the admins: ${departure.projects.join(", ")}.`;
+  return `${departure.person.name} is deactivated. Revoked: ${parts.join(", ")}.${transferred}`;
 }
 
 export const texts = {
@@ -31,7 +31,7 @@ export const texts = {
     columns: { name: "Name", emails: "Email addresses", since: "Member since" },
     admin: "Admin",
     left: "Deactivated",
-    whom: "Status",
+    status: "Status",
     whoms: { "": "All", active: "Active", left: "Deactivated" } as const,
     shown: (count: number) => counted(count, "person", "people"),
   },

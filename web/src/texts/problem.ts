@@ -20,7 +20,7 @@ const remedies: Readonly<Partial<Record<string, string>>> = {
 
 export const texts = {
   remedies,
-  tellAdmin: "Try again. If the problem persists, send the request ID to an admin.",
+  contactAdmin: "Try again. If the problem persists, send the request ID to an admin.",
   unreachable: "The server does not respond",
   notAnswering: "The server sent no response.",
   unexpected: "Something went wrong",

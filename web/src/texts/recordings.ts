@@ -3,7 +3,7 @@ import { counted, formatSize } from "@/components/format";
 import type { FailureCode } from "@/recordings/failures";
 import type { DamagedPart } from "@/recordings/protocol";
 
-interface Told {
+interface FailureText {
   /** What is wrong. */
   readonly title: (detail: string) => string;
   /** What to do about it. */
@@ -13,7 +13,7 @@ interface Told {
 const DOWNLOAD = "Download the file and open it with other tools.";
 const INSIDE = (detail: string) => (detail === "" ? "" : ` (${detail})`);
 
-export const failures: Readonly<Record<FailureCode, Told>> = {
+export const failures: Readonly<Record<FailureCode, FailureText>> = {
   no_index: {
     title: () => "This recording has no index, and its first part is not readable",
     remedy: DOWNLOAD,
@@ -75,7 +75,7 @@ export const texts = {
   title: "Preview",
   topic: "Topic",
   noTopics: "This recording has no messages.",
-  mended: (until: number, size: number) =>
+  noIndex: (until: number, size: number) =>
     until < 0.9 * size
       ? `This recording was not closed and has no index. The preview shows its beginning: ${formatSize(until)} of ${formatSize(size)}.`
       : "This recording was not closed and has no index. The preview shows all readable data.",

@@ -100,7 +100,7 @@ export const texts = {
   log: {
     label: "Log",
     find: "Search the log",
-    found: (at: number, count: number) => (count === 0 ? "no matches" : `${at} of ${count}`),
+    matches: (at: number, count: number) => (count === 0 ? "no matches" : `${at} of ${count}`),
     foundMore: (at: number, count: number) => `${at} of more than ${count}`,
     next: "Next",
     previous: "Previous",

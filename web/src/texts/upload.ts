@@ -1,7 +1,7 @@
 // Texts of the upload page.
 import type { Phase } from "@/features/upload/engine/uploadQueue";
-import type { FileState, LeftOutReason, LocalFailure, Trouble } from "@/features/upload/engine/types";
-import type { PathProblem } from "@/features/upload/engine/paths";
+import type { FileState, LeftOutReason, LocalFailure, WaitReason } from "@/features/upload/engine/types";
+import type { PathProblem } from "@/features/upload/engine/plan";
 import { counted, formatShare, formatSize, formatSpeed } from "@/components/format";
 
 export const pathProblem: Readonly<Record<PathProblem["problem"], (detail: string) => string>> = {
@@ -62,7 +62,7 @@ const phases: Readonly<Record<Phase, string>> = {
   over: "done",
 };
 
-const troubles: Readonly<Record<Trouble | "both", string>> = {
+const waitReasons: Readonly<Record<WaitReason | "both", string>> = {
   both: "No connection to the server. The upload continues automatically.",
   server: "The server does not respond. The upload continues automatically.",
   store: "The object store does not respond. The upload continues automatically.",
@@ -84,7 +84,7 @@ export const texts = {
   refusals,
   states,
   phases,
-  troubles,
+  waitReasons,
   stateWhy: {
     present: "The mission already had this file; nothing was sent.",
     linked: "The server already had this content; nothing was sent.",
@@ -134,7 +134,7 @@ export const texts = {
     rate: (bytesPerS: number) => formatSpeed(bytesPerS),
     timeLeft,
     pause: "Pause",
-    goOn: "Continue",
+    resume: "Continue",
     cancel: "Cancel",
     retry: "Try again",
     dismiss: "Close",
@@ -167,7 +167,7 @@ export const texts = {
   unfinished: {
     title: "Unfinished uploads",
     left: (count: number, bytes: number) => `${counted(count, "file")} left, ${formatSize(bytes)}`,
-    held: (bytes: number) => `of which about ${formatSize(bytes)} are already in the store`,
+    stored: (bytes: number) => `of which about ${formatSize(bytes)} are already in the store`,
     done: (count: number) => `${counted(count, "file")} uploaded`,
     matches: (mission: string) => `This looks like your unfinished upload to ${mission}.`,
     goOnThere: "Resume that upload",
@@ -184,10 +184,10 @@ export const texts = {
     elsewhere: "Another tab is uploading it.",
     noneFits: "Your selection contains none of the unfinished files. Choose the same folder as before.",
     missing: "Not in your selection",
-    goOn: "Resume",
-    notKept: "This browser does not store data for this page (private window?). Uploads work, but they cannot resume after a reload.",
+    resume: "Resume",
+    notPersistent: "This browser does not store data for this page (private window?). Uploads work, but they cannot resume after a reload.",
   },
   indicator: (share: string) => `Uploading, ${share}`,
   indicatorPaused: "Upload paused",
-  indicatorTrouble: "Upload waiting",
+  indicatorWaiting: "Upload waiting",
 } as const;

@@ -46,8 +46,7 @@ CDR_LE = Wire("<", 4, 8, counts_nul=True, empty_size=1, has_lengths=False, paddi
 CDR2_BE = Wire(">", 4, 4, counts_nul=True, empty_size=1, has_lengths=True, padding=3)
 CDR2_LE = Wire("<", 4, 4, counts_nul=True, empty_size=1, has_lengths=True, padding=3)
 
-ENCAPSULATIONS = {0: CDR_BE, 1: CDR_LE, 6: CDR2_BE, 7: CDR2_LE}
-"""By the second byte of a CDR message; the first is 0."""
+ENCAPSULATIONS = {0: CDR_BE, 1: CDR_LE, 6: CDR2_BE, 7: CDR2_LE}  # by the second byte of a CDR message; the first is 0
 
 OTHER_ENCAPSULATIONS = {
     2: "PL_CDR (big-endian)",

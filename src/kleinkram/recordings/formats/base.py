@@ -19,14 +19,9 @@ from kleinkram.recordings.model import RecordingFormat, RecordingSummary
 from kleinkram.recordings.sources import FileSource, SequentialReader, Source, SourceReader
 from kleinkram.recordings.temporary_files import TooLarge, temporary_database
 
-HEAD_BYTES = 4096
-"""Bytes at the start of a file by which it is recognised."""
-
-LONG_HEAD_BYTES = 65536
-"""Likewise of a database, whose schema is at its start."""
-
-MAX_UNASKED_BYTES = 2**30
-"""Bytes of a file without index that are read over a network unless more is allowed."""
+HEAD_BYTES = 4096  # bytes at the start of a file by which it is recognised
+LONG_HEAD_BYTES = 65536  # likewise of a database, whose schema is at its start
+MAX_UNASKED_BYTES = 2**30  # bytes of a file without index that are read over a network unless more is allowed
 
 
 class Head(NamedTuple):

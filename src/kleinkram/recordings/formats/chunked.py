@@ -36,8 +36,7 @@ from kleinkram.recordings.sources import SequentialReader, Source, SourceReader
 from kleinkram.recordings.streams import LookaheadStream
 from kleinkram.recordings.timeline import ChunkEntries, Timeline
 
-LOOK = 64 * 2**10
-"""Bytes from the start of a record within which its fixed fields and names are."""
+LOOK = 64 * 2**10  # bytes from the start of a record within which its fixed fields and names are
 
 _SEARCH_BYTES = 4 * 2**20
 _FIRST_NS = Row._fields.index("first_ns")
@@ -268,7 +267,6 @@ class ChunkScanner(ABC, Generic[FactsT]):
         self._stream.advance(self._stream.left)
 
     def _drop_undefined(self, where: str, what: str) -> None:
-        """Leave out the messages of channels that the file does not define."""
         if undefined := self._scan.counter.finish():
             message = f"{counted(undefined, 'message is', 'messages are')} {what}"
             self._scan.losses.note(Malformed(where, message))

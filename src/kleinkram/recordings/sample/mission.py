@@ -214,7 +214,6 @@ def _plan(size_bytes: int | None, duration_s: float | None) -> _Plan:
 
 
 def _record(plan: _Plan, seed: int, encoding: Encoding, faults: Faults, recorder: _Recorder) -> tuple[TopicTruth, ...]:
-    """Record a drive; return its topics by name."""
     vehicle = Vehicle(
         seed=seed, encoding=encoding, camera_bytes=plan.camera_bytes, lidar_points=plan.lidar_points, faults=faults
     )

@@ -256,20 +256,20 @@ PLACES = (
     "upload",
 )
 
-# What is for everybody, and asks nobody who they are. Nothing here may say a name, or what anybody has.
+# Public pages without authentication. They must not contain names or data of people.
 OPEN_PAGES = {
-    "/": "the app, the same for all: it asks the API who looks",
-    **{f"/{place}": "the app" for place in PLACES},
-    **{f"/{place}/{{rest:path}}": "the app" for place in PLACES},
-    "/assets/{name}": "its scripts and styles",
-    "/fonts/{name}": "its letters",
-    "/licences.md": "the licences of what it is made from",
-    "/static/{name}": "what the server's own pages share with it",
-    "/health/live": "whether the process answers",
-    "/health/ready": "whether database, schema and store are there",
-    "/s": "the page that a link opens, the same for all",
-    "/s/static/{name}": "its script and stylesheet",
-    "/sign-in": "the page of the ways to sign in",
-    "/sign-in/static/{name}": "its script and stylesheet",
-    "/sign-in/{name}": "the other pages of signing in, without anything in them",
+    "/": "the web interface; the same for everybody",
+    **{f"/{place}": "the web interface" for place in PLACES},
+    **{f"/{place}/{{rest:path}}": "the web interface" for place in PLACES},
+    "/assets/{name}": "scripts and styles of the web interface",
+    "/fonts/{name}": "fonts of the web interface",
+    "/licences.md": "licences of its dependencies",
+    "/static/{name}": "styles that the server's own pages share with it",
+    "/health/live": "whether the process responds",
+    "/health/ready": "whether database, schema and store are available",
+    "/s": "the page of share links; the same for everybody",
+    "/s/static/{name}": "script and stylesheet of that page",
+    "/sign-in": "sign-in page",
+    "/sign-in/static/{name}": "script and stylesheet of the sign-in pages",
+    "/sign-in/{name}": "other sign-in pages, without data",
 }

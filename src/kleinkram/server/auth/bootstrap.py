@@ -21,7 +21,7 @@ from kleinkram.server.auth.one_time_codes import CodeRequest, create_code, use_c
 from kleinkram.server.db import Connection
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import membership, person, token
-from kleinkram.server.tables.signing_in import CodePurpose
+from kleinkram.server.tables.sign_in import CodePurpose
 
 _log = logging.getLogger("kleinkram.auth")
 # Serializes bootstraps, so that the second one finds an admin.

@@ -48,7 +48,7 @@ from kleinkram.server.db import Connection, Database
 from kleinkram.server.runners.eligibility import has_single_person, invitation_warning, known_runners
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import password, person, person_email
-from kleinkram.server.tables.signing_in import CodePurpose
+from kleinkram.server.tables.sign_in import CodePurpose
 from kleinkram.server.tokens.service import end_personal_tokens
 
 T = TypeVar("T")

@@ -18,7 +18,7 @@ from kleinkram.server.access.groups import ADMINS_ID
 from kleinkram.server.db import Connection
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import membership, one_time_code, person
-from kleinkram.server.tables.signing_in import CodePurpose
+from kleinkram.server.tables.sign_in import CodePurpose
 
 _SECRET_BYTES = 32
 _PAGES = {CodePurpose.owner: "link", CodePurpose.invitation: "invitation", CodePurpose.reset: "reset"}

@@ -32,7 +32,7 @@ from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import login_request, session
-from kleinkram.server.tables.signing_in import LoginKind
+from kleinkram.server.tables.sign_in import LoginKind
 from kleinkram.server.tokens.service import issue_token
 
 _SECRET_BYTES = 32

@@ -37,7 +37,7 @@ from kleinkram.server.db import Connection
 from kleinkram.server.http.dependencies import session_cookie
 from kleinkram.server.settings import OidcProvider, OpenTo, Settings
 from kleinkram.server.tables import identity, oidc_login, one_time_code, person, person_email
-from kleinkram.server.tables.signing_in import CodePurpose
+from kleinkram.server.tables.sign_in import CodePurpose
 
 if TYPE_CHECKING:
     from kleinkram.server.auth.oidc import OpenIdProvider

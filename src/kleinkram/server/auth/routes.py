@@ -55,7 +55,7 @@ from kleinkram.server.http.dependencies import (
     require_same_origin,
 )
 from kleinkram.server.pagination import PageQuery
-from kleinkram.server.tables.signing_in import CodePurpose
+from kleinkram.server.tables.sign_in import CodePurpose
 
 router = APIRouter(prefix="/api/v1/auth", tags=["signing in"])
 me_router = APIRouter(prefix="/api/v1/me", tags=["me"])

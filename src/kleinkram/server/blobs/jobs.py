@@ -270,8 +270,8 @@ async def _record_damage(context: AppContext, blob_id: uuid.UUID, state: BlobSta
 
 
 @queue.periodic(cron="*/10 * * * *")
-@queue.task(name=Job.sweep.value, pass_context=True, queueing_lock="sweep", lock="sweep")
-async def sweep(job_context: JobContext, timestamp: int = 0) -> None:
+@queue.task(name=Job.collect_garbage.value, pass_context=True, queueing_lock="collect_garbage", lock="collect_garbage")
+async def run_garbage_collection(job_context: JobContext, timestamp: int = 0) -> None:
     """Run one round of maintenance and garbage collection."""
     await collect_garbage(app_context(job_context))
 
@@ -297,7 +297,7 @@ async def collect_garbage(context: AppContext) -> None:
         if await garbage_collection.is_deletion_paused(db):
             return
         objects = await garbage_collection.objects_to_delete(
-            db, store_id=store_id, grace_s=settings.sweep_grace_s, limit=_GC_BATCH
+            db, store_id=store_id, grace_s=settings.garbage_grace_s, limit=_GC_BATCH
         )
     for row in objects:
         await context.storage.delete(row.key)

@@ -56,7 +56,7 @@ _RETRYING_SQL = text(
     "SELECT task_name, count(*) FROM procrastinate_jobs WHERE status = 'todo' AND attempts > 0 GROUP BY 1"
 )
 _OLDEST_VERIFICATION = select(func.coalesce(func.extract("epoch", func.now() - func.min(blob.c.verified_at)), 0)).where(
-    blob.c.state == BlobState.verified.value, blob.c.doomed_at.is_(None)
+    blob.c.state == BlobState.verified.value, blob.c.marked_for_deletion_at.is_(None)
 )
 _SCRUB = select(scrub).where(scrub.c.ended_at.is_not(None)).order_by(scrub.c.ended_at.desc()).limit(1)
 _FINDINGS = ("lost", "corrupt", "findings", "unknown")

@@ -20,7 +20,7 @@ class Job(str, enum.Enum):
     group_recordings = "group_recordings"
     finish_uploads = "finish_uploads"
     tend_runs = "tend_runs"
-    sweep = "sweep"
+    collect_garbage = "collect_garbage"
     scrub = "scrub"
 
 

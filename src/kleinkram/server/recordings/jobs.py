@@ -6,7 +6,7 @@ import uuid
 
 from procrastinate import JobContext
 
-from kleinkram.recordings.recording_groups import METADATA_NAME
+from kleinkram.recordings.formats.rosbag2.metadata import METADATA_NAME
 from kleinkram.server.jobs.attempts import RETRY_STRATEGY, app_context, back_pressure_of, worker_resource
 from kleinkram.server.jobs.back_pressure import SUMMARY_MAX_WAIT_S
 from kleinkram.server.jobs.queue import Job, enqueued_at, queue

@@ -45,7 +45,7 @@ from kleinkram.server.tables import (
     run_metric,
     runner,
 )
-from kleinkram.server.tables.run import ACTIVE
+from kleinkram.server.tables.runs import ACTIVE
 
 # Latest first.
 RUN_ORDER = Order([run.c.created_at, run.c.id], descending=True)

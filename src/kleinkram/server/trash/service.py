@@ -61,7 +61,7 @@ async def list_trash(
             file_count=row.file_count,
             deleted_at=row.deleted_at,
             deleted_by=PersonRef(id=row.deleted_by_id, name=row.deleted_by_name),
-            swept_after=row.deleted_at + datetime.timedelta(days=trash_days),
+            purged_after=row.deleted_at + datetime.timedelta(days=trash_days),
         )
 
     return await read_page(db, stmt, order, page, read)
@@ -243,7 +243,7 @@ async def _delete(db: Connection, table: Table, rows: Sequence[Row[Any]], *condi
     deleted = set((await db.execute(stmt)).scalars())
     noun = table.name
     events = [
-        Event(f"{noun}.sweep", noun, row.id, row.name, row.project_id, mission_id=row.mission_id)
+        Event(f"{noun}.purge", noun, row.id, row.name, row.project_id, mission_id=row.mission_id)
         for row in rows
         if row.id in deleted
     ]

@@ -22,8 +22,8 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.jobs.queue import Job, Urgency, enqueue
 from kleinkram.server.tables import blob, run, run_artifact, upload
-from kleinkram.server.tables.run import HELD
-from kleinkram.server.tables.upload import UNDER_WAY
+from kleinkram.server.tables.blobs import UNDER_WAY
+from kleinkram.server.tables.runs import HELD
 from kleinkram.server.uploads import queries
 from kleinkram.server.uploads.parts import Failures, lease_columns, list_multiparts
 from kleinkram.server.uploads.queries import UploadRow

@@ -50,7 +50,7 @@ from kleinkram.server.pagination import Order, PageRequest, fetch_page
 from kleinkram.server.quotas import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.tables import blob, file, upload
-from kleinkram.server.tables.upload import UNDER_WAY
+from kleinkram.server.tables.blobs import UNDER_WAY
 from kleinkram.server.uploads import queries
 from kleinkram.server.uploads.parts import (
     announced_checksum,

@@ -1,8 +1,7 @@
 // Who may do what with a project or a mission: what is asked, and what is changed. One way for both.
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { api, call } from "@/api/client";
-import { keys } from "@/api/keys";
-import { usePages } from "@/api/pages";
+import { keys, usePages } from "@/api/queries";
 import type { components } from "@/api/schema";
 import type { Access, Grant } from "@/api/types";
 

@@ -1,8 +1,9 @@
 // What the page of one's account asks the server, and what it has it do.
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { api, call } from "@/api/client";
-import { keys } from "@/api/keys";
+import { keys } from "@/api/queries";
 import type { components } from "@/api/schema";
+import { texts } from "@/texts/sessions";
 
 type Schemas = components["schemas"];
 export type Account = Schemas["AccountRead"];
@@ -48,9 +49,9 @@ export function useLink() {
 export function useTotp() {
   const queries = useQueryClient();
   const refresh = () => void queries.invalidateQueries({ queryKey: keys.account });
-  const changed = async <Data>(asked: Promise<Data>): Promise<Data> => {
+  const changed = async <Data>(request: Promise<Data>): Promise<Data> => {
     try {
-      return await asked;
+      return await request;
     } finally {
       refresh();
     }
@@ -71,4 +72,35 @@ export function useChangePassword() {
     onSuccess: () => void queries.invalidateQueries({ queryKey: keys.sessions }),
     meta: { showsItself: true },
   });
+}
+
+// In this order: most browsers say that they are also another one.
+const BROWSERS: readonly (readonly [string, RegExp])[] = [
+  ["Edge", /\bEdg(?:e|A|iOS)?\//],
+  ["Opera", /\bOPR\//],
+  ["Samsung Internet", /\bSamsungBrowser\//],
+  ["Firefox", /\b(?:Firefox|FxiOS)\//],
+  ["Chrome", /\b(?:Chrome|CriOS|HeadlessChrome|Chromium)\//],
+  ["Safari", /\bSafari\//],
+];
+const SYSTEMS: readonly (readonly [string, RegExp])[] = [
+  ["Android", /\bAndroid\b/],
+  ["iPhone", /\biPhone\b/],
+  ["iPad", /\biPad\b/],
+  ["Windows", /\bWindows\b/],
+  ["macOS", /\bMac OS X\b|\bMacintosh\b/],
+  ["ChromeOS", /\bCrOS\b/],
+  ["Linux", /\bLinux\b|\bX11\b/],
+];
+
+function named(text: string, among: readonly (readonly [string, RegExp])[]): string | undefined {
+  return among.find(([, sign]) => sign.test(text))?.[0];
+}
+
+/** Returns a browser's name and system: `Firefox on Linux`. */
+export function browserName(userAgent: string | null): string {
+  const browser = named(userAgent ?? "", BROWSERS);
+  const system = named(userAgent ?? "", SYSTEMS);
+  if (browser === undefined) return system ?? texts.unknownBrowser;
+  return system === undefined ? browser : texts.on(browser, system);
 }

@@ -8,12 +8,12 @@ const NS_PER_S = 1_000_000_000;
 
 /** Which files it reads. */
 export function inputsOf({ inputs }: Definition): string {
-  const said = [
+  const parts = [
     inputs.paths.length > 0 ? texts.paths(inputs.paths.join(", ")) : "",
     inputs.topics.length > 0 ? texts.topics(inputs.topics.join(", ")) : "",
     inputs.message_types.length > 0 ? texts.types(inputs.message_types.join(", ")) : "",
-  ].filter((each) => each !== "");
-  return said.length === 0 ? texts.all : said.join(", ");
+  ].filter((item) => item !== "");
+  return parts.length === 0 ? texts.all : parts.join(", ");
 }
 
 /** What it may use at most. */

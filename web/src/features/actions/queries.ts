@@ -1,9 +1,7 @@
 // What the pages of actions ask the server.
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
-import { api, call } from "@/api/client";
-import { ifStill, ledTo, type Looked } from "@/api/etags";
-import { keys } from "@/api/keys";
-import { usePages } from "@/api/pages";
+import { api, call, ifMatch, noteNewEtag, type EtagCarrier } from "@/api/client";
+import { keys, usePages } from "@/api/queries";
 import type { Action, ActionVersion } from "@/api/types";
 import { globOf } from "@/components/glob";
 
@@ -14,8 +12,8 @@ export interface ActionQuery {
   readonly archived: boolean;
 }
 
-export function useActions(asked: () => ActionQuery) {
-  const query = () => ({ archived: asked().archived, ...(asked().name !== "" && { name: globOf(asked().name) }) });
+export function useActions(filters: () => ActionQuery) {
+  const query = () => ({ archived: filters().archived, ...(filters().name !== "" && { name: globOf(filters().name) }) });
   return usePages<Action>(
     () => keys.actions(query()),
     (cursor, signal) => call(api.GET("/api/v1/actions", { params: { query: { ...query(), ...(cursor !== undefined && { cursor }) } }, signal })),
@@ -51,9 +49,9 @@ export function useArchiving(actionId: string) {
   const queries = useQueryClient();
   const path = { action_id: actionId };
   return useMutation({
-    mutationFn: ({ etag, ...body }: { readonly archived: boolean } & Looked) =>
-      call(api.PATCH("/api/v1/actions/{action_id}", { params: { path, header: ifStill(etag) }, body })),
-    onSuccess: (action, { etag }) => ledTo(etag, action.etag),
+    mutationFn: ({ etag, ...body }: { readonly archived: boolean } & EtagCarrier) =>
+      call(api.PATCH("/api/v1/actions/{action_id}", { params: { path, header: ifMatch(etag) }, body })),
+    onSuccess: (action, { etag }) => noteNewEtag(etag, action.etag),
     // Also where it was refused: somebody else may have come first.
     onSettled: () => queries.invalidateQueries({ queryKey: ["actions"] }),
   });

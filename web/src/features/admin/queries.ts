@@ -1,8 +1,9 @@
 // What the pages for admins ask the server. It is asked again as long as somebody looks.
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
-import { isOn } from "./scrub";
 import { api, call } from "@/api/client";
 import type { components } from "@/api/schema";
+import type { Tone } from "@/components/tones";
+import { texts as all } from "@/texts/admin";
 
 export type Setting = components["schemas"]["SettingRead"];
 export type FailedJob = components["schemas"]["FailedJob"];
@@ -21,7 +22,7 @@ export function useScrub() {
   return useQuery({
     queryKey: ["admin", "scrub"],
     queryFn: ({ signal }) => call(api.GET("/api/v1/admin/scrub", { signal })),
-    refetchInterval: (asked) => (isOn(asked.state.data?.last ?? null) ? SOON_MS : AGAIN_MS),
+    refetchInterval: (running) => (isOn(running.state.data?.last ?? null) ? SOON_MS : AGAIN_MS),
   });
 }
 
@@ -52,4 +53,38 @@ export function useRetry() {
     await call(api.POST("/api/v1/admin/jobs/{job_id}/retry", { params: { path: { job_id: job.id } } }));
     void queries.invalidateQueries({ queryKey: ["admin", "jobs"] });
   };
+}
+
+export type Scrub = components["schemas"]["ScrubRead"];
+export type Standing = "waits" | "on" | "stopped" | "done";
+
+export const standingTones: Readonly<Record<Standing, Tone>> = { waits: "plain", on: "accent", stopped: "bad", done: "good" };
+
+/** Returns whether a scrub waits, goes on, was stopped or is done. */
+export function standingOf(scrub: Pick<Scrub, "started_at" | "ended_at" | "stopped">): Standing {
+  if (scrub.stopped !== null) return "stopped";
+  if (scrub.ended_at !== null) return "done";
+  return scrub.started_at === null ? "waits" : "on";
+}
+
+/** Returns whether there is a scrub that has not come to its end: another one would be the same. */
+export function isOn(scrub: Pick<Scrub, "ended_at"> | null): boolean {
+  return scrub !== null && scrub.ended_at === null;
+}
+
+const texts = all.settings;
+
+/** Returns what a setting is set to, in words; a secret only whether it is set. */
+export function valueOf(setting: Setting): string {
+  if (setting.is_secret) return setting.is_set ? texts.secret : texts.noSecret;
+  const value: unknown = setting.value;
+  if (value === null || value === undefined || value === "") return texts.empty;
+  if (typeof value === "string") return value;
+  return Array.isArray(value) && value.length === 0 ? texts.empty : JSON.stringify(value);
+}
+
+/** Returns the settings whose names hold what was typed, in any spelling of words: `trash days`, `TRASH_DAYS`. */
+export function matching(settings: readonly Setting[], typed: string, isOnlySet: boolean): readonly Setting[] {
+  const words = typed.toLowerCase().split(/[\s_]+/).filter((word) => word !== "");
+  return settings.filter((setting) => (!isOnlySet || setting.is_set) && words.every((word) => setting.name.toLowerCase().includes(word)));
 }

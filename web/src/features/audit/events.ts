@@ -18,14 +18,14 @@ function flattened(values: Values, path = ""): Map<string, string> {
     const at = path + key;
     if (typeof value === "object" && value !== null && !Array.isArray(value) && Object.keys(value).length > 0) {
       for (const [inner, text] of flattened(value as Values, `${at}.`)) flat.set(inner, text);
-    } else flat.set(at, said(value));
+    } else flat.set(at, valueText(value));
   }
   return flat;
 }
 
-function said(value: Json): string {
+function valueText(value: Json): string {
   if (typeof value === "string") return value;
-  if (Array.isArray(value) && value.every((each) => typeof each === "string")) return value.join(", ");
+  if (Array.isArray(value) && value.every((item) => typeof item === "string")) return value.join(", ");
   return JSON.stringify(value);
 }
 
@@ -36,7 +36,7 @@ export function differences(before: Values, after: Values): readonly Difference[
   const fields = [...new Set([...was.keys(), ...is.keys()])].sort();
   return fields
     .map((field) => ({ field, before: was.get(field) ?? null, after: is.get(field) ?? null }))
-    .filter((each) => each.before !== each.after);
+    .filter((item) => item.before !== item.after);
 }
 
 /** Returns who did it. */
@@ -58,7 +58,7 @@ function worded(words: Readonly<Record<string, string>>, name: string): string {
 
 /** Returns the name of what it was done to; nothing where that is whoever did it, as who signs in. */
 export function objectOf(event: AuditEvent): string {
-  if (event.operation === "admin.look" && event.noun === "server") return worded(texts.looks, event.noun_name);
+  if (event.operation === "admin.look" && event.noun === "server") return worded(texts.reads, event.noun_name);
   return event.noun === "session" && event.noun_name === event.actor?.name ? "" : event.noun_name;
 }
 

@@ -1,13 +1,12 @@
 // What is asked of the record: the address of the page says it, and so does the export.
 import { useQuery } from "@tanstack/vue-query";
 import { computed, type ComputedRef } from "vue";
-import { type LocationQuery, useRoute } from "vue-router";
+import { useRoute, type LocationQuery } from "vue-router";
 import { api, call } from "@/api/client";
-import { keys } from "@/api/keys";
-import { usePages } from "@/api/pages";
+import { keys, usePages } from "@/api/queries";
 import type { operations } from "@/api/schema";
 import { globOf } from "@/components/glob";
-import { startOfDay } from "@/components/until";
+import { startOfDay } from "@/components/time";
 
 export type AuditQuery = NonNullable<operations["export_audit_events"]["parameters"]["query"]>;
 
@@ -19,7 +18,7 @@ const DAY = /^\d{4}-\d{2}-\d{2}$/;
 const MOST_PROJECTS = 200;
 
 /** Returns what the address of the page asks for. */
-export function askedBy(address: LocationQuery): AuditQuery {
+export function queryOf(address: LocationQuery): AuditQuery {
   const text = (name: string) => {
     const value = address[name];
     return typeof value === "string" && value !== "" ? value : undefined;
@@ -27,7 +26,7 @@ export function askedBy(address: LocationQuery): AuditQuery {
   const person = text("person");
   const since = text("since");
   const until = text("until");
-  const asked: Record<string, string | boolean | undefined> = {
+  const filters: Record<string, string | boolean | undefined> = {
     person: person === undefined ? undefined : globOf(person),
     noun: text("noun"),
     operation: text("operation"),
@@ -37,24 +36,24 @@ export function askedBy(address: LocationQuery): AuditQuery {
     as_admin: text("as_admin") === "yes" ? true : undefined,
     ...Object.fromEntries(IDS.map((id) => [id, text(id)])),
   };
-  return Object.fromEntries(Object.entries(asked).filter(([, value]) => value !== undefined));
+  return Object.fromEntries(Object.entries(filters).filter(([, value]) => value !== undefined));
 }
 
 /** Returns where all that matches is had as a file. */
 export function exportAddress(query: AuditQuery): string {
-  const said = Object.entries(query).map(([name, value]) => [name, String(value)]);
-  return `/api/v1/audit/export?${new URLSearchParams(said).toString()}`;
+  const pairs = Object.entries(query).map(([name, value]) => [name, String(value)]);
+  return `/api/v1/audit/export?${new URLSearchParams(pairs).toString()}`;
 }
 
-export function useAsked(): ComputedRef<AuditQuery> {
+export function useAuditQuery(): ComputedRef<AuditQuery> {
   const route = useRoute();
-  return computed(() => askedBy(route.query));
+  return computed(() => queryOf(route.query));
 }
 
-export function useEvents(asked: ComputedRef<AuditQuery>) {
+export function useEvents(filters: ComputedRef<AuditQuery>) {
   return usePages(
-    () => keys.audit(asked.value),
-    (cursor, signal) => call(api.GET("/api/v1/audit", { params: { query: { ...asked.value, ...(cursor !== undefined && { cursor }) } }, signal })),
+    () => keys.audit(filters.value),
+    (cursor, signal) => call(api.GET("/api/v1/audit", { params: { query: { ...filters.value, ...(cursor !== undefined && { cursor }) } }, signal })),
   );
 }
 

@@ -1,7 +1,7 @@
 // @vitest-environment node
 import { createHash } from "node:crypto";
 import { describe, expect, it, vi } from "vitest";
-import { reasons, safePath, saveToFolder, type Source, type Target, zipOf } from "./save";
+import { reasons, safePath, saveToFolder, zipOf, type Source, type Target } from "./save";
 import { commandOf, isNested, targetsOf } from "./selection";
 import type { Mission } from "@/api/types";
 
@@ -46,21 +46,21 @@ class Folder {
 const LARGE = new Uint8Array(9 * 2 ** 20).fill(7);
 
 function storeOf(contents: Readonly<Record<string, Uint8Array<ArrayBuffer>>>, spoil: (id: string, range: string) => Response | null = () => null) {
-  const asked: string[] = [];
+  const requests: string[] = [];
   const source: Source = {
     linkOf: async ({ fileId }) =>
       Promise.resolve({ url: fileId, sha256: createHash("sha256").update(contents[fileId] ?? "").digest("hex") }),
     fetch: async (input, init) => {
       const id = input as string;
       const range = new Headers(init?.headers).get("Range") ?? "";
-      asked.push(`${id} ${range}`);
+      requests.push(`${id} ${range}`);
       const [from = 0, to = 0] = range.replace("bytes=", "").split("-").map(Number);
       return Promise.resolve(spoil(id, range) ?? new Response(contents[id]?.slice(from, to + 1), { status: 206 }));
     },
   };
   const targets: Target[] = Object.entries(contents).map(([id, bytes]) => ({ fileId: id, path: id.split("/"), sizeBytes: bytes.length }));
   const progress = { signal: new AbortController().signal, onBytes: () => undefined };
-  return { asked, source, targets, progress };
+  return { requests, source, targets, progress };
 }
 
 const text = (words: string) => new TextEncoder().encode(words);
@@ -68,14 +68,14 @@ const text = (words: string) => new TextEncoder().encode(words);
 describe("a download into a folder", () => {
   it("writes each file below its folders, by ranges, and skips what is there the next time", async () => {
     const folder = new Folder();
-    const { asked, source, targets, progress } = storeOf({ "a/b.bag": LARGE, "c.txt": text("words"), "empty.txt": text("") });
+    const { requests, source, targets, progress } = storeOf({ "a/b.bag": LARGE, "c.txt": text("words"), "empty.txt": text("") });
     expect(await saveToFolder(folder.handle, targets, source, progress)).toEqual({ written: 3, skipped: 0, failures: [] });
     const written = await folder.folders.get("a")?.files.get("b.bag")?.arrayBuffer();
     expect(Buffer.from(written ?? new ArrayBuffer()).equals(LARGE)).toBe(true);
-    expect(asked.filter((each) => each.startsWith("a/b.bag"))).toEqual(["a/b.bag bytes=0-8388607", "a/b.bag bytes=8388608-9437183"]);
-    asked.length = 0;
+    expect(requests.filter((item) => item.startsWith("a/b.bag"))).toEqual(["a/b.bag bytes=0-8388607", "a/b.bag bytes=8388608-9437183"]);
+    requests.length = 0;
     expect(await saveToFolder(folder.handle, targets, source, progress)).toMatchObject({ written: 0, skipped: 3 });
-    expect(asked).toEqual([]);
+    expect(requests).toEqual([]);
   });
 
   it("replaces no other file of the same name, and names it", async () => {

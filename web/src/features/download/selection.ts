@@ -1,6 +1,5 @@
 // What is downloaded: files, whole missions, or what a search finds; where each file goes; the command that does the same.
-import type { Source, Target } from "./save";
-import { safePath } from "./save";
+import { safePath, type Source, type Target } from "./save";
 import { api, call } from "@/api/client";
 import type { operations } from "@/api/schema";
 import type { Mission } from "@/api/types";
@@ -67,8 +66,8 @@ export async function filesOf(selection: Selection, signal: AbortSignal): Promis
   const files: ChosenFile[] = [];
   for (const query of queries) {
     for (let cursor: string | null = ""; cursor !== null && files.length <= MOST_FILES; ) {
-      const asked: FileQuery = { ...query, sort: "path", limit: PAGE, ...(cursor !== "" && { cursor }) };
-      const page = await call(api.GET("/api/v1/files", { params: { query: asked }, signal }));
+      const pageQuery: FileQuery = { ...query, sort: "path", limit: PAGE, ...(cursor !== "" && { cursor }) };
+      const page = await call(api.GET("/api/v1/files", { params: { query: pageQuery }, signal }));
       files.push(...page.items);
       cursor = page.next ?? null;
     }

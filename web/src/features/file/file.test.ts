@@ -1,9 +1,9 @@
 import { describe, expect, it, vi } from "vitest";
 import { commandsOf, quoted, viewerAddress } from "./commands";
 import { coverage } from "./coverage";
-import { chosenFields, chosenTopic } from "./viewer/defaults";
-import { latest } from "./viewer/latest";
-import { csvOf, rangeOf, rowsOf, shortNumber } from "./viewer/values";
+import { chosenFields, csvOf, rangeOf, rowsOf, shortNumber } from "./viewer/plot";
+import { defaultTopic } from "./viewer/viewers";
+import { latest } from "./viewer/useReader";
 import { reaches } from "./queries";
 import type { File, Topic } from "@/api/types";
 import { fieldTree } from "@/recordings/decoding/fields";
@@ -32,10 +32,10 @@ describe("what is shown first", () => {
   const topics = [topic("/imu", "sensor_msgs/msg/Imu", 900), topic("/empty", "sensor_msgs/msg/Image", 0), topic("/cam", "sensor_msgs/msg/Image", 3)];
 
   it("is what the address says, else pictures, else the busiest topic", () => {
-    expect(chosenTopic(topics, "/imu")?.name).toBe("/imu");
-    expect(chosenTopic(topics, "/gone")?.name).toBe("/cam");
-    expect(chosenTopic(topics.slice(0, 2), "")?.name).toBe("/imu");
-    expect(chosenTopic([], "")).toBeNull();
+    expect(defaultTopic(topics, "/imu")?.name).toBe("/imu");
+    expect(defaultTopic(topics, "/gone")?.name).toBe("/cam");
+    expect(defaultTopic(topics.slice(0, 2), "")?.name).toBe("/imu");
+    expect(defaultTopic([], "")).toBeNull();
   });
 
   it("of a message is what one wants to see of it, and never its header", () => {
@@ -82,9 +82,9 @@ describe("rights", () => {
 describe("latest", () => {
   it("does one at a time, and of what waits only the last", async () => {
     const done: number[] = [];
-    const ask = latest(async (asked: number) => {
+    const ask = latest(async (value: number) => {
       await Promise.resolve();
-      done.push(asked);
+      done.push(value);
     });
     [1, 2, 3, 4].forEach(ask);
     await vi.waitFor(() => expect(done).toEqual([1, 4]));

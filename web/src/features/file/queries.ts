@@ -1,12 +1,11 @@
 // What the page of a file asks the server, and what it has it do.
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import type { Ref } from "vue";
-import { api, call } from "@/api/client";
-import { ifStill, ledTo, type Looked } from "@/api/etags";
-import { keys } from "@/api/keys";
+import { api, call, ifMatch, noteNewEtag, type EtagCarrier } from "@/api/client";
+import { keys } from "@/api/queries";
 import type { components } from "@/api/schema";
 import type { File, Topic } from "@/api/types";
-import { tell } from "@/components/toasts";
+import { showToast } from "@/components/toasts";
 import { texts } from "@/texts/file";
 
 type Change = components["schemas"]["FileUpdate"];
@@ -72,10 +71,10 @@ export function useFileChanges(fileId: string) {
   }
 
   const update = useMutation({
-    mutationFn: ({ etag, ...body }: Change & Looked) =>
-      call(api.PATCH("/api/v1/files/{file_id}", { params: { path, header: ifStill(etag) }, body })),
+    mutationFn: ({ etag, ...body }: Change & EtagCarrier) =>
+      call(api.PATCH("/api/v1/files/{file_id}", { params: { path, header: ifMatch(etag) }, body })),
     onSuccess: (file, { etag }) => {
-      ledTo(etag, file.etag);
+      noteNewEtag(etag, file.etag);
       queries.setQueryData(keys.file(fileId), file);
       old();
     },
@@ -83,7 +82,7 @@ export function useFileChanges(fileId: string) {
   });
   const verify = useMutation({
     mutationFn: () => call(api.POST("/api/v1/files/{file_id}/verify", { params: { path } })),
-    onSuccess: () => tell({ tone: "plain", text: texts.verifying }),
+    onSuccess: () => showToast({ tone: "plain", text: texts.verifying }),
   });
   const restore = useMutation({
     mutationFn: () => call(api.POST("/api/v1/trash/{noun}/{noun_id}/restore", { params: { path: { noun: "file", noun_id: fileId } } })),
@@ -97,11 +96,11 @@ export function useFileChanges(fileId: string) {
 }
 
 /** What runs made of a file, asked for when somebody is about to delete it. */
-export function useMadeOf(fileId: string, isAsked: Readonly<Ref<boolean>>) {
+export function useMadeOf(fileId: string, isEnabled: Readonly<Ref<boolean>>) {
   return useQuery({
     queryKey: [...keys.file(fileId), "deletion"],
     queryFn: () => call(api.DELETE("/api/v1/files/{file_id}", { params: { path: { file_id: fileId }, query: { dry_run: true } } })),
     select: ({ made_from_it: paths }) => paths,
-    enabled: isAsked,
+    enabled: isEnabled,
   });
 }

@@ -1,9 +1,7 @@
 // What the pages of groups ask the server, and what they have it do.
 import { useQuery, useQueryClient } from "@tanstack/vue-query";
-import { api, call } from "@/api/client";
-import { ifStill, ledTo } from "@/api/etags";
-import { keys } from "@/api/keys";
-import { usePages } from "@/api/pages";
+import { api, call, ifMatch, noteNewEtag } from "@/api/client";
+import { keys, usePages } from "@/api/queries";
 import type { components } from "@/api/schema";
 import { globOf } from "@/components/glob";
 
@@ -46,9 +44,9 @@ export function useCandidates(typed: () => string) {
 
 export function useGroupChanges() {
   const queries = useQueryClient();
-  async function done<Told>(told: Promise<Told>): Promise<Told> {
+  async function done<Result>(response: Promise<Result>): Promise<Result> {
     try {
-      return await told;
+      return await response;
     } finally {
       // Also where it was refused: somebody else may have come first.
       for (const key of ["groups", "people", "access", "me"]) void queries.invalidateQueries({ queryKey: [key] });
@@ -58,9 +56,9 @@ export function useGroupChanges() {
   const member = (groupId: string, personId: string) => ({ path: { group_id: groupId, person_id: personId } });
 
   async function rename(groupId: string, name: string, etag?: string): Promise<void> {
-    const params = { ...one(groupId), header: ifStill(etag) };
+    const params = { ...one(groupId), header: ifMatch(etag) };
     const renamed = await done(call(api.PATCH("/api/v1/groups/{group_id}", { params, body: { name } })));
-    ledTo(etag, renamed.etag);
+    noteNewEtag(etag, renamed.etag);
   }
 
   return {
@@ -68,7 +66,7 @@ export function useGroupChanges() {
     rename,
     remove: (groupId: string) => done(call(api.DELETE("/api/v1/groups/{group_id}", { params: one(groupId) }))),
     setMember: (groupId: string, personId: string, body: MemberSet, etag?: string) => {
-      const params = { ...member(groupId, personId), header: ifStill(etag) };
+      const params = { ...member(groupId, personId), header: ifMatch(etag) };
       return done(call(api.PUT("/api/v1/groups/{group_id}/members/{person_id}", { params, body })));
     },
     removeMember: (groupId: string, personId: string) =>

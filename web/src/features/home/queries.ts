@@ -3,9 +3,11 @@
 import { queryOptions, useQuery } from "@tanstack/vue-query";
 import { computed } from "vue";
 import { api, call } from "@/api/client";
-import { keys } from "@/api/keys";
+import { keys } from "@/api/queries";
 import type { components } from "@/api/schema";
 import { useMe } from "@/api/session";
+import type { RouteLocationRaw } from "vue-router";
+import type { Tone } from "@/components/tones";
 
 type Schemas = components["schemas"];
 export type Home = Schemas["HomeRead"];
@@ -31,12 +33,69 @@ export function useHomeStorage() {
 }
 
 /** Whether somebody without the power of an admin sees no project at all; undefined until that is known. */
-export function useHasNoAccess(isAsked: () => boolean) {
+export function useHasNoAccess(isEnabled: () => boolean) {
   const { isAdmin } = useMe();
   const { data, isError } = useQuery({
     queryKey: keys.projects({ any: true }),
     queryFn: ({ signal }) => call(api.GET("/api/v1/projects", { params: { query: { limit: 1 } }, signal })),
-    enabled: () => isAsked() && !isAdmin.value,
+    enabled: () => isEnabled() && !isAdmin.value,
   });
   return computed(() => (isAdmin.value || isError.value ? false : data.value && data.value.items.length === 0));
+}
+
+type Need = Attention["need"];
+
+export const needTones: Readonly<Record<Need, Tone>> = {
+  files_corrupt: "bad",
+  files_lost: "bad",
+  files_broken: "bad",
+  files_unread: "attention",
+  files_recovered: "attention",
+  runs_cannot_start: "bad",
+  runs_failed: "attention",
+  metadata_missing: "attention",
+  scrub_stopped: "bad",
+  verifications_overdue: "attention",
+  jobs_failed: "bad",
+  disk_low: "bad",
+};
+
+/** Returns the view in which something is seen and mended: the mission's own, or for the whole server the admin's. */
+export function placeOf({ need, mission }: Attention): RouteLocationRaw {
+  if (mission === null || mission === undefined) return { name: "admin", query: need === "scrub_stopped" ? { tab: "scrub" } : {} };
+  if (need === "runs_cannot_start" || need === "runs_failed") {
+    return { name: "mission", params: { missionId: mission.id }, query: { tab: "runs" } };
+  }
+  const query = need === "metadata_missing" ? {} : { tab: "problems" };
+  return { name: "mission", params: { missionId: mission.id }, query };
+}
+
+export interface UnfinishedMission {
+  readonly mission: UnfinishedUpload["mission"];
+  readonly files: readonly UnfinishedUpload[];
+  readonly sizeBytes: number;
+  /** Null where the store did not say it of any of them. */
+  readonly sentBytes: number | null;
+  readonly expiresAt: string;
+}
+
+/** Returns unfinished uploads by mission, in the order of their first. */
+export function byMission(uploads: readonly UnfinishedUpload[]): readonly UnfinishedMission[] {
+  const groups = new Map<string, UnfinishedUpload[]>();
+  for (const upload of uploads) groups.set(upload.mission.id, [...(groups.get(upload.mission.id) ?? []), upload]);
+  return [...groups.values()].flatMap((files) => {
+    const [first] = files;
+    return first === undefined ? [] : [summed(first.mission, files)];
+  });
+}
+
+function summed(mission: UnfinishedUpload["mission"], files: readonly UnfinishedUpload[]): UnfinishedMission {
+  const counts = files.flatMap(({ sent_bytes: sent }) => (sent === null ? [] : [sent]));
+  return {
+    mission,
+    files,
+    sizeBytes: files.reduce((sum, file) => sum + file.size_bytes, 0),
+    sentBytes: counts.length === 0 ? null : counts.reduce((sum, sent) => sum + sent, 0),
+    expiresAt: files.reduce((first, file) => (file.expires_at < first ? file.expires_at : first), files[0]?.expires_at ?? ""),
+  };
 }

@@ -1,6 +1,5 @@
 import { expect, it } from "vitest";
-import type { UnfinishedUpload } from "./queries";
-import { byMission } from "./unfinished";
+import { byMission, type UnfinishedUpload } from "./queries";
 
 function upload(mission: string, sent_bytes: number | null, expires_at: string): UnfinishedUpload {
   return {
@@ -10,8 +9,8 @@ function upload(mission: string, sent_bytes: number | null, expires_at: string):
 }
 
 it("sums what is unfinished by mission", () => {
-  const found = byMission([upload("day", 40, "2026-11-09"), upload("night", null, "2026-11-07"), upload("day", null, "2026-11-08")]);
-  expect(found.map(({ mission, files, sizeBytes, sentBytes, expiresAt }) => [mission.id, files.length, sizeBytes, sentBytes, expiresAt])).toEqual([
+  const missions = byMission([upload("day", 40, "2026-11-09"), upload("night", null, "2026-11-07"), upload("day", null, "2026-11-08")]);
+  expect(missions.map(({ mission, files, sizeBytes, sentBytes, expiresAt }) => [mission.id, files.length, sizeBytes, sentBytes, expiresAt])).toEqual([
     ["day", 2, 200, 40, "2026-11-08"],
     ["night", 1, 100, null, "2026-11-07"],
   ]);

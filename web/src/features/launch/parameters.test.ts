@@ -1,5 +1,5 @@
 import { expect, it } from "vitest";
-import { judgeAll, judgeParameter, sent } from "./parameters";
+import { judgeAll, judgeParameter, sent } from "./queries";
 import type { Parameter } from "@/api/types";
 
 function parameter(name: string, type: Parameter["type"], more: Partial<Parameter> = {}): Parameter {
@@ -7,9 +7,9 @@ function parameter(name: string, type: Parameter["type"], more: Partial<Paramete
 }
 
 it("a number is within its bounds, which belong to it", () => {
-  const each = parameter("speed", "number", { minimum: 0, maximum: 10 });
-  expect([0, 10].map((value) => judgeParameter(each, value))).toEqual([null, null]);
-  expect([-0.1, 10.1, Number.NaN, "fast"].every((value) => judgeParameter(each, value) !== null)).toBe(true);
+  const speed = parameter("speed", "number", { minimum: 0, maximum: 10 });
+  expect([0, 10].map((value) => judgeParameter(speed, value))).toEqual([null, null]);
+  expect([-0.1, 10.1, Number.NaN, "fast"].every((value) => judgeParameter(speed, value) !== null)).toBe(true);
 });
 
 it("a whole number has no fraction", () => {

@@ -2,9 +2,10 @@
 import { keepPreviousData, useQuery } from "@tanstack/vue-query";
 import { computed, type ComputedRef } from "vue";
 import { api, call } from "@/api/client";
-import { keys } from "@/api/keys";
-import type { Mission } from "@/api/types";
+import { keys } from "@/api/queries";
+import type { Mission, Parameter } from "@/api/types";
 import { globOf } from "@/components/glob";
+import { texts as all } from "@/texts/actions";
 
 const OFFERED = 8;
 const MOST_TOPICS = 500;
@@ -26,8 +27,8 @@ export function useMissionsNamed(ids: () => readonly string[]) {
   return useQuery({
     queryKey: ["missions", "named", ids],
     queryFn: async ({ signal }): Promise<readonly Mission[]> => {
-      const asked = ids().map((id) => call(api.GET("/api/v1/missions/{mission_id}", { params: { path: { mission_id: id } }, signal })));
-      return (await Promise.allSettled(asked)).flatMap((each) => (each.status === "fulfilled" ? [each.value] : []));
+      const requests = ids().map((id) => call(api.GET("/api/v1/missions/{mission_id}", { params: { path: { mission_id: id } }, signal })));
+      return (await Promise.allSettled(requests)).flatMap((item) => (item.status === "fulfilled" ? [item.value] : []));
     },
     placeholderData: keepPreviousData,
   });
@@ -35,7 +36,7 @@ export function useMissionsNamed(ids: () => readonly string[]) {
 
 /** The names of the topics of a mission. */
 export function useTopicNames(missionId: () => string | undefined): ComputedRef<readonly string[]> {
-  const found = useQuery({
+  const matching = useQuery({
     queryKey: computed(() => [...keys.mission(missionId() ?? ""), "topic-names"]),
     queryFn: ({ signal }) => {
       const params = { path: { mission_id: missionId() ?? "" }, query: { limit: MOST_TOPICS, bins: 0 } };
@@ -43,5 +44,40 @@ export function useTopicNames(missionId: () => string | undefined): ComputedRef<
     },
     enabled: () => missionId() !== undefined,
   });
-  return computed(() => [...new Set((found.data.value?.items ?? []).map(({ name }) => name))]);
+  return computed(() => [...new Set((matching.data.value?.items ?? []).map(({ name }) => name))]);
+}
+
+export type Value = string | number | boolean;
+/** What stands in the form: nothing where the default is meant. */
+export type ParameterValues = Readonly<Record<string, Value | null>>;
+
+const texts = all.launch.wants;
+
+/** Returns what is wrong with a value; null where nothing is. */
+export function judgeParameter(parameter: Parameter, value: Value | null | undefined): string | null {
+  if (value === null || value === undefined || value === "") {
+    return (parameter.default ?? null) === null ? texts.must : null;
+  }
+  if (parameter.type !== "integer" && parameter.type !== "number") return null;
+  if (typeof value !== "number" || !Number.isFinite(value)) return texts[parameter.type];
+  if (parameter.type === "integer" && !Number.isInteger(value)) return texts.integer;
+  const [least, most] = [parameter.minimum ?? null, parameter.maximum ?? null];
+  if (least !== null && value < least) return texts.atLeast(least);
+  return most !== null && value > most ? texts.atMost(most) : null;
+}
+
+/** Returns what is wrong with each parameter. */
+export function judgeAll(parameters: readonly Parameter[], values: ParameterValues): ReadonlyMap<string, string> {
+  return new Map(parameters.flatMap((item) => {
+    const wrong = judgeParameter(item, values[item.name]);
+    return wrong === null ? [] : [[item.name, wrong] as const];
+  }));
+}
+
+/** Returns what is sent: the values that were given, no defaults. */
+export function sent(parameters: readonly Parameter[], values: ParameterValues): Record<string, Value> {
+  return Object.fromEntries(parameters.flatMap(({ name }) => {
+    const value = values[name] ?? null;
+    return value === null || value === "" ? [] : [[name, value] as const];
+  }));
 }

@@ -1,6 +1,6 @@
 // The commands that do with exactly what is chosen here what the page does, ready to be copied.
 import type { TimelineFile } from "./queries";
-import { type Commands, quoted } from "@/features/file/commands";
+import { quoted, type Commands } from "@/features/file/commands";
 import type { Mission } from "@/api/types";
 
 const GLOB = /[*?[\]]/;

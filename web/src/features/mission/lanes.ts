@@ -36,28 +36,28 @@ export function lanesOf(files: readonly TimelineFile[], axis: Span): Lanes {
   const lanes: Placed[][] = [];
   const gaps: Span[] = [];
   let [reached, coveredNs] = [axis.startNs, 0];
-  for (const each of placed) {
-    if (each.startNs - reached >= LEAST_GAP_NS) gaps.push({ startNs: reached, endNs: each.startNs });
-    coveredNs += Math.max(0, each.endNs - Math.max(each.startNs, reached));
-    reached = Math.max(reached, each.endNs);
-    place(lanes, each);
+  for (const item of placed) {
+    if (item.startNs - reached >= LEAST_GAP_NS) gaps.push({ startNs: reached, endNs: item.startNs });
+    coveredNs += Math.max(0, item.endNs - Math.max(item.startNs, reached));
+    reached = Math.max(reached, item.endNs);
+    place(lanes, item);
   }
   return { lanes, gaps, mostAtOnce: mostOf(placed), coveredNs, without: files.length - placed.length };
 }
 
-function place(lanes: Placed[][], each: Placed): void {
-  const free = lanes.find((lane) => (lane.at(-1)?.endNs ?? -Infinity) <= each.startNs);
-  if (free !== undefined) free.push(each);
-  else if (lanes.length < MOST_LANES) lanes.push([each]);
-  else lanes.at(-1)?.push(each);
+function place(lanes: Placed[][], item: Placed): void {
+  const free = lanes.find((lane) => (lane.at(-1)?.endNs ?? -Infinity) <= item.startNs);
+  if (free !== undefined) free.push(item);
+  else if (lanes.length < MOST_LANES) lanes.push([item]);
+  else lanes.at(-1)?.push(item);
 }
 
 /** How many files go on at once, at most. `placed` come by their beginning. */
 function mostOf(placed: readonly Placed[]): number {
-  const ends = placed.map((each) => each.endNs).sort((one, other) => one - other);
+  const ends = placed.map((item) => item.endNs).sort((one, other) => one - other);
   let [most, over] = [0, 0];
-  placed.forEach((each, begun) => {
-    while ((ends[over] ?? Infinity) <= each.startNs && over < begun) over += 1;
+  placed.forEach((item, begun) => {
+    while ((ends[over] ?? Infinity) <= item.startNs && over < begun) over += 1;
     most = Math.max(most, begun + 1 - over);
   });
   return most;
@@ -71,10 +71,10 @@ export function barsPath(lane: readonly Placed[], axis: Span, isWanted: (file: T
   const flush = () => {
     if (to > from) path += `M${from} 0H${to}V1H${from}Z`;
   };
-  for (const each of lane) {
-    if (!isWanted(each.file)) continue;
-    const start = Math.min(COLUMNS - 1, Math.max(0, Math.floor((each.startNs - axis.startNs) * scale)));
-    const end = Math.max(start + 1, Math.min(COLUMNS, Math.round((each.endNs - axis.startNs) * scale)));
+  for (const item of lane) {
+    if (!isWanted(item.file)) continue;
+    const start = Math.min(COLUMNS - 1, Math.max(0, Math.floor((item.startNs - axis.startNs) * scale)));
+    const end = Math.max(start + 1, Math.min(COLUMNS, Math.round((item.endNs - axis.startNs) * scale)));
     if (start <= to - 1 || (start === to && end - start <= 1)) to = Math.max(to, end);
     else {
       flush();
@@ -89,11 +89,11 @@ export function barsPath(lane: readonly Placed[], axis: Span, isWanted: (file: T
 export function fileAt(lane: readonly Placed[], atNs: number, withinNs: number): Placed | null {
   let nearest: Placed | null = null;
   let distance = withinNs;
-  for (const each of lane) {
-    if (each.startNs - withinNs > atNs) break;
-    const away = atNs < each.startNs ? each.startNs - atNs : Math.max(0, atNs - each.endNs);
-    if (away <= distance) [nearest, distance] = [each, away];
-    if (away === 0) return each;
+  for (const item of lane) {
+    if (item.startNs - withinNs > atNs) break;
+    const away = atNs < item.startNs ? item.startNs - atNs : Math.max(0, atNs - item.endNs);
+    if (away <= distance) [nearest, distance] = [item, away];
+    if (away === 0) return item;
   }
   return nearest;
 }

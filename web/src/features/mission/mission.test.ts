@@ -44,7 +44,7 @@ it("puts files that overlap above each other, and finds where nothing was record
   const { lanes, gaps, mostAtOnce, coveredNs, without } = lanesOf(
     [file("b", 5, 20), file("a", 0, 10), file("c", 20, 30), file("d", 60, 100), file("e"), file("f", -900, -800)], axis,
   );
-  expect(lanes.map((lane) => lane.map((each) => each.file.path))).toEqual([["a", "c", "d"], ["b"]]);
+  expect(lanes.map((lane) => lane.map((item) => item.file.path))).toEqual([["a", "c", "d"], ["b"]]);
   expect(gaps).toEqual([{ startNs: 30 * S, endNs: 60 * S }]);
   expect([mostAtOnce, coveredNs / S, without]).toEqual([2, 70, 2]);
 });

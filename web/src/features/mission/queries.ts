@@ -1,10 +1,12 @@
 // What the page of a mission asks the server, and what it has it do.
 import { keepPreviousData, useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
-import { api, call } from "@/api/client";
-import { ifStill, ledTo, type Looked } from "@/api/etags";
-import { keys } from "@/api/keys";
+import { api, call, ifMatch, noteNewEtag, type EtagCarrier } from "@/api/client";
+import { keys } from "@/api/queries";
 import type { components } from "@/api/schema";
-import type { File, Recording } from "@/api/types";
+import type { File, Mission, Recording } from "@/api/types";
+import type { Problem } from "@/components/problems";
+import { problemsOfFile } from "@/features/file/problems";
+import { texts } from "@/texts/mission";
 
 type Schemas = components["schemas"];
 export type MissionChange = Schemas["MissionUpdate"];
@@ -32,12 +34,12 @@ const TOPICS_PAGE = 1000;
 /** Densities of so many topics are drawn; more than 20,000 the server does not keep. */
 const BINS = 192;
 const SOON_MS = 2_000;
-const MOST_ODD = 500;
+const MOST_FILES_WITH_WARNINGS = 500;
 
 export const missionKeys = {
   timeline: (id: string) => [...keys.mission(id), "timeline"],
   topics: (id: string) => [...keys.mission(id), "topics"],
-  odd: (id: string) => [...keys.mission(id), "odd"],
+  withWarnings: (id: string) => [...keys.mission(id), "odd"],
 } as const;
 
 /** Asks for page after page until there is no next one. */
@@ -109,16 +111,16 @@ export function useMissionTopics(missionId: string, isWanted: () => boolean) {
     enabled: isWanted,
     structuralSharing: false,
     placeholderData: keepPreviousData,
-    refetchInterval: (asked) => (asked.state.data?.isCurrent === false ? SOON_MS : false),
+    refetchInterval: (running) => (running.state.data?.isCurrent === false ? SOON_MS : false),
   });
 }
 
 /** The files with problems, the first ones by path; `isCut` where there are more. */
-export function useOddFiles(missionId: string) {
+export function useFilesWithWarnings(missionId: string) {
   return useQuery({
-    queryKey: missionKeys.odd(missionId),
+    queryKey: missionKeys.withWarnings(missionId),
     queryFn: async ({ signal }): Promise<{ readonly files: readonly File[]; readonly isCut: boolean }> => {
-      const common = { mission_id: missionId, sort: "path", limit: MOST_ODD } as const;
+      const common = { mission_id: missionId, sort: "path", limit: MOST_FILES_WITH_WARNINGS } as const;
       const [inside, bytes, noted] = await Promise.all([
         call(api.GET("/api/v1/files", { params: { query: { ...common, content: ["recovered", "broken", "error"] } }, signal })),
         call(api.GET("/api/v1/files", { params: { query: { ...common, state: ["lost", "corrupt"] } }, signal })),
@@ -143,10 +145,10 @@ export function useMissionChanges(missionId: string) {
   }
 
   const update = useMutation({
-    mutationFn: ({ etag, ...body }: MissionChange & Looked) =>
-      call(api.PATCH("/api/v1/missions/{mission_id}", { params: { path, header: ifStill(etag) }, body })),
+    mutationFn: ({ etag, ...body }: MissionChange & EtagCarrier) =>
+      call(api.PATCH("/api/v1/missions/{mission_id}", { params: { path, header: ifMatch(etag) }, body })),
     onSuccess: (mission, { etag }) => {
-      ledTo(etag, mission.etag);
+      noteNewEtag(etag, mission.etag);
       queries.setQueryData(keys.mission(missionId), mission);
       old();
     },
@@ -161,4 +163,21 @@ export function useMissionChanges(missionId: string) {
     onSuccess: old,
   });
   return { update, remove, restore, old };
+}
+
+function ofRecording(recording: Recording): Problem[] {
+  const place = { source: recording.name, fileId: null };
+  return [
+    ...recording.missing.map((path) => ({ code: "member-missing", message: texts.missingFile(path), where: "", ...place })),
+    ...recording.surplus.map((path) => ({ code: "member-surplus", message: texts.surplusFile(path), where: "", ...place })),
+    ...recording.problems.map(({ code, message, where }) => ({ code, message, where, ...place })),
+  ];
+}
+
+/** Returns all problems of a mission. */
+export function problemsOfMission(mission: Mission | undefined, recordings: readonly Recording[], files: readonly File[]): readonly Problem[] {
+  const ofMetadata = (mission?.metadata_problems ?? []).map(({ field, message }) => (
+    { code: "metadata", message: texts.metadataProblem(field, message), where: "", source: "", fileId: null }
+  ));
+  return [...ofMetadata, ...recordings.flatMap(ofRecording), ...files.flatMap(problemsOfFile)];
 }

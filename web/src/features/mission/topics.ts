@@ -4,8 +4,8 @@ import type { RouteLocationRaw } from "vue-router";
 
 /** Returns how many stretches without messages lie between a topic's first and last, and their share of all of it. */
 export function silences(counts: readonly number[]): { readonly count: number; readonly share: number } {
-  const first = counts.findIndex((each) => each > 0);
-  const last = counts.findLastIndex((each) => each > 0);
+  const first = counts.findIndex((item) => item > 0);
+  const last = counts.findLastIndex((item) => item > 0);
   let [count, empty] = [0, 0];
   for (let at = first; at >= 0 && at <= last; at += 1) {
     if (counts[at] !== 0) continue;
@@ -17,9 +17,9 @@ export function silences(counts: readonly number[]): { readonly count: number; r
 
 /** Returns the topics in whose name or type a text occurs. */
 export function matching(topics: readonly MissionTopic[], text: string): readonly MissionTopic[] {
-  const wanted = text.toLocaleLowerCase();
-  if (wanted === "") return topics;
-  return topics.filter(({ name, message_type: type }) => name.toLocaleLowerCase().includes(wanted) || type?.toLocaleLowerCase().includes(wanted));
+  const lowered = text.toLocaleLowerCase();
+  if (lowered === "") return topics;
+  return topics.filter(({ name, message_type: type }) => name.toLocaleLowerCase().includes(lowered) || type?.toLocaleLowerCase().includes(lowered));
 }
 
 /** Returns an order of topics: `name`, `count`, `rate` or `gap`, turned round by a minus before it. */
@@ -45,11 +45,11 @@ export function firstPlace(topic: MissionTopic, { recordings }: Topics, files: R
 
 /** Returns for each recording the file of it that begins first. */
 export function firstFiles(files: readonly TimelineFile[]): Map<string, TimelineFile> {
-  const found = new Map<string, TimelineFile>();
+  const byId = new Map<string, TimelineFile>();
   for (const file of files) {
     if (file.recording_id === null || file.start_ns === null) continue;
-    const known = found.get(file.recording_id);
-    if (known?.start_ns === undefined || known.start_ns === null || file.start_ns < known.start_ns) found.set(file.recording_id, file);
+    const known = byId.get(file.recording_id);
+    if (known?.start_ns === undefined || known.start_ns === null || file.start_ns < known.start_ns) byId.set(file.recording_id, file);
   }
-  return found;
+  return byId;
 }

@@ -42,7 +42,7 @@ interface Folder {
 
 /** Returns the nodes of the top; folders come before files, each by name. `files` come by path. */
 export function treeOf(files: readonly TimelineFile[], recordings: readonly Recording[]): readonly Node[] {
-  const byId = new Map(recordings.filter((each) => each.file_ids.length > 1).map((each) => [each.id, each]));
+  const byId = new Map(recordings.filter((item) => item.file_ids.length > 1).map((item) => [item.id, item]));
   return nodesOf(foldersOf(files), byId);
 }
 
@@ -65,7 +65,7 @@ function foldersOf(files: readonly TimelineFile[]): Folder {
 }
 
 function nodesOf(folder: Folder, recordings: ReadonlyMap<string, Recording>): Node[] {
-  const branches: Node[] = [...folder.folders.values()].map((each) => branchOf(each, recordings));
+  const branches: Node[] = [...folder.folders.values()].map((item) => branchOf(item, recordings));
   const grouped = new Map<Recording, TimelineFile[]>();
   const leaves: Leaf[] = [];
   for (const file of folder.files) {

@@ -1,10 +1,10 @@
 // What the pages of people ask the server, and what they have it do.
 import { useQuery, useQueryClient } from "@tanstack/vue-query";
 import { api, call } from "@/api/client";
-import { keys } from "@/api/keys";
-import { usePages } from "@/api/pages";
+import { keys, usePages } from "@/api/queries";
 import type { operations } from "@/api/schema";
 import type { Access, Project } from "@/api/types";
+import { texts } from "@/texts/people";
 
 export type PeopleQuery = NonNullable<operations["list_people"]["parameters"]["query"]>;
 
@@ -17,8 +17,8 @@ export function usePeople(query: () => PeopleQuery) {
   return usePages(
     () => keys.people(query()),
     (cursor, signal) => {
-      const asked = { ...query(), count: true, ...(cursor !== undefined && { cursor }) };
-      return call(api.GET("/api/v1/people", { params: { query: asked }, signal }));
+      const filters = { ...query(), count: true, ...(cursor !== undefined && { cursor }) };
+      return call(api.GET("/api/v1/people", { params: { query: filters }, signal }));
     },
   );
 }
@@ -36,8 +36,8 @@ export function usePersonChanges(personId: string) {
   const old = () => {
     for (const key of ["people", "groups", "access", "tokens", "me"]) void queries.invalidateQueries({ queryKey: [key] });
   };
-  async function done<Told>(told: Promise<Told>): Promise<Told> {
-    const answer = await told;
+  async function done<Result>(response: Promise<Result>): Promise<Result> {
+    const answer = await response;
     old();
     return answer;
   }
@@ -87,15 +87,15 @@ export interface Reach extends Access {
 }
 
 async function accessOf(project: Project, personId: string, signal: AbortSignal): Promise<readonly Reach[]> {
-  const found: Reach[] = [];
+  const reached: Reach[] = [];
   let cursor: string | null = "";
   while (cursor !== null) {
     const query: { limit: number; cursor?: string } = cursor === "" ? { limit: PAGE } : { limit: PAGE, cursor };
     const page = await call(api.GET("/api/v1/projects/{project_id}/access", { params: { path: { project_id: project.id }, query }, signal }));
-    found.push(...page.items.filter(({ person }) => person?.id === personId).map((access) => ({ ...access, project })));
+    reached.push(...page.items.filter(({ person }) => person?.id === personId).map((access) => ({ ...access, project })));
     cursor = page.next ?? null;
   }
-  return found;
+  return reached;
 }
 
 /** What somebody has on each project that one sees, as far as one may know it. */
@@ -112,4 +112,20 @@ export function useReach(personId: string) {
       return { rows, projects: projects.length };
     },
   });
+}
+
+/** Returns who has it by that. */
+export function holderOf(access: Access): string {
+  if (access.person !== null) return access.person.name;
+  if (access.to === null) return access.through === "admin" ? texts.access.admins : texts.access.everybody;
+  if (access.to.kind === "email") return texts.access.address(access.to.name);
+  return access.to.kind === "group" ? texts.access.members(access.to.name) : access.to.name;
+}
+
+/** Returns what gives it to them. */
+export function sourceOf(access: Access): string {
+  const through = texts.access.through[access.through];
+  if (access.to === null) return through;
+  const how = access.to.kind === "group" && access.person !== null ? texts.access.byGroup(access.to.name) : "";
+  return how === "" ? through : `${through}, ${how}`;
 }

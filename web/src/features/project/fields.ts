@@ -1,8 +1,16 @@
 // The fields of a project while somebody changes them: as they are typed, judged, and as they are sent.
-import type { MetadataField, MetadataFields } from "@/api/types";
-import { texts as all } from "@/texts/project";
+import type { MetadataField, MetadataFields, Mission } from "@/api/types";
+import { texts as projectTexts } from "@/texts/project";
+import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
+import { computed, toValue, type MaybeRefOrGetter } from "vue";
+import { api, call } from "@/api/client";
+import { keys } from "@/api/queries";
+import type { FieldProblem, Problem } from "@/api/problem";
+import type { components } from "@/api/schema";
+import type { Carried } from "@/components/metadata";
+import type { Column } from "@/components/table";
 
-const texts = all.fields;
+const texts = projectTexts.fields;
 
 export interface Draft {
   /** Stays when fields change their order or name. */
@@ -45,7 +53,7 @@ export function emptyDraft(): Draft {
 }
 
 function choicesOf(draft: Draft): string[] {
-  return [...new Set(draft.choices.split("\n").map((each) => each.trim()).filter((each) => each !== ""))];
+  return [...new Set(draft.choices.split("\n").map((item) => item.trim()).filter((item) => item !== ""))];
 }
 
 /** Returns what is wrong, by the key of the field and the name of what is typed. */
@@ -84,4 +92,112 @@ export function moved(drafts: readonly Draft[], at: number, by: -1 | 1): Draft[]
   const [one, other] = [next[at], next[at + by]];
   if (one !== undefined && other !== undefined) [next[at], next[at + by]] = [other, one];
   return next;
+}
+
+type MissionCreate = components["schemas"]["MissionCreate"];
+type MissionTemplate = components["schemas"]["MissionTemplate"];
+
+export function useCreateMission(projectId: string) {
+  const queries = useQueryClient();
+  return useMutation({
+    mutationFn: (body: MissionCreate) => call(api.POST("/api/v1/projects/{project_id}/missions", { params: { path: { project_id: projectId } }, body })),
+    onSuccess: (mission) => {
+      queries.setQueryData(keys.mission(mission.id), mission);
+      for (const noun of ["projects", "missions"]) void queries.invalidateQueries({ queryKey: [noun] });
+    },
+    meta: { showsItself: true },
+  });
+}
+
+/** Asks what to begin a project's next mission with, as the last one says; anew each time, for it may have been another. */
+export function useTemplate(projectId: MaybeRefOrGetter<string>) {
+  return useQuery({
+    queryKey: computed(() => keys.template(toValue(projectId))),
+    queryFn: ({ signal }) => {
+      const path = { project_id: toValue(projectId) };
+      return call(api.GET("/api/v1/projects/{project_id}/template", { params: { path }, signal }));
+    },
+    enabled: computed(() => toValue(projectId) !== ""),
+    gcTime: 0,
+  });
+}
+
+/** Returns what an earlier mission said of the next one. */
+export function carriedBy(template: MissionTemplate | undefined): Carried {
+  return { from: template?.prefilled_from?.name ?? "", values: template?.carried ?? {} };
+}
+
+/** What a refusal says: of the name, of the metadata's fields, and whether it says more than that. */
+export interface Refusal {
+  readonly name: string;
+  readonly metadata: readonly FieldProblem[];
+  readonly isElsewhere: boolean;
+}
+
+/** Returns what a refusal says of the fields of a form that shows the metadata's `shown` ones. */
+export function readRefusal(problem: Problem | null, shown: ReadonlySet<string>): Refusal {
+  if (problem === null) return { name: "", metadata: [], isElsewhere: false };
+  if (problem.code === "name_taken") return { name: problem.message, metadata: [], isElsewhere: false };
+  const ofName = problem.code === "invalid_request" ? problem.fields.find(({ field }) => field === "body.name") : undefined;
+  const metadata = problem.code === "metadata_invalid" ? problem.fields : [];
+  const beside = metadata.filter(({ field }) => shown.has(field.split(".")[0] ?? "")).length + (ofName === undefined ? 0 : 1);
+  return { name: ofName?.message ?? "", metadata, isElsewhere: beside === 0 || beside < problem.fields.length };
+}
+
+const PREFIX = "meta.";
+const SORTS: readonly string[] = ["name", "-name", "created", "-created", "start", "-start"];
+/** Columns of fields that are shown until somebody chooses. */
+const USUAL = 2;
+
+/** Returns an order as the server knows it, whatever stands in the address. */
+export function sortOf(text: string): string {
+  return SORTS.includes(text) || /^-?meta\.[A-Za-z][\w.]*$/.test(text) ? text : "-start";
+}
+
+/** Returns a value of metadata as one line of text. */
+export function valueText(value: unknown, unit = ""): string {
+  if (value === undefined || value === null) return "";
+  if (typeof value === "boolean") return value ? projectTexts.missions.yes : projectTexts.missions.no;
+  if (Array.isArray(value)) return value.map((item) => valueText(item)).join(", ");
+  if (typeof value === "object") {
+    const { name, latitude, longitude } = value as Record<string, unknown>;
+    if (typeof name === "string" && name !== "") return name;
+    if (typeof latitude === "number" && typeof longitude === "number") return `${latitude}, ${longitude}`;
+    return JSON.stringify(value);
+  }
+  const text = typeof value === "number" || typeof value === "string" ? String(value) : "";
+  return unit === "" ? text : `${text} ${unit}`;
+}
+
+/** Returns a column for each declared field. */
+export function fieldColumns(fields: readonly MetadataField[]): readonly Column<Mission>[] {
+  return fields.map((field) => ({
+    key: PREFIX + field.name,
+    title: field.name,
+    sort: PREFIX + field.name,
+    width: "minmax(104px, 1fr)",
+    from: "tablet" as const,
+    ...(field.type === "number" && { align: "right" as const }),
+    text: (mission: Mission) => valueText(mission.metadata[field.name], field.type === "number" ? (field.unit ?? "") : ""),
+  }));
+}
+
+/** Returns the keys of the columns that are shown until somebody chooses: the first fields, required ones before others. */
+export function usualFields(fields: readonly MetadataField[]): readonly string[] {
+  const [required, optional] = [fields.filter((field) => field.required), fields.filter((field) => !field.required)];
+  return [...required, ...optional].slice(0, USUAL).map((field) => PREFIX + field.name);
+}
+
+/** What a field can be compared by. The first is the usual one. */
+export function operatorsOf(type: MetadataField["type"]): readonly string[] {
+  if (type === "number" || type === "date") return type === "date" ? [">=", "<=", "="] : ["=", ">=", "<="];
+  if (type === "boolean" || type === "choice") return ["=", "!="];
+  return type === "location" ? ["~"] : ["~", "=", "!="]; // a place is a name and coordinates, and equals no text
+}
+
+/** Returns a comparison as the server reads it: text stays text, also where it looks like a number. */
+export function comparison(field: MetadataField, operator: string, value: string): string {
+  if (operator === "~") return `${field.name}~*${value}*`;
+  const isText = field.type === "string" || field.type === "choice" || field.type === "link";
+  return `${field.name}${operator}${isText ? `"${value}"` : value}`;
 }

@@ -1,12 +1,12 @@
 // What the pages of projects ask the server, and what they have it do.
 import { keepPreviousData, useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { computed } from "vue";
-import { api, call } from "@/api/client";
-import { ifStill, ledTo, type Looked } from "@/api/etags";
-import { keys } from "@/api/keys";
-import { usePages } from "@/api/pages";
+import { api, call, ifMatch, noteNewEtag, type EtagCarrier } from "@/api/client";
+import { keys, usePages } from "@/api/queries";
 import type { components, operations } from "@/api/schema";
 import type { Mission, Project } from "@/api/types";
+import { formatCount, formatHours, formatSize } from "@/components/format";
+import { texts as all } from "@/texts/project";
 
 type Schemas = components["schemas"];
 export type ProjectChange = Schemas["ProjectUpdate"];
@@ -51,14 +51,14 @@ export function useMissionsOnAxis(query: () => MissionQuery, isWanted: () => boo
   return useQuery({
     queryKey: computed(() => [...keys.missions(query()), "axis"]),
     queryFn: async ({ signal }): Promise<readonly Mission[]> => {
-      const found: Mission[] = [];
-      for (let cursor: string | null | undefined; cursor !== null && found.length < MOST_ON_AXIS; ) {
-        const asked = { ...query(), sort: "start" as const, limit: 500, ...(cursor && { cursor }) };
-        const page = await call(api.GET("/api/v1/missions", { params: { query: asked }, signal }));
-        found.push(...page.items);
+      const timed: Mission[] = [];
+      for (let cursor: string | null | undefined; cursor !== null && timed.length < MOST_ON_AXIS; ) {
+        const pageQuery = { ...query(), sort: "start" as const, limit: 500, ...(cursor && { cursor }) };
+        const page = await call(api.GET("/api/v1/missions", { params: { query: pageQuery }, signal }));
+        timed.push(...page.items);
         cursor = page.next ?? null;
       }
-      return found;
+      return timed;
     },
     enabled: isWanted,
     placeholderData: keepPreviousData,
@@ -93,10 +93,10 @@ export function useProjectChanges(projectId: string) {
   }
 
   const update = useMutation({
-    mutationFn: ({ etag, ...body }: ProjectChange & Looked) =>
-      call(api.PATCH("/api/v1/projects/{project_id}", { params: { path, header: ifStill(etag) }, body })),
+    mutationFn: ({ etag, ...body }: ProjectChange & EtagCarrier) =>
+      call(api.PATCH("/api/v1/projects/{project_id}", { params: { path, header: ifMatch(etag) }, body })),
     onSuccess: (project, { etag }) => {
-      ledTo(etag, project.etag);
+      noteNewEtag(etag, project.etag);
       queries.setQueryData(keys.project(projectId), project);
       old();
     },
@@ -111,4 +111,54 @@ export function useProjectChanges(projectId: string) {
     onSuccess: old,
   });
   return { update, remove, restore, old };
+}
+
+const texts = all.stats;
+const NS_PER_H = 3.6e12;
+export const MEASURES = ["duration_ns", "size_bytes", "files", "missions", "messages"] as const;
+export type Measure = (typeof MEASURES)[number];
+
+export interface Bar {
+  readonly key: string;
+  readonly label: string;
+  readonly row: StatsRow;
+  /** Of the longest bar, from 0 to 1. */
+  readonly share: number;
+}
+
+/** Returns a number of a measure as people read it. */
+export function shownMeasure(measure: Measure, row: StatsRow): string {
+  if (measure === "size_bytes") return formatSize(row.size_bytes);
+  if (measure === "duration_ns") return formatHours(row.duration_ns);
+  return formatCount(row[measure]);
+}
+
+/** Returns the bars of an overview; what has no value comes last. */
+export function barsOf(overview: Overview, measure: Measure): readonly Bar[] {
+  const named = overview.buckets.map(({ value, low, high, stats }) => {
+    const isRange = typeof low === "number" && typeof high === "number";
+    const nothing = overview.by === "month" ? texts.noMonth : texts.none;
+    const label = isRange ? texts.range(low, high, overview.unit ?? "") : (value ?? nothing);
+    return { label, row: stats, isNothing: !isRange && value === null };
+  });
+  const rows = [
+    ...named.filter((item) => !item.isNothing),
+    ...(overview.other === null ? [] : [{ label: texts.other, row: overview.other }]),
+    ...named.filter((item) => item.isNothing),
+  ];
+  const most = rows.reduce((high, { row }) => Math.max(high, row[measure]), 0);
+  return rows.map(({ label, row }, at) => ({ key: `${at} ${label}`, label, row, share: most === 0 ? 0 : row[measure] / most }));
+}
+
+function cell(text: string): string {
+  // What a table program would take for a formula is marked as text.
+  const plain = /^[=+\-@\t\r]/.test(text) ? `'${text}` : text;
+  return /[",\n\r]/.test(plain) ? `"${plain.replaceAll('"', '""')}"` : plain;
+}
+
+/** Returns an overview as CSV. */
+export function csvOf(bars: readonly Bar[], total: StatsRow): string {
+  const line = (label: string, row: StatsRow) =>
+    [cell(label), row.missions, row.files, row.recordings, row.duration_ns / NS_PER_H, row.size_bytes, row.messages].join(",");
+  return [texts.columns.join(","), ...bars.map(({ label, row }) => line(label, row)), line(texts.total, total), ""].join("\n");
 }

@@ -1,5 +1,9 @@
 // The log of a run as it is kept here: whole lines in pieces, found by their number. What one sees of 100 MB is some
 // fifty lines, so a line is cut out of its piece only when it is drawn. Beyond a million lines the earliest are let go.
+import { computed, onScopeDispose, readonly, ref, shallowRef, watch, type Ref } from "vue";
+import { api, call } from "@/api/client";
+import { toProblem, type Problem } from "@/api/problem";
+
 export const MOST_LINES = 1_000_000;
 const MOST_SHOWN = 2_000;
 /** A line that does not end is ended. */
@@ -73,19 +77,19 @@ export class LogLines {
   }
 
   /** Returns the numbers of the lines from `from` on in which a text is, whatever its case; and where to go on. */
-  find(text: string, from: number): { readonly found: readonly number[]; readonly upTo: number } {
-    const wanted = text.toLocaleLowerCase();
-    const found: number[] = [];
-    if (from >= this.next) return { found, upTo: from };
+  find(text: string, from: number): { readonly matches: readonly number[]; readonly upTo: number } {
+    const lowered = text.toLocaleLowerCase();
+    const matches: number[] = [];
+    if (from >= this.next) return { matches, upTo: from };
     const piece = this.pieces[this.pieceOf(Math.max(from, this.least))];
-    if (piece === undefined || wanted === "") return { found, upTo: this.next };
+    if (piece === undefined || lowered === "") return { matches, upTo: this.next };
     const within = piece.text.toLocaleLowerCase();
-    for (let at = within.indexOf(wanted); at >= 0 && found.length < MOST_FOUND; ) {
+    for (let at = within.indexOf(lowered); at >= 0 && matches.length < MOST_FOUND; ) {
       const line = lastAtMost(piece.starts, at);
-      if (piece.first + line >= from) found.push(piece.first + line);
-      at = within.indexOf(wanted, piece.starts[line + 1] ?? within.length);
+      if (piece.first + line >= from) matches.push(piece.first + line);
+      at = within.indexOf(lowered, piece.starts[line + 1] ?? within.length);
     }
-    return { found, upTo: piece.first + piece.starts.length };
+    return { matches, upTo: piece.first + piece.starts.length };
   }
 
   private pieceOf(number: number): number {
@@ -107,4 +111,105 @@ function lastAtMost(starts: Uint32Array, at: number): number {
     else high = middle - 1;
   }
   return low;
+}
+
+const WAIT_S = 20;
+const AGAIN_MS = 3_000;
+
+export interface Log {
+  readonly lines: LogLines;
+  /** Grows with what has come. */
+  readonly version: Readonly<Ref<number>>;
+  readonly isOver: Readonly<Ref<boolean>>;
+  readonly problem: Readonly<Ref<Problem | null>>;
+}
+
+export function useLog(runId: string): Log {
+  const state = { lines: new LogLines() };
+  const version = ref(0);
+  const isOver = ref(false);
+  const problem = shallowRef<Problem | null>(null);
+  const ending = new AbortController();
+  let attempt: number | null = null;
+  let offset = 0;
+
+  async function step(): Promise<void> {
+    const params = { path: { run_id: runId }, query: { offset, wait_s: WAIT_S } };
+    const piece = await call(api.GET("/api/v1/runs/{run_id}/log", { params, signal: ending.signal }));
+    problem.value = null;
+    if (attempt !== null && piece.attempt !== attempt) {
+      state.lines = new LogLines();
+      [offset, attempt] = [0, piece.attempt];
+      version.value += 1;
+      return;
+    }
+    attempt = piece.attempt;
+    offset = piece.next_offset;
+    state.lines.append(piece.text);
+    isOver.value = piece.is_over;
+    version.value += 1;
+  }
+
+  async function follow(): Promise<void> {
+    while (!isOver.value && !ending.signal.aborted) {
+      try {
+        await step();
+      } catch (thrown) {
+        if (thrown instanceof DOMException && thrown.name === "AbortError") return;
+        problem.value = toProblem(thrown);
+        if (!problem.value.isPassing) return;
+        await new Promise((resolve) => setTimeout(resolve, AGAIN_MS));
+      }
+    }
+  }
+
+  onScopeDispose(() => ending.abort());
+  void follow();
+  return {
+    get lines() {
+      return state.lines;
+    },
+    version: readonly(version),
+    isOver: readonly(isOver),
+    problem,
+  };
+}
+
+const MOST = 10_000;
+
+export function useFinding(log: Log) {
+  const text = ref("");
+  const matches = shallowRef<readonly number[]>([]);
+  const at = ref(0);
+  let from = 0;
+  let timer: ReturnType<typeof setTimeout> | undefined;
+
+  function look(): void {
+    clearTimeout(timer);
+    if (text.value === "" || matches.value.length >= MOST || from >= log.lines.end) return;
+    const next = log.lines.find(text.value, Math.max(from, log.lines.first));
+    if (next.matches.length > 0) matches.value = [...matches.value, ...next.matches];
+    if (next.upTo <= from) return;
+    from = next.upTo;
+    timer = setTimeout(look);
+  }
+
+  function begin(): void {
+    matches.value = [];
+    [from, at.value] = [0, 0];
+    look();
+  }
+
+  /** Goes to the next place or the one before; returns its line. */
+  function step(by: 1 | -1): number | null {
+    const count = matches.value.length;
+    if (count === 0) return null;
+    at.value = (at.value + by + count) % count;
+    return matches.value[at.value] ?? null;
+  }
+
+  watch(text, begin);
+  watch(log.version, look);
+  onScopeDispose(() => clearTimeout(timer));
+  return { text, count: computed(() => matches.value.length), at, isMore: computed(() => matches.value.length >= MOST), line: computed(() => matches.value[at.value] ?? null), step };
 }

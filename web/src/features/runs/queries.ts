@@ -2,8 +2,7 @@
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { computed } from "vue";
 import { api, call } from "@/api/client";
-import { keys } from "@/api/keys";
-import { usePages } from "@/api/pages";
+import { keys, usePages } from "@/api/queries";
 import type { components, operations } from "@/api/schema";
 import type { Artifact, Run, RunState } from "@/api/types";
 
@@ -35,7 +34,7 @@ export function useRun(runId: string) {
   return useQuery({
     queryKey: keys.run(runId),
     queryFn: ({ signal }) => call(api.GET("/api/v1/runs/{run_id}", { params: { path: { run_id: runId } }, signal })),
-    refetchInterval: (asked) => (asked.state.data !== undefined && isActive(asked.state.data.state) ? LOOK_MS : false),
+    refetchInterval: (running) => (running.state.data !== undefined && isActive(running.state.data.state) ? LOOK_MS : false),
   });
 }
 

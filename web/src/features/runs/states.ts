@@ -3,6 +3,8 @@ import type { Run, RunState } from "@/api/types";
 import { formatDuration } from "@/components/format";
 import type { Tone } from "@/components/tones";
 import { texts as common } from "@/texts/common";
+import { severityTones } from "@/components/problems";
+import { severityTexts, texts } from "@/texts/runs";
 
 const NS_PER_MS = 1_000_000;
 const MS_PER_S = 1000;
@@ -35,4 +37,44 @@ export function commandsOf(run: Run): Commands {
   const cli = [`klein run info ${run.id}`, `klein run logs ${run.id} -f`, `klein run artifacts ${run.id} --download DIRECTORY`].join("\n");
   const sdk = ["import kleinkram", "", "with kleinkram.connect() as client:", `    run = client.runs.get(${JSON.stringify(run.id)})`, "    print(run.state, run.message)"].join("\n");
   return { cli, sdk };
+}
+
+const SEVERITIES = ["error", "warning", "info"] as const;
+
+export interface Findings {
+  readonly severity: (typeof SEVERITIES)[number];
+  readonly label: string;
+  readonly why: string;
+  readonly tone: Tone;
+}
+
+/** Returns how many findings of each severity a run has, the worst first; nothing where it has none. */
+export function findingsOf({ finding_counts: counts }: Run): readonly Findings[] {
+  return SEVERITIES.flatMap((severity) => {
+    const count = counts[severity] ?? 0;
+    const label = texts.findingCount(count, severity);
+    return count === 0 ? [] : [{ severity, label, why: severityTexts[severity], tone: severityTones[severity] }];
+  });
+}
+
+/** Returns the names of all metrics of some runs, those first that most runs have. */
+export function metricNames(runs: readonly Run[]): readonly string[] {
+  const counts = new Map<string, number>();
+  for (const run of runs) {
+    for (const name of new Set(run.metrics.map((metric) => metric.name))) counts.set(name, (counts.get(name) ?? 0) + 1);
+  }
+  return [...counts].sort(([one, ones], [other, others]) => others - ones || one.localeCompare(other)).map(([name]) => name);
+}
+
+const LARGE = 10_000;
+const small = new Intl.NumberFormat("en-GB", { maximumSignificantDigits: 5 });
+const large = new Intl.NumberFormat("en-GB", { maximumFractionDigits: 0 });
+
+/** Returns a metric of a run with its unit: that of the whole run, or of its only file; else how many files have it. */
+export function metricText(run: Run, name: string): string {
+  const metrics = run.metrics.filter((metric) => metric.name === name);
+  const metric = metrics.find(({ file }) => file === null || file === undefined) ?? (metrics.length === 1 ? metrics[0] : undefined);
+  if (metric === undefined) return metrics.length === 0 ? "" : texts.ofFiles(metrics.length);
+  const format = Math.abs(metric.value) < LARGE ? small : large;
+  return [format.format(metric.value), metric.unit ?? ""].filter((item) => item !== "").join(" ");
 }

@@ -8,29 +8,29 @@ afterEach(() => vi.useRealTimers());
 function box(text: string) {
   const wrapper = mount(SearchBox, { props: { modelValue: text, wrong: null } });
   const input = wrapper.get<HTMLInputElement>("input");
-  const asked = () => wrapper.emitted<[string]>("update:modelValue")?.at(-1)?.[0];
-  return { wrapper, input, asked };
+  const lastQuery = () => wrapper.emitted<[string]>("update:modelValue")?.at(-1)?.[0];
+  return { wrapper, input, lastQuery };
 }
 
 test("what is typed while the address changes stays", async () => {
-  const { wrapper, input, asked } = box("");
+  const { wrapper, input, lastQuery } = box("");
   await input.setValue("alp");
   vi.advanceTimersByTime(350);
-  expect(asked()).toBe("alp");
+  expect(lastQuery()).toBe("alp");
   await input.setValue("alps");
   await wrapper.setProps({ modelValue: "alp" }); // only now it has changed
   expect(input.element.value).toBe("alps");
   vi.advanceTimersByTime(350);
-  expect(asked()).toBe("alps");
+  expect(lastQuery()).toBe("alps");
 });
 
 test("a text that comes from elsewhere takes the place of what was typed", async () => {
-  const { wrapper, input, asked } = box("alps");
+  const { wrapper, input, lastQuery } = box("alps");
   await input.setValue("alps lakes");
   await wrapper.setProps({ modelValue: "alps format:mcap" });
   expect(input.element.value).toBe("alps format:mcap");
   vi.advanceTimersByTime(350);
-  expect(asked()).toBeUndefined();
+  expect(lastQuery()).toBeUndefined();
 });
 
 test("going back to what was asked before is seen", async () => {

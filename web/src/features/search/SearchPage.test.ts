@@ -10,7 +10,7 @@ vi.setConfig({ testTimeout: 60_000 }); // the first mounting of a whole page tak
 const answers = new Map<string, { status: number; body: unknown }>();
 let waiting: { query: string; resolve: (response: Response) => void }[] = [];
 
-function found(query: string, total: number): { status: number; body: unknown } {
+function searchAnswer(query: string, total: number): { status: number; body: unknown } {
   const page = { items: [], next: null, total };
   return { status: 200, body: { query, means: query, is_whole: true, files: page, missions: page, topics: page } };
 }
@@ -37,7 +37,7 @@ async function page() {
   });
   await settled();
   const results = () => wrapper.find("[data-found]");
-  const counts = () => wrapper.findAll("[data-found] nav .count").map((each) => each.text());
+  const counts = () => wrapper.findAll("[data-found] nav .count").map((item) => item.text());
   const type = async (text: string) => wrapper.get("input").setValue(text);
   return { wrapper, results, counts, type };
 }
@@ -53,7 +53,7 @@ beforeEach(() => {
   vi.stubGlobal("ResizeObserver", class { observe() {} disconnect() {} });
   answers.clear();
   waiting = [];
-  answers.set("alps", found("alps", 7));
+  answers.set("alps", searchAnswer("alps", 7));
 });
 afterEach(() => {
   vi.useRealTimers();
@@ -72,7 +72,7 @@ test("results are greyed and uncounted as soon as something else is typed, until
   expect(waiting.map(({ query }) => query)).toEqual(["lakes"]);
   expect(results().classes()).toContain("old");
   expect(counts()).toEqual([]);
-  waiting[0]?.resolve(answered(found("lakes", 2)));
+  waiting[0]?.resolve(answered(searchAnswer("lakes", 2)));
   await settled();
   expect(results().classes()).not.toContain("old");
   expect(results().attributes("data-query")).toBe("lakes");

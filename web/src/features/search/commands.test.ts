@@ -1,5 +1,5 @@
 import { expect, it } from "vitest";
-import { downloadScript, markedAt, searchCommands, withTerm } from "./commands";
+import { downloadScript, markedAt, searchCommands, withTerm } from "./queries";
 
 it("quotes what a shell would read otherwise", () => {
   expect(searchCommands("alps topic:/imu/*").cli).toBe("klein search 'alps topic:/imu/*'");

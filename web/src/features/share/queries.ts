@@ -1,13 +1,14 @@
-// Links to a mission: made, listed and ended.
+// Links to a mission (created, listed, revoked), and public projects.
 import { useMutation, useQueryClient } from "@tanstack/vue-query";
+import { computed } from "vue";
 import { api, call } from "@/api/client";
-import { keys } from "@/api/keys";
-import { usePages } from "@/api/pages";
+import { keys, usePages, type Rows } from "@/api/queries";
 import type { components } from "@/api/schema";
-import type { Share } from "@/api/types";
+import type { Project, Share } from "@/api/types";
 
 export type ShareCreate = components["schemas"]["ShareCreate"];
 const PAGE = 50;
+const PUBLIC_PAGE = 100;
 
 /** Links to the mission that the viewer may end, those that have ended too. */
 export function useShares(missionId: string) {
@@ -31,4 +32,12 @@ export function useShareChanges(missionId: string) {
     meta: { showsItself: true },
   });
   return { create, revoke };
+}
+
+export function usePublicProjects(text: () => string): Rows<Project> {
+  const pages = usePages<Project>(() => keys.projects({ public: text() }), (cursor, signal) => {
+    const query = { limit: PUBLIC_PAGE, ...(text() !== "" && { text: text() }), ...(cursor !== undefined && { cursor }) };
+    return call(api.GET("/api/v1/projects", { params: { query }, signal }));
+  });
+  return { ...pages, rows: computed(() => pages.rows.value.filter((project) => project.is_public)) };
 }

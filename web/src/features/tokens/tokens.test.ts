@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { type Draft, ending, isContained, isReady, scopesOf, wanted } from "./tokens";
+import { ending, isContained, isReady, scopesOf, requestOf, type Draft } from "./queries";
 import type { Token } from "@/api/types";
 
 const draft: Draft = { name: " anymal-3 ", kind: "robot", scopes: ["upload"], projectIds: ["p"], missionIds: [], until: null, labels: "" };
@@ -13,15 +13,15 @@ describe("a draft of a token", () => {
     expect(isReady({ ...draft, projectIds: [], kind: "personal" })).toBe(true);
   });
   it("is sent without what is contained anyway", () => {
-    expect(wanted({ ...draft, scopes: ["read", "write", "run"] })).toMatchObject({ name: "anymal-3", scopes: ["write", "run"] });
+    expect(requestOf({ ...draft, scopes: ["read", "write", "run"] })).toMatchObject({ name: "anymal-3", scopes: ["write", "run"] });
   });
   it("of a runner is limited to projects and labels", () => {
-    const sent = wanted({ ...draft, kind: "runner", labels: " gpu, ,site=zurich " });
+    const sent = requestOf({ ...draft, kind: "runner", labels: " gpu, ,site=zurich " });
     expect(sent).toMatchObject({ scopes: ["run"], project_ids: ["p"], runner_labels: ["gpu", "site=zurich"] });
   });
   it("has no end only where that was chosen", () => {
-    expect(wanted(draft)).toMatchObject({ expires_at: null, no_end: true });
-    expect(wanted({ ...draft, until: "2027-01-01T00:00:00Z" })).toMatchObject({ no_end: false });
+    expect(requestOf(draft)).toMatchObject({ expires_at: null, no_end: true });
+    expect(requestOf({ ...draft, until: "2027-01-01T00:00:00Z" })).toMatchObject({ no_end: false });
   });
 });
 

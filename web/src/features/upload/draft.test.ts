@@ -1,5 +1,5 @@
-import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
-import { openDraft } from "./draft";
+import { afterEach, beforeEach, describe, expect, it, test, vi } from "vitest";
+import { layoutFor, openDraft } from "./draft";
 
 beforeEach(() => void vi.useFakeTimers());
 afterEach(() => void vi.useRealTimers());
@@ -13,10 +13,10 @@ function chosen(path: string, lastModified = Date.now()): File {
 describe("what is chosen", () => {
   it("is gone for good once it was taken away, though it was still being looked at", async () => {
     const draft = openDraft();
-    const looked = draft.take([chosen("day1/a.bag")]);
+    const taking = draft.take([chosen("day1/a.bag")]);
     draft.clear();
     await vi.runAllTimersAsync();
-    await looked;
+    await taking;
     expect([draft.plan, draft.isLooking]).toEqual([null, false]);
   });
 
@@ -43,4 +43,16 @@ describe("what is chosen", () => {
     draft.clear();
     expect(draft.layout).toBe("contents");
   });
+});
+
+test("a folder goes on under the paths under which it was begun", () => {
+  const chosen = ["day/drive.mcap", "day/cam/1.jpg"];
+  expect(layoutFor(chosen, new Set(["cam/1.jpg"]))).toBe("contents");
+  expect(layoutFor(chosen, new Set(["day/drive.mcap", "cam/1.jpg"]))).toBe("tree");
+  expect(layoutFor(chosen, new Set(["other.bag"]))).toBe("tree");
+  expect(layoutFor(chosen, new Set())).toBe("tree");
+});
+
+test("files without a folder stay as they are", () => {
+  expect(layoutFor(["drive.mcap"], new Set(["drive.mcap"]))).toBe("tree");
 });

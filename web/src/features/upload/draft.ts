@@ -1,8 +1,12 @@
 // What was chosen and is not begun yet; kept outside of any view, so that a look at another page loses nothing.
-import { shallowReactive } from "vue";
-import { chosen, entriesOf, walk } from "./engine/entries";
+import { shallowReactive, watch } from "vue";
+import { chosen, entriesOf, walk } from "./engine/reading";
 import type { Found, LeftOut, UploadPlan } from "./engine/types";
 import { planUpload } from "./engine/plan";
+import { useQuery } from "@tanstack/vue-query";
+import { useRoute } from "vue-router";
+import { api, call } from "@/api/client";
+import { keys } from "@/api/queries";
 
 export type Layout = "tree" | "contents";
 
@@ -18,13 +22,13 @@ export interface Draft {
 }
 
 const BEGINNING: Draft = { plan: null, layout: "tree", roots: [], isLooking: false, seen: 0, isEmpty: false };
-const watch = {
+const clock = {
   now: () => Date.now(),
   wait: (milliseconds: number) => new Promise<void>((resolve) => setTimeout(resolve, milliseconds)),
 };
 
 interface Chosen {
-  readonly found: readonly Found[];
+  readonly droppedFiles: readonly Found[];
   readonly unreadable: readonly string[];
 }
 
@@ -40,14 +44,14 @@ export interface OpenDraft extends Draft {
 
 /** Return a draft that begins with a layout; each place where one chooses files has its own. */
 export function openDraft(layout: Layout = BEGINNING.layout): OpenDraft {
-  let all: Chosen = { found: [], unreadable: [] };
+  let all: Chosen = { droppedFiles: [], unreadable: [] };
   /** Counts what was asked for: an answer to what is no longer wanted comes too late, and is dropped. */
   let turn = 0;
 
   async function plan(): Promise<void> {
     const mine = (turn += 1);
-    const areInFolders = all.found.every(({ path }) => path.includes("/"));
-    const planned = await planUpload(all.found, { layout: areInFolders ? made.layout : "tree", watch });
+    const areInFolders = all.droppedFiles.every(({ path }) => path.includes("/"));
+    const planned = await planUpload(all.droppedFiles, { layout: areInFolders ? made.layout : "tree", watch: clock });
     if (mine !== turn) return;
     const unreadable = all.unreadable.map((path): LeftOut => ({ path, reason: "unreadable", detail: "" }));
     const leftOut = [...planned.leftOut, ...unreadable];
@@ -55,10 +59,10 @@ export function openDraft(layout: Layout = BEGINNING.layout): OpenDraft {
     Object.assign(made, { plan: isEmpty ? null : { ...planned, leftOut }, isLooking: false, isEmpty });
   }
 
-  async function take(found: readonly Found[], unreadable: readonly string[] = []): Promise<void> {
-    all = { found, unreadable };
-    const roots = [...new Set(found.map(({ path }) => path.split("/", 1)[0] ?? path))];
-    Object.assign(made, { isLooking: true, seen: found.length, roots });
+  async function take(droppedFiles: readonly Found[], unreadable: readonly string[] = []): Promise<void> {
+    all = { droppedFiles, unreadable };
+    const roots = [...new Set(droppedFiles.map(({ path }) => path.split("/", 1)[0] ?? path))];
+    Object.assign(made, { isLooking: true, seen: droppedFiles.length, roots });
     await plan();
   }
 
@@ -70,11 +74,11 @@ export function openDraft(layout: Layout = BEGINNING.layout): OpenDraft {
       const entries = entriesOf(transfer);
       const mine = (turn += 1);
       Object.assign(made, { isLooking: true, seen: 0 });
-      const { found, unreadable } = await walk(entries, (count) => (made.seen = count));
-      if (mine === turn) await take(found, unreadable);
+      const { droppedFiles, unreadable } = await walk(entries, (count) => (made.seen = count));
+      if (mine === turn) await take(droppedFiles, unreadable);
     },
-    arrange: async (wanted: Layout) => {
-      Object.assign(made, { layout: wanted, isLooking: true });
+    arrange: async (expected: Layout) => {
+      Object.assign(made, { layout: expected, isLooking: true });
       await plan();
     },
     clear: () => {
@@ -86,3 +90,31 @@ export function openDraft(layout: Layout = BEGINNING.layout): OpenDraft {
 }
 
 export const draft = openDraft();
+
+const LISTED = 200;
+
+/** Returns how files of these paths are laid out to go on with those wanted: without their folder where only so one is. */
+export function layoutFor(paths: readonly string[], expected: ReadonlySet<string>): Layout {
+  const isWanted = (path: string) => expected.has(path);
+  const within = paths.map((path) => path.slice(path.indexOf("/") + 1));
+  return !paths.some(isWanted) && within.some(isWanted) ? "contents" : "tree";
+}
+
+/** Lays out what is chosen as what is unfinished in the mission that the address names. What one then chooses oneself, stays. */
+export function useFittingLayout(draft: OpenDraft): void {
+  const queried = useRoute().query.mission;
+  const missionId = typeof queried === "string" ? queried : "";
+  const { data: uploads } = useQuery({
+    queryKey: keys.uploads(missionId),
+    queryFn: ({ signal }) =>
+      call(api.GET("/api/v1/missions/{mission_id}/uploads", { params: { path: { mission_id: missionId }, query: { limit: LISTED } }, signal })),
+    enabled: missionId !== "",
+  });
+  let seen: readonly string[] | null = null;
+  watch([() => draft.plan, uploads], ([plan, listed]) => {
+    if (plan === null || listed === undefined || seen === draft.roots) return;
+    seen = draft.roots;
+    const layout = layoutFor(plan.files.map(({ path }) => path), new Set(listed.items.map(({ path }) => path)));
+    if (draft.layout === "tree" && layout === "contents") void draft.arrange(layout);
+  }, { immediate: true });
+}

@@ -1,13 +1,13 @@
 // Where files go: a project and a mission that are there, or made for it. What was typed stays until it is sent.
 import { keepPreviousData, useQuery } from "@tanstack/vue-query";
-import { computed, type ComputedRef, onScopeDispose, reactive, type Ref, ref, shallowReactive, watch } from "vue";
+import { computed, onScopeDispose, reactive, ref, shallowReactive, watch, type ComputedRef, type Ref } from "vue";
 import { useRoute } from "vue-router";
 import { api, call } from "@/api/client";
-import { keys } from "@/api/keys";
-import { type Problem, toProblem } from "@/api/problem";
-import type { Mission, MetadataFields, Page, Project } from "@/api/types";
+import { keys } from "@/api/queries";
+import { toProblem, type Problem } from "@/api/problem";
+import type { MetadataFields, Mission, Page, Project } from "@/api/types";
 import { beginning, judge, type Values } from "@/components/metadata";
-import { carriedBy, useTemplate } from "@/features/project/creating";
+import { carriedBy, useTemplate } from "@/features/project/fields";
 import { texts } from "@/texts/upload";
 import type { MissionPlace } from "./engine/types";
 
@@ -79,16 +79,16 @@ function withKnown(named: Named | null, listed: readonly Named[]): readonly Name
   return named === null || listed.some(({ id }) => id === named.id) ? listed : [named, ...listed];
 }
 
-function nameOf(options: readonly Named[], wanted: string): string {
-  return options.find(({ id }) => id === wanted)?.name ?? "";
+function nameOf(options: readonly Named[], chosenId: string): string {
+  return options.find(({ id }) => id === chosenId)?.name ?? "";
 }
 
 export function usePlace(): PlaceChoice {
   const find = reactive({ project: "", mission: "" });
   const isShown = ref(false);
   const problem = ref<Problem | null>(null);
-  const asked = useRoute().query;
-  const [mission, project] = [asked.mission, asked.project].map((each) => (typeof each === "string" ? each : ""));
+  const address = useRoute().query;
+  const [mission, project] = [address.mission, address.project].map((item) => (typeof item === "string" ? item : ""));
   const left = new AbortController();
   onScopeDispose(() => left.abort());
   const isPreselected = preselect(mission ?? "", project ?? "", left.signal).catch((thrown: unknown) => {
@@ -119,9 +119,9 @@ export function usePlace(): PlaceChoice {
   const missionOptions = computed(() => withKnown(known.mission, missions.data.value?.items ?? []));
   const fields = computed(() => (isThere.value ? template.data.value?.fields : undefined) ?? NO_FIELDS);
 
-  watch([template.data, () => form.missionId], ([told]) => {
+  watch([template.data, () => form.missionId], ([loaded]) => {
     const isUntouched = form.missionId === NEW && Object.keys(form.values).length === 0;
-    if (told !== undefined && isUntouched) Object.assign(form, beginning(told.values, carriedBy(told)));
+    if (loaded !== undefined && isUntouched) Object.assign(form, beginning(loaded.values, carriedBy(loaded)));
   }, { immediate: true });
 
   /** Choose another project: what was said of a mission in the one before is said of none. */
@@ -132,13 +132,13 @@ export function usePlace(): PlaceChoice {
   }
 
   const wrong = computed(() => {
-    const found: Partial<Record<keyof PlaceForm, string>> = {};
-    if (!isShown.value) return found;
-    if (form.projectId === "") found.projectId = texts.place.needsChoice;
-    if (form.projectId === NEW && form.projectName.trim() === "") found.projectName = texts.place.needsName;
-    if (form.missionId === "") found.missionId = texts.place.needsChoice;
-    if (form.missionId === NEW && form.missionName.trim() === "") found.missionName = texts.place.needsName;
-    return found;
+    const errors: Partial<Record<keyof PlaceForm, string>> = {};
+    if (!isShown.value) return errors;
+    if (form.projectId === "") errors.projectId = texts.place.needsChoice;
+    if (form.projectId === NEW && form.projectName.trim() === "") errors.projectName = texts.place.needsName;
+    if (form.missionId === "") errors.missionId = texts.place.needsChoice;
+    if (form.missionId === NEW && form.missionName.trim() === "") errors.missionName = texts.place.needsName;
+    return errors;
   });
 
   async function projectToUse(): Promise<Named> {
@@ -177,8 +177,8 @@ export function usePlace(): PlaceChoice {
   return {
     form, find, fields, isShown, problem, wrong, pickProject, settle,
     projects: computed(() => {
-      const told = projects.data.value;
-      return told && { items: projectOptions.value, hasMore: told.next != null };
+      const loaded = projects.data.value;
+      return loaded && { items: projectOptions.value, hasMore: loaded.next != null };
     }),
     missions: computed(() => ({ items: missionOptions.value, hasMore: missions.data.value?.next != null })),
     carriedFrom: computed(() => carriedBy(template.data.value).from),

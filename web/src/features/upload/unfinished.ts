@@ -1,6 +1,6 @@
 // What uploads of earlier visits left unfinished, as this browser's journal says; and how a folder chosen anew fits.
-import { type Ref, shallowRef } from "vue";
-import { type Journal, type JournalFile, type JournalHead, lockName } from "./engine/journal";
+import { shallowRef, type Ref } from "vue";
+import { lockName, type Journal, type JournalFile, type JournalHead } from "./engine/journal";
 import { partSizeBytes, type PlannedFile } from "./engine/types";
 
 /** An upload that did not come to its end. */
@@ -10,7 +10,7 @@ export interface Unfinished {
   readonly doneCount: number;
   readonly leftBytes: number;
   /** Of these, about how many are at the store already. */
-  readonly heldBytes: number;
+  readonly storedBytes: number;
   /** Another tab of this browser works on it. */
   readonly isElsewhere: boolean;
 }
@@ -30,12 +30,12 @@ async function summarised(journal: Journal, head: JournalHead, isElsewhere: bool
   const files = await journal.files(head.id);
   const left = files.filter((file) => file.state !== "done");
   const leftBytes = left.reduce((sum, file) => sum + file.sizeBytes, 0);
-  let heldBytes = 0;
+  let storedBytes = 0;
   for (const { uploadId, sizeBytes } of left) {
     const parts = uploadId === null ? 0 : (await journal.parts(uploadId)).size;
-    heldBytes += Math.min(sizeBytes, parts * partSizeBytes(sizeBytes));
+    storedBytes += Math.min(sizeBytes, parts * partSizeBytes(sizeBytes));
   }
-  return { head, left, doneCount: files.length - left.length, leftBytes, heldBytes, isElsewhere };
+  return { head, left, doneCount: files.length - left.length, leftBytes, storedBytes, isElsewhere };
 }
 
 /** Return how files chosen anew fit what is left. */
@@ -60,48 +60,48 @@ let opening: Promise<Journal | null> | null = null;
 
 /** Return the journal; null where this browser keeps nothing for the page. */
 function journal(): Promise<Journal | null> {
-  opening ??= import("./engine/indexeddb").then(({ openJournal }) => openJournal()).catch(() => null);
+  opening ??= import("./engine/journal").then(({ openJournal }) => openJournal()).catch(() => null);
   return opening;
 }
 
 /** Return the locks that tabs of this browser hold; none where the page came unsafely, and tabs have no locks. */
-async function locksHeld(): Promise<Set<string | undefined>> {
+async function activeLocks(): Promise<Set<string | undefined>> {
   if (!("locks" in navigator)) return new Set();
-  const { held = [] } = await navigator.locks.query();
-  return new Set(held.map(({ name }) => name));
+  const locks = await navigator.locks.query();
+  return new Set(locks.held?.map(({ name }) => name));
 }
 
 export interface UnfinishedUploads {
   readonly all: Ref<readonly Unfinished[]>;
   /** False where a reload would lose what is under way. */
-  readonly isKept: Ref<boolean>;
+  readonly isPersistent: Ref<boolean>;
   look(personId: string): Promise<void>;
   forget(unfinished: Unfinished): Promise<void>;
 }
 
 export function useUnfinished(): UnfinishedUploads {
   const all = shallowRef<readonly Unfinished[]>([]);
-  const isKept = shallowRef(true);
+  const isPersistent = shallowRef(true);
 
   async function look(personId: string): Promise<void> {
-    const kept = await journal();
-    isKept.value = kept !== null;
-    if (kept === null) return;
-    const found: Unfinished[] = [];
-    const locks = await locksHeld();
-    for (const head of await kept.heads(personId)) found.push(await summarised(kept, head, locks.has(lockName(head.id))));
-    all.value = found.filter(({ left }) => left.length > 0);
+    const opened = await journal();
+    isPersistent.value = opened !== null;
+    if (opened === null) return;
+    const uploads: Unfinished[] = [];
+    const locks = await activeLocks();
+    for (const head of await opened.heads(personId)) uploads.push(await summarised(opened, head, locks.has(lockName(head.id))));
+    all.value = uploads.filter(({ left }) => left.length > 0);
   }
 
   async function forget({ head, left }: Unfinished): Promise<void> {
-    const kept = await journal();
-    await kept?.drop(head.id);
-    all.value = all.value.filter((each) => each.head.id !== head.id);
-    const { httpApi } = await import("./engine/http");
+    const opened = await journal();
+    await opened?.drop(head.id);
+    all.value = all.value.filter((item) => item.head.id !== head.id);
+    const { httpApi } = await import("./engine/api");
     const api = httpApi(globalThis.location.origin);
     // Names are free at once; what this cannot say runs out by itself.
     for (const { uploadId } of left) if (uploadId !== null) await api.abort(uploadId);
   }
 
-  return { all, isKept, look, forget };
+  return { all, isPersistent, look, forget };
 }

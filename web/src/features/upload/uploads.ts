@@ -1,11 +1,10 @@
 // The uploads of this page, outside of any view: they go on while one looks at other pages. The work is the worker's,
 // which is fetched when the first upload begins.
 import { computed, shallowReactive } from "vue";
-import { signInAgain } from "@/api/signing-in";
+import { signInAgain } from "@/api/client";
 import type { Phase, Report } from "./engine/uploadQueue";
 import type { JournalHead } from "./engine/journal";
-import type { Failure, FileProgress, FileState, PlannedFile, Trouble } from "./engine/types";
-import type { Command } from "./engine/protocol";
+import type { Command, Failure, FileProgress, FileState, PlannedFile, WaitReason } from "./engine/types";
 
 export type Counts = Readonly<Record<FileState, number>>;
 
@@ -22,7 +21,7 @@ export interface Run {
   totalBytes: number;
   bytesPerS: number | null;
   leftS: number | null;
-  troubles: readonly Trouble[];
+  waitReasons: readonly WaitReason[];
   /** Files chosen since, which come after these. */
   further: readonly PlannedFile[];
 }
@@ -55,7 +54,7 @@ export function start(head: JournalHead, files: readonly PlannedFile[]): void {
   const run = shallowReactive<Run>({
     id: head.id, head, planned: files, phase: "running", failure: null, files: [], counts: counted([]), doneBytes: 0,
     totalBytes: files.reduce((sum, { identity }) => sum + identity.sizeBytes, 0), bytesPerS: null, leftS: null,
-    troubles: [], further: [],
+    waitReasons: [], further: [],
   });
   runs.set(head.id, run);
   byPath.set(head.id, new Map());
@@ -73,7 +72,7 @@ export function pause(id: string): void {
   ask({ kind: "pause", id });
 }
 
-export function goOn(id: string): void {
+export function resume(id: string): void {
   ask({ kind: "go_on", id });
 }
 
@@ -110,7 +109,7 @@ function note({ id, phase, failure, snapshot }: Report): void {
     run.files = [...files.values()];
     run.counts = counted(run.files);
   }
-  if (phase === "signed_out" && !wasSignedOut) void signInAgain().then((isSignedIn) => (isSignedIn ? goOn(id) : pause(id)));
+  if (phase === "signed_out" && !wasSignedOut) void signInAgain().then((isSignedIn) => (isSignedIn ? resume(id) : pause(id)));
   if (!isActive(run)) ended(run);
 }
 
@@ -138,10 +137,10 @@ function counted(files: readonly FileProgress[]): Counts {
 
 /** While anything is under way, the browser asks before it closes the page. */
 function warn(): void {
-  window.removeEventListener("beforeunload", hold);
-  if (activeRuns.value.length > 0) window.addEventListener("beforeunload", hold);
+  window.removeEventListener("beforeunload", preventUnload);
+  if (activeRuns.value.length > 0) window.addEventListener("beforeunload", preventUnload);
 }
 
-function hold(event: BeforeUnloadEvent): void {
+function preventUnload(event: BeforeUnloadEvent): void {
   event.preventDefault();
 }

@@ -89,10 +89,10 @@ function moveToFrontSelectors(bits: Bits, tables: number): number[] {
 }
 
 function toFront(order: number[], place: number): number {
-  const [found] = order.splice(place, 1);
-  if (found === undefined) throw new RangeError("a bzip2 symbol out of bounds");
-  order.unshift(found);
-  return found;
+  const [value] = order.splice(place, 1);
+  if (value === undefined) throw new RangeError("a bzip2 symbol out of bounds");
+  order.unshift(value);
+  return value;
 }
 
 /** Canonical Huffman codes: by length, the first code, and where its symbols begin. */
@@ -110,7 +110,7 @@ class Codes {
     }
     for (let bitLength = 1; bitLength <= MOST_BITS; bitLength++) {
       for (let symbol = 0; symbol < size; symbol++) if (lengths[symbol] === bitLength) this.symbols.push(symbol);
-      this.counts[bitLength] = lengths.filter((each) => each === bitLength).length;
+      this.counts[bitLength] = lengths.filter((item) => item === bitLength).length;
     }
   }
 

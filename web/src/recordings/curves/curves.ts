@@ -119,7 +119,7 @@ export class CurveCollector {
       return points;
     });
     const seconds = [...new Set(perCurve.flatMap((points) => [...points.keys()]))].sort((a, b) => a - b);
-    return { seconds, values: perCurve.map((points) => seconds.map((each) => points.get(each))) };
+    return { seconds, values: perCurve.map((points) => seconds.map((second) => points.get(second))) };
   }
 }
 

@@ -6,8 +6,6 @@ import type { Schema } from "../formats/recording";
 import { MOST_DEFINITION } from "../limits";
 import { protobufDecoder } from "./protobuf";
 import { rosDecoder } from "./ros";
-import { withService } from "./service";
-import type { Decode, Value } from "./value";
 
 const TEXT = new TextDecoder();
 
@@ -46,4 +44,58 @@ function fromJson(data: Uint8Array): Value {
   } catch {
     throw new ReadFailure("message_damaged", "no JSON");
   }
+}
+
+export type Numbers =
+  | Uint8Array
+  | Int8Array
+  | Uint16Array
+  | Int16Array
+  | Uint32Array
+  | Int32Array
+  | Float32Array
+  | Float64Array;
+
+export type Value = number | boolean | string | null | Numbers | Value[] | { [name: string]: Value };
+
+/** Turns the bytes of a message into its value.
+ *
+ * @throws ReadFailure message_damaged where they do not fit the definition.
+ */
+export type Decode = (data: Uint8Array) => Value;
+
+export function isNumbers(value: Value | undefined): value is Numbers {
+  return ArrayBuffer.isView(value);
+}
+
+export function isFields(value: Value | undefined): value is { [name: string]: Value } {
+  return typeof value === "object" && value !== null && !Array.isArray(value) && !isNumbers(value);
+}
+
+const RULE = /^=+[ \t]*$/m;
+const PARTED = /^---[ \t]*$/m;
+const INFO = `uint8 event_type
+builtin_interfaces/Time stamp
+uint8[16] client_gid
+int64 sequence_number
+`;
+
+/** Return a definition that a parser of messages can follow; a text that is no service's stays as it is. */
+export function withService(definition: string, name: string): string {
+  const rule = RULE.exec(definition);
+  const own = rule === null ? definition : definition.slice(0, rule.index);
+  const others = rule === null ? "" : definition.slice(rule.index);
+  const sections = own.split(PARTED);
+  const [request, response] = sections;
+  if (sections.length !== 2 || request === undefined || response === undefined) return definition;
+  if (/_Request$/.test(name)) return `${request}\n${others}`;
+  if (/_Response$/.test(name)) return `${response}\n${others}`;
+  const base = name.replace(/_Event$/, "");
+  const info = /^MSG: service_msgs\/(msg\/)?ServiceEventInfo\s*$/m.test(others) ? "" : block("service_msgs/msg/ServiceEventInfo", INFO);
+  const event = `service_msgs/msg/ServiceEventInfo info\n${base}_Request[] request\n${base}_Response[] response\n`;
+  return event + block(`${base}_Request`, request) + block(`${base}_Response`, response) + info + others;
+}
+
+function block(name: string, text: string): string {
+  return `${"=".repeat(80)}\nMSG: ${name}\n${text}\n`;
 }

@@ -3,10 +3,8 @@ import { MessageWriter as Ros1Writer } from "@foxglove/rosmsg-serialization";
 import { MessageWriter as Ros2Writer } from "@foxglove/rosmsg2-serialization";
 import { describe, expect, it } from "vitest";
 import type { Schema } from "../formats/recording";
-import { decoderOf } from "./decoder";
-import { fieldTree, numberAt, stepsOf } from "./fields";
-import type { FieldNode } from "./fields";
-import type { Value } from "./value";
+import { decoderOf, type Value } from "./decoder";
+import { fieldTree, numberAt, stepsOf, type FieldNode } from "./fields";
 
 const ROS1 = `std_msgs/Header header
 uint8 KIND=3

@@ -1,8 +1,7 @@
 /** The numeric fields of a message: which there are, how they are called, and how to get at one. */
 
 import { MOST_DEPTH, MOST_ELEMENTS, MOST_FIELDS } from "../limits";
-import { isFields, isNumbers } from "./value";
-import type { Value } from "./value";
+import { isFields, isNumbers, type Value } from "./decoder";
 
 export type Step = string | number;
 
@@ -67,9 +66,9 @@ export function stepsOf(path: string): Step[] | null {
   const steps: Step[] = [];
   for (let at = 0; at < path.length; at = STEP.lastIndex) {
     STEP.lastIndex = at;
-    const found = STEP.exec(path);
-    if (found === null) return null;
-    const [, name, place, quoted] = found;
+    const match = STEP.exec(path);
+    if (match === null) return null;
+    const [, name, place, quoted] = match;
     if (name !== undefined) steps.push(name);
     else if (place !== undefined) steps.push(Number(place));
     else steps.push(unquoted(quoted ?? '""'));

@@ -1,14 +1,22 @@
 /** ROS 1 bags by their own index: the connections and chunk infos at the end, then only chunks that hold the topic. */
 
 import { unpack } from "../compression/unpack";
-import { ReadFailure } from "../failures";
-import type { FailureCode } from "../failures";
+import { ReadFailure, type FailureCode } from "../failures";
 import { READ_AHEAD } from "../limits";
 import type { Source } from "../ranges";
 import { fieldsOf, headAt, MAGIC, Op, recordAt, text, timeAt, uint32, uint64 } from "./bag_records";
-import { inOrder } from "./in_order";
-import type { ChunkContent } from "./in_order";
-import type { Message, OnDamage, Order, Piece, RecordedTopic, Recording, Schema, Span } from "./recording";
+import {
+  inOrder,
+  type ChunkContent,
+  type Message,
+  type OnDamage,
+  type Order,
+  type Piece,
+  type RecordedTopic,
+  type Recording,
+  type Schema,
+  type Span,
+} from "./recording";
 
 const HEADER = 4096 + MAGIC.length;
 const DAMAGED: ReadonlySet<FailureCode> = new Set<FailureCode>(["chunk_damaged", "index_damaged", "too_large"]);
@@ -35,7 +43,7 @@ export async function openBag(source: Source, mostBytes: number): Promise<Record
   const header = headAt(front, MAGIC.length);
   const indexAt = uint64(header.fields.get("index_pos"));
   if (header.op !== Op.header) throw new ReadFailure("index_damaged", "it begins with no header");
-  if (indexAt === 0 || indexAt >= source.sizeBytes) return mended(source, header.dataAt + header.length, mostBytes);
+  if (indexAt === 0 || indexAt >= source.sizeBytes) return scan(source, header.dataAt + header.length, mostBytes);
   const index = await source.read(indexAt, source.sizeBytes - indexAt);
   const connections = new Map<number, Connection>();
   const chunks: Chunk[] = [];
@@ -50,7 +58,7 @@ export async function openBag(source: Source, mostBytes: number): Promise<Record
 }
 
 /** Walk the chunks from `start`, each with the index behind it, as far as `mostBytes` reach or they are whole. */
-async function mended(source: Source, start: number, mostBytes: number): Promise<Recording> {
+async function scan(source: Source, start: number, mostBytes: number): Promise<Recording> {
   const connections = new Map<number, Connection>();
   const chunks: Chunk[] = [];
   let at = start;
@@ -146,7 +154,7 @@ class BagRecording implements Recording {
     readonly source: Source,
     private readonly connections: ReadonlyMap<number, Connection>,
     private readonly chunks: readonly Chunk[],
-    readonly mendedUntil: number | null,
+    readonly indexedUntil: number | null,
   ) {
     const [first] = chunks;
     const latest = chunks.reduce((most, chunk) => (chunk.toNs > most ? chunk.toNs : most), 0n);
@@ -187,7 +195,7 @@ class BagRecording implements Recording {
       if (index.op === Op.index) messages = messages.concat(this.indexed(index, ids, unpacked));
       at = index.next;
     }
-    return { messages, heldBytes: unpacked.length };
+    return { messages, retainedBytes: unpacked.length };
   }
 
   private indexed(

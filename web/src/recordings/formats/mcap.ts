@@ -4,13 +4,22 @@ import { crc32 } from "@foxglove/crc";
 import { McapIndexedReader } from "@mcap/core";
 import { unpack } from "../compression/unpack";
 import { failureOf, ReadFailure } from "../failures";
-import { MOST_HELD, MOST_READ_AT_ONCE, READ_AHEAD } from "../limits";
+import { MOST_OVERLAPPING, MOST_READ_AT_ONCE, READ_AHEAD } from "../limits";
 import type { ByteSource, Source } from "../ranges";
-import { inOrder } from "./in_order";
-import type { ChunkContent } from "./in_order";
-import { Fields, mendMcap, OP } from "./mcap_mended";
-import { mostHeld } from "./recording";
-import type { Message, OnDamage, Order, Piece, RecordedTopic, Recording, Schema, Span } from "./recording";
+import {
+  inOrder,
+  mostOverlappingBytes,
+  type ChunkContent,
+  type Message,
+  type OnDamage,
+  type Order,
+  type Piece,
+  type RecordedTopic,
+  type Recording,
+  type Schema,
+  type Span,
+} from "./recording";
+import { Fields, rebuildIndex, OP } from "./mcap_reindex";
 
 const TAIL = 512 * 1024;
 
@@ -28,8 +37,8 @@ export async function openMcap(source: Source, mostBytes: number): Promise<Recor
   }
   source.ahead = READ_AHEAD;
   try {
-    const mended = await mendMcap(source, mostBytes);
-    return new McapRecording(source, await opened(mended), mended.endsAt);
+    const rebuilt = await rebuildIndex(source, mostBytes);
+    return new McapRecording(source, await opened(rebuilt), rebuilt.endsAt);
   } finally {
     source.ahead = 0;
   }
@@ -40,8 +49,8 @@ async function opened(source: ByteSource): Promise<McapIndexedReader> {
   try {
     reader = await McapIndexedReader.Initialize({ readable: readable(source) });
   } catch (thrown) {
-    const said = thrown instanceof Error ? thrown.message : "";
-    throw /not indexed|Magic|footer/i.test(said) ? new ReadFailure("no_index") : failureOf(thrown, "index_damaged");
+    const detail = thrown instanceof Error ? thrown.message : "";
+    throw /not indexed|Magic|footer/i.test(detail) ? new ReadFailure("no_index") : failureOf(thrown, "index_damaged");
   }
   const isEmpty = reader.statistics?.messageCount === 0n;
   if (reader.chunkIndexes.length === 0 && !isEmpty) throw new ReadFailure("no_index");
@@ -65,7 +74,7 @@ class McapRecording implements Recording {
   constructor(
     readonly source: Source,
     private readonly reader: McapIndexedReader,
-    readonly mendedUntil: number | null,
+    readonly indexedUntil: number | null,
   ) {
     this.span = spanOf(reader.chunkIndexes);
     for (const channel of reader.channelsById.values()) {
@@ -120,7 +129,7 @@ class McapRecording implements Recording {
       fields.skip(8); // when it was published
       if (channel?.topic === topic) messages.push({ logTimeNs, schema: channel.schema, data: fields.bytes(fields.left) });
     }
-    return { messages, heldBytes: content.length };
+    return { messages, retainedBytes: content.length };
   }
 
   private chunks(topic: string, span: Span): ChunkIndex[] {
@@ -139,8 +148,8 @@ class McapRecording implements Recording {
       toNs: chunk.messageEndTime,
       bytes: Number(chunk.uncompressedSize),
     }));
-    const held = mostHeld(spans, (chunk) => chunk.bytes);
-    if (held > MOST_HELD) throw new ReadFailure("too_large", String(held));
+    const overlapping = mostOverlappingBytes(spans, (chunk) => chunk.bytes);
+    if (overlapping > MOST_OVERLAPPING) throw new ReadFailure("too_large", String(overlapping));
   }
 }
 

@@ -1,13 +1,14 @@
 /** Opening a recording by what the server found that it is. */
 
-import { isZstd } from "../compression/unpack";
-import { MOST_UNASKED } from "../limits";
+import { isZstd, zstdWindowBytes } from "../compression/unpack";
+import { MOST_UNASKED, MOST_WHOLE_PACKED, MOST_WHOLE_UNPACKED, READ_AHEAD } from "../limits";
 import type { ReadableFormat } from "../protocol";
 import type { Source } from "../ranges";
 import { openBag } from "./bag";
 import { openMcap } from "./mcap";
-import type { Recording } from "./recording";
-import { decompressed } from "./whole_file";
+import { joined, type Recording } from "./recording";
+import { Decompress } from "fzstd";
+import { failureOf, ReadFailure } from "../failures";
 
 const OPEN: Readonly<Record<ReadableFormat, (source: Source, mostBytes: number) => Promise<Recording>>> = { mcap: openMcap, rosbag1: openBag };
 
@@ -20,4 +21,48 @@ const OPEN: Readonly<Record<ReadableFormat, (source: Source, mostBytes: number) 
 export async function openRecording(format: ReadableFormat, source: Source, mostBytes = MOST_UNASKED): Promise<Recording> {
   const head = await source.read(0, Math.min(4, source.sizeBytes));
   return OPEN[format](isZstd(head) ? await decompressed(source) : source, mostBytes);
+}
+
+/** Read and decompress a whole file.
+ *
+ * @throws ReadFailure compressed_whole, where it is too large for that; chunk_damaged.
+ */
+export async function decompressed(source: Source): Promise<Source> {
+  if (source.sizeBytes > MOST_WHOLE_PACKED) throw new ReadFailure("compressed_whole", String(source.sizeBytes));
+  const parts: Uint8Array[] = [];
+  let size = 0;
+  const stream = new Decompress((part) => {
+    size += part.length;
+    if (size > MOST_WHOLE_UNPACKED) throw new ReadFailure("compressed_whole", String(source.sizeBytes));
+    parts.push(part.slice());
+  });
+  source.ahead = READ_AHEAD;
+  try {
+    for (let at = 0; at < source.sizeBytes; at += READ_AHEAD) {
+      const end = Math.min(at + READ_AHEAD, source.sizeBytes);
+      const packed = await source.read(at, end - at);
+      if (at === 0 && zstdWindowBytes(packed) > MOST_WHOLE_UNPACKED) {
+        throw new ReadFailure("compressed_whole", String(source.sizeBytes));
+      }
+      stream.push(packed, end === source.sizeBytes);
+    }
+  } catch (thrown) {
+    // What was decompressed of a file that breaks off can still be looked into.
+    const failure = failureOf(thrown, "chunk_damaged");
+    if (failure.code !== "chunk_damaged" || size === 0) throw failure;
+  } finally {
+    source.ahead = 0;
+  }
+  return inMemory(joined(parts));
+}
+
+function inMemory(bytes: Uint8Array): Source {
+  return {
+    sizeBytes: bytes.length,
+    ahead: 0,
+    read: (offset, length) => {
+      if (offset >= 0 && length >= 0 && offset + length <= bytes.length) return Promise.resolve(bytes.subarray(offset, offset + length));
+      return Promise.reject(new ReadFailure("index_damaged", `${length} bytes at ${offset} of ${bytes.length}`));
+    },
+  };
 }

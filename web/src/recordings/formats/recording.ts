@@ -1,7 +1,8 @@
 /** What the formats have in common: topics, and the messages of one topic in a span of time. */
 
-import type { ReadFailure } from "../failures";
+import { ReadFailure, type FailureCode } from "../failures";
 import type { Source } from "../ranges";
+import { MOST_OVERLAPPING } from "../limits";
 
 /** How messages of a channel are written, and the text or bytes that say so. */
 export interface Schema {
@@ -49,7 +50,7 @@ export interface Recording {
   /** Null where the recording holds no message. */
   readonly span: Span | null;
   /** Where a recording without index was read up to, to make one: the rest is not seen. Null for one with an index. */
-  readonly mendedUntil: number | null;
+  readonly indexedUntil: number | null;
   readonly topics: readonly RecordedTopic[];
   /** The pieces that may hold messages of the topic within the span, in order of time. */
   pieces(topic: string, span: Span): Piece[];
@@ -63,18 +64,18 @@ export function cost(pieces: readonly Piece[]): number {
 }
 
 /** The most bytes that are held at once where pieces overlap in time; `size` says what a piece has when unpacked. */
-export function mostHeld<P extends Span>(pieces: readonly P[], size: (piece: P) => number): number {
+export function mostOverlappingBytes<P extends Span>(pieces: readonly P[], size: (piece: P) => number): number {
   const edges = pieces.flatMap((piece) => [
     { at: piece.fromNs, change: size(piece) },
     { at: piece.toNs, change: -size(piece) },
   ]);
   // At one instant, what ends is let go before what begins is taken: chunks that only touch are read one by one.
   edges.sort((a, b) => (a.at === b.at ? a.change - b.change : a.at < b.at ? -1 : 1));
-  let held = 0;
+  let current = 0;
   let most = 0;
   for (const edge of edges) {
-    held += edge.change;
-    most = Math.max(most, held);
+    current += edge.change;
+    most = Math.max(most, current);
   }
   return Math.max(most, ...pieces.slice(0, 1).map(size));
 }
@@ -87,4 +88,76 @@ export function joined(parts: readonly Uint8Array[]): Uint8Array {
     at += part.length;
   }
   return whole;
+}
+
+/** What one chunk holds of a topic. `heldBytes` stay in memory while one of its messages does. */
+export interface ChunkContent {
+  messages: Message[];
+  retainedBytes: number;
+}
+
+/** Where a chunk begins in the file, and the time that its index gives it. */
+interface Placed extends Span {
+  at: number;
+}
+
+/** Failures of one chunk: the others may be whole. */
+const DAMAGE: ReadonlySet<FailureCode> = new Set<FailureCode>(["chunk_damaged", "index_damaged"]);
+
+/** Return the messages within the span, chunk by chunk. A damaged chunk is told to `onDamage` and left out.
+ *
+ * @throws ReadFailure too_large, where too much overlaps in time; what `read` throws, unless it is damage.
+ */
+export async function* inOrder<Chunk extends Placed>(
+  chunks: readonly Chunk[],
+  read: (chunk: Chunk) => Promise<ChunkContent>,
+  { span, order, onDamage }: { span: Span; order: Order; onDamage: OnDamage },
+): AsyncIterable<Message> {
+  const isForward = order === "forward";
+  const sorted = chunks.toSorted(isForward ? byStart : byEnd);
+  let waiting: { message: Message; retainedBytes: number }[] = [];
+  for (const [number, chunk] of sorted.entries()) {
+    const { messages, retainedBytes } = await readOrReport(chunk, read, onDamage);
+    const within = messages.filter(({ logTimeNs }) => logTimeNs >= span.fromNs && logTimeNs <= span.toNs);
+    if (!isForward) within.reverse();
+    waiting = waiting.concat(within.map((message, place) => ({ message, retainedBytes: place === 0 ? retainedBytes : 0 })));
+    if (waiting.reduce((sum, item) => sum + item.retainedBytes, 0) > MOST_OVERLAPPING) throw new ReadFailure("too_large");
+    waiting.sort(({ message: a }, { message: b }) => byTime(a, b, isForward));
+    const next = sorted[number + 1];
+    // Messages that none of the next chunk can come before are ready.
+    const ready = waiting.findIndex(({ message: { logTimeNs } }) =>
+      next === undefined ? false : isForward ? logTimeNs > next.fromNs : logTimeNs < next.toNs,
+    );
+    const count = ready < 0 ? waiting.length : ready;
+    for (const { message } of waiting.slice(0, count)) yield message;
+    waiting = waiting.slice(count);
+  }
+}
+
+async function readOrReport<Chunk extends Placed>(
+  chunk: Chunk,
+  read: (chunk: Chunk) => Promise<ChunkContent>,
+  onDamage: OnDamage,
+): Promise<ChunkContent> {
+  try {
+    return await read(chunk);
+  } catch (thrown) {
+    const failure = thrown instanceof RangeError ? new ReadFailure("chunk_damaged", thrown.message) : thrown;
+    if (!(failure instanceof ReadFailure) || !DAMAGE.has(failure.code)) throw thrown;
+    onDamage({ fromNs: chunk.fromNs, toNs: chunk.toNs, failure });
+    return { messages: [], retainedBytes: 0 };
+  }
+}
+
+function byStart(a: Placed, b: Placed): number {
+  return a.fromNs < b.fromNs ? -1 : a.fromNs > b.fromNs ? 1 : a.at - b.at;
+}
+
+function byEnd(a: Placed, b: Placed): number {
+  return a.toNs > b.toNs ? -1 : a.toNs < b.toNs ? 1 : b.at - a.at;
+}
+
+function byTime(a: Message, b: Message, isForward: boolean): number {
+  if (a.logTimeNs === b.logTimeNs) return 0;
+  return a.logTimeNs < b.logTimeNs === isForward ? -1 : 1;
 }

@@ -1,10 +1,8 @@
 /** The picture inside a message: compressed (JPEG, PNG, WebP) or raw. */
 
 import { ReadFailure } from "../failures";
-import { isFields, isNumbers } from "../decoding/value";
-import type { Value } from "../decoding/value";
-import { checkSize } from "./pixels";
-import type { RawPicture } from "./pixels";
+import { isFields, isNumbers, type Value } from "../decoding/decoder";
+import { checkSize, type RawPicture } from "./pixels";
 
 export interface Compressed {
   kind: "compressed";
@@ -91,7 +89,7 @@ function isFrame(marker: number): boolean {
 function bytesOf(value: Value | undefined): Uint8Array | null {
   if (value instanceof Uint8Array) return value;
   if (isNumbers(value)) return new Uint8Array(value.buffer, value.byteOffset, value.byteLength);
-  if (Array.isArray(value)) return Uint8Array.from(value, (each) => (typeof each === "number" ? each : 0));
+  if (Array.isArray(value)) return Uint8Array.from(value, (item) => (typeof item === "number" ? item : 0));
   if (typeof value !== "string") return null;
   try {
     return Uint8Array.from(atob(value), (letter) => letter.charCodeAt(0));

@@ -1,7 +1,6 @@
 import { describe, expect, it } from "vitest";
 import { checkCompressed, isPictureType, pictureOf } from "./picture";
-import { pixelsOf } from "./pixels";
-import type { RawPicture } from "./pixels";
+import { pixelsOf, type RawPicture } from "./pixels";
 
 function raw(encoding: string, width: number, height: number, data: number[] | Uint8Array, more: Partial<RawPicture> = {}): RawPicture {
   return { width, height, step: 0, encoding, isBigEndian: false, data: Uint8Array.from(data), ...more };

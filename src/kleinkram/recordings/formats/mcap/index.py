@@ -79,7 +79,6 @@ class _KnownEnds:
         self._head = b""
 
     def read(self, offset: int, length: int) -> bytes:
-        """Return up to `length` bytes; fewer at the end of the file."""
         if offset >= self.tail_start:
             return self.tail[offset - self.tail_start :][:length]
         if offset + length > _HEAD_BYTES:

@@ -73,7 +73,6 @@ class _McapScanner(ChunkScanner[McapFacts]):
         return scan
 
     def _compare_index(self) -> None:
-        """Compare the chunk index with the chunks that were read."""
         facts, claims = self._scan.facts, new_table()
         for row in facts.table.rows:
             times = row.first_ns, row.last_ns
@@ -206,7 +205,6 @@ class _McapScanner(ChunkScanner[McapFacts]):
         self._resync(Malformed(f"byte {stream.position + total}", wrong), believed=total)
 
     def _pass_attachment(self, length: int, where: str) -> None:
-        """Read an attachment without holding it."""
         stream = self._stream
         body_at = stream.at + RECORD_HEAD.size
         records.read_attachment(self._scan.facts, bytes(stream.window[body_at : body_at + min(length, WINDOW)]), where)

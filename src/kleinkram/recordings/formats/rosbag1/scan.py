@@ -165,7 +165,6 @@ class _BagScanner(ChunkScanner[BagFacts]):
             raise Malformed(where, "the bag header reaches into something else")
 
     def _note_index_section(self, record: BagRecord, where: str) -> None:
-        """Note a connection or a chunk info."""
         stream, scan, losses = self._stream, self._scan, self._scan.losses
         if record.data_bytes > MAX_TAKE:
             raise Malformed(where, f"an index record of {record.data_bytes} bytes", certain=False)
@@ -184,12 +183,10 @@ class _BagScanner(ChunkScanner[BagFacts]):
         self._claimed_messages += messages
 
     def _data_of(self, record: BagRecord) -> bytes:
-        """Return the data of the next record."""
         start = self._stream.at + record.data_start - record.start
         return bytes(self._stream.window[start : start + record.data_bytes])
 
     def _points_at_messages(self, record: BagRecord) -> bool:
-        """Compare the next index data with the messages at their offsets."""
         total = record.end - record.start
         if total > MAX_CHUNK_INDEX:
             return True

@@ -126,7 +126,6 @@ def _entries(top: Mapping[object, object], key: str) -> list[Mapping[object, obj
 
 
 def _times(entry: Mapping[object, object]) -> tuple[int | None, int | None]:
-    """Return start and duration in nanoseconds."""
     start = _mapping(entry.get("starting_time")).get("nanoseconds_since_epoch")
     return _number(start), _number(_mapping(entry.get("duration")).get("nanoseconds"))
 
@@ -148,7 +147,7 @@ METADATA_NAME = "metadata.yaml"
 KNOWN_ENCODINGS = frozenset(("cdr", "cdr2", "ros1", "json", "protobuf", "flatbuffer", "cbor", "msgpack"))
 _TOLERANCE_NS = 1_000_000
 _CREDIBLE_NS = 366 * 24 * 3600 * 1_000_000_000
-_FORMATS = {"sqlite3": RecordingFormat.rosbag2_db3, "mcap": RecordingFormat.mcap}
+STORAGE_FORMATS = {"sqlite3": RecordingFormat.rosbag2_db3, "mcap": RecordingFormat.mcap}
 _FIRST_VERSION_WITH_FILES = 5
 
 
@@ -217,9 +216,9 @@ def compare_names(metadata: Rosbag2Metadata, names: Iterable[str]) -> list[Probl
 def _compare_files(metadata: Rosbag2Metadata, members: Sequence[MemberFacts]) -> list[Problem]:
     problems: list[Problem] = []
     stated: dict[str, StatedFile] = {PurePosixPath(entry.path).name: entry for entry in metadata.file_entries}
-    expected = _FORMATS.get(metadata.storage or "")
+    expected = STORAGE_FORMATS.get(metadata.storage or "")
     for member in members:
-        actual_format = member.format if member.format in _FORMATS.values() else None
+        actual_format = member.format if member.format in STORAGE_FORMATS.values() else None
         if expected is not None and actual_format is not None and actual_format is not expected:
             message = f"metadata.yaml says its storage is {metadata.storage}, but it is {actual_format.value}"
             problems.append(Problem("metadata-storage", member.name, message))

@@ -158,7 +158,6 @@ class Recovery:
         return page[cell.at + column.at : cell.at + end].decode("utf-8", "replace")
 
     def _payload(self, page: bytes, cell: Cell) -> bytes:
-        """Return the payload of a whole row, with its overflow pages."""
         pieces = [page[cell.at : cell.at + cell.local_bytes]]
         left, number = cell.payload_bytes - cell.local_bytes, cell.overflow_page
         while left > 0:
@@ -185,7 +184,6 @@ class Recovery:
             self._note(number, error.message)
 
     def _cells(self, number: int, page: bytes) -> Iterator[tuple[Cell, list[Column]]]:
-        """Yield the readable rows of a leaf page; note a page with others."""
         start = pages.HEADER_BYTES if number == 1 else 0
         for cell in pages.leaf_cells(page, start, self._file.header.usable_bytes):
             end = cell.at + cell.local_bytes if cell is not None else 0

@@ -6,8 +6,7 @@ import type { File } from "@/api/types";
 import { ReadFailure } from "@/recordings/failures";
 import type { ReadableFormat } from "@/recordings/protocol";
 import type { Address } from "@/recordings/ranges";
-import { RecordingReader } from "@/recordings/reader";
-import type { WorkerLike } from "@/recordings/reader";
+import { RecordingReader, type WorkerLike } from "@/recordings/reader";
 
 export interface FileReader {
   readonly reader: RecordingReader;
@@ -44,4 +43,27 @@ export function useReader(file: File, format: ReadableFormat): FileReader {
   });
   onScopeDispose(() => reader.close());
   return { reader, bytesRead };
+}
+
+/** Returns a function that does `act` with what it was last given, as soon as the one before is done. */
+export function latest<Item>(act: (item: Item) => Promise<void>): (item: Item) => void {
+  let waiting: { readonly item: Item } | null = null;
+  let isBusy = false;
+
+  async function run(): Promise<void> {
+    isBusy = true;
+    try {
+      for (let next = waiting; next !== null; next = waiting) {
+        waiting = null;
+        await act(next.item);
+      }
+    } finally {
+      isBusy = false;
+    }
+  }
+
+  return (item) => {
+    waiting = { item };
+    if (!isBusy) void run();
+  };
 }

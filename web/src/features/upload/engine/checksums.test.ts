@@ -1,7 +1,7 @@
 // @vitest-environment node
 import { describe, expect, it } from "vitest";
 import { Hashing, newChecksum } from "./checksums";
-import { RateMeter } from "./rateMeter";
+import { RateMeter } from "./progressStore";
 import { MIN_PART_BYTES, partSizeBytes } from "./types";
 import { etagOf, meaningOf } from "./store";
 

@@ -4,8 +4,7 @@
 // Source: CRC-64/NVME is that of the NVM Express NVM Command Set Specification, section 5.2.1.3.4; the polynomial is
 // 0xad93d23594c93659, here with its bits reversed.
 
-import type { IHasher } from "hash-wasm";
-import { createCRC64, createMD5, createSHA256 } from "hash-wasm";
+import { createCRC64, createMD5, createSHA256, type IHasher } from "hash-wasm";
 import type { ChecksumKind } from "./types";
 
 const NVME_REVERSED = "9a6c9329ac4bc9b5";

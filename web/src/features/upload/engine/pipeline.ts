@@ -3,14 +3,11 @@
 // Each byte is read once for its checksums; a PUT's body is a slice of the file, which the browser reads again by
 // itself. So memory is a few slices, and a part whose bytes changed in between is refused by the store, which checks it
 // against the checksum that the server signed. At most `AHEAD_BYTES` are hashed and not yet sent.
-
-import { ApiProblem } from "./api";
-import { Budget, Queue, Stopped, checkStopped } from "./flow";
-import { Leases } from "./leases";
+import { ApiProblem, type RetryingApi, type UploadContext } from "./api";
+import { Budget, checkStopped, Queue, Stopped } from "./flow";
 import type { Failure, ProblemDocument, SignedPart, UploadOutcome } from "./types";
-import { FileFailure, checkUnchanged } from "./reading";
-import { type Part, type Sending, toSign } from "./sending";
-import { type Parts, StoreRefused, sendPart } from "./sendPart";
+import { checkUnchanged, FileFailure } from "./reading";
+import { sendPart, StoreRefused, toSign, type Part, type Parts, type Sending } from "./sending";
 
 const AHEAD_BYTES = 128 * 1024 * 1024;
 const PART_COST = 512 * 1024; // what the smallest part counts, so that files under way are bounded too
@@ -43,7 +40,7 @@ export class Pipeline {
     private readonly ends: Ends,
   ) {
     const { signal } = parts.stop;
-    this.leases = new Leases(parts.asking, parts.around, signal);
+    this.leases = new Leases(parts.retryingApi, parts.around, signal);
     this.ahead = new Budget(signal, AHEAD_BYTES);
     this.underWay = new Budget(signal, FILES_UNDER_WAY);
     this.toSign = new Queue(signal, parts.around.clock);
@@ -73,7 +70,7 @@ export class Pipeline {
   async submit(sending: Sending): Promise<void> {
     const { hashing, watcher } = this.parts;
     await this.underWay.acquire(1);
-    this.leases.hold(sending);
+    this.leases.track(sending);
     const isHashed = sending.sums !== null;
     try {
       if (!isHashed) hashing.beginWhole();
@@ -103,8 +100,8 @@ export class Pipeline {
     };
     const checksum = await sending.hashPart(hashing, offset, sizeBytes, read);
     sending.latest = { upload_id: sending.upload.id, number, checksum };
-    if (sending.isHeld(number, sizeBytes, checksum)) {
-      watcher.held(sending.path, sizeBytes);
+    if (sending.isStored(number, sizeBytes, checksum)) {
+      watcher.stored(sending.path, sizeBytes);
       return;
     }
     const cost = Math.max(sizeBytes, PART_COST);
@@ -126,7 +123,7 @@ export class Pipeline {
   private async sign(parts: readonly Part[]): Promise<void> {
     if (parts.length === 0) return;
     try {
-      const signed = await this.parts.asking.sign(parts.map(toSign));
+      const signed = await this.parts.retryingApi.sign(parts.map(toSign));
       parts.forEach((part, place) => {
         part.sending.renewedMs = this.parts.around.clock.now();
         this.toSend.put([part, signed[place] as SignedPart]);
@@ -141,7 +138,7 @@ export class Pipeline {
   private async signApart(parts: readonly Part[], error: ApiProblem): Promise<void> {
     const sendings = new Set(parts.map((part) => part.sending));
     if (sendings.size > 1) {
-      for (const each of sendings) await this.sign(parts.filter((part) => part.sending === each));
+      for (const item of sendings) await this.sign(parts.filter((part) => part.sending === item));
       return;
     }
     for (const part of parts) {
@@ -172,7 +169,7 @@ export class Pipeline {
       const ready: Sending[] = [];
       for (const sending of sent) if (await this.isUnchanged(sending)) ready.push(sending);
       if (ready.length === 0) continue;
-      const outcomes = await this.parts.asking.complete(ready.map((sending) => sending.toFinish()));
+      const outcomes = await this.parts.retryingApi.complete(ready.map((sending) => sending.toFinish()));
       for (const [place, sending] of ready.entries()) {
         await this.finished(sending, outcomes[place] as UploadOutcome);
         this.release(sending);
@@ -224,13 +221,52 @@ export class Pipeline {
 
   private countDone(sending: Sending): void {
     if (!sending.partDone()) return;
-    this.leases.letGo(sending);
+    this.leases.untrack(sending);
     if (sending.ended) this.release(sending);
     else this.toFinish.put(sending);
   }
 
   private release(sending: Sending): void {
-    this.leases.letGo(sending);
+    this.leases.untrack(sending);
     this.underWay.release(1);
+  }
+}
+
+const RENEW_MS = 20_000;
+
+export class Leases {
+  private readonly active = new Set<Sending>();
+
+  constructor(
+    private readonly retryingApi: RetryingApi,
+    private readonly around: UploadContext,
+    private readonly signal: AbortSignal,
+  ) {}
+
+  track(sending: Sending): void {
+    this.active.add(sending);
+  }
+
+  untrack(sending: Sending): void {
+    this.active.delete(sending);
+  }
+
+  /** Renew what is due, for ever; `failed` hears of what one upload's renewal said. @throws Stopped */
+  async renewing(failed: (sending: Sending, error: unknown) => Promise<void>): Promise<never> {
+    for (;;) {
+      await this.around.clock.wait(RENEW_MS, this.signal);
+      checkStopped(this.signal);
+      const due = this.around.clock.now() - RENEW_MS;
+      for (const sending of this.active) {
+        // A paused upload holds no names: they may be taken by whoever goes on.
+        if (this.around.gate.isShut || sending.ended || sending.latest === null || sending.renewedMs >= due) continue;
+        sending.renewedMs = this.around.clock.now();
+        try {
+          await this.retryingApi.sign([sending.latest]);
+        } catch (error) {
+          await failed(sending, error);
+        }
+      }
+    }
   }
 }

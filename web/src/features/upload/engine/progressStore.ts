@@ -1,9 +1,6 @@
 // What an upload has come to, file by file and in all; told on in pieces, so that ten thousand files cost no more to
 // show than the few that changed.
-
-import { RateMeter } from "./rateMeter";
-import type { Failure, FileProgress, FileState, PlannedFile, Trouble } from "./types";
-import type { Watcher } from "./watcher";
+import type { Failure, FileProgress, FileState, PlannedFile, WaitReason } from "./types";
 
 export interface Snapshot {
   readonly changed: readonly FileProgress[];
@@ -13,7 +10,7 @@ export interface Snapshot {
   /** Null while too little is known. */
   readonly bytesPerS: number | null;
   readonly leftS: number | null;
-  readonly troubles: readonly Trouble[];
+  readonly waitReasons: readonly WaitReason[];
 }
 
 interface Line {
@@ -30,7 +27,7 @@ export class ProgressStore implements Watcher {
   readonly meter = new RateMeter();
   private readonly lines = new Map<string, Line>();
   private readonly changed = new Set<Line>();
-  private readonly troubles = new Set<Trouble>();
+  private readonly waitReasons = new Set<WaitReason>();
   private doneBytes = 0;
   private totalBytes = 0;
 
@@ -60,10 +57,10 @@ export class ProgressStore implements Watcher {
 
   moved(path: string, sizeBytes: number): void {
     this.meter.moved(sizeBytes);
-    this.held(path, sizeBytes);
+    this.stored(path, sizeBytes);
   }
 
-  held(path: string, sizeBytes: number): void {
+  stored(path: string, sizeBytes: number): void {
     const line = this.line(path);
     line.doneBytes += sizeBytes;
     this.doneBytes += sizeBytes;
@@ -72,19 +69,19 @@ export class ProgressStore implements Watcher {
 
   ended(path: string, state: FileState, fileId: string | null, failure: Failure | null): void {
     const line = this.line(path);
-    this.held(path, (failure === null ? line.sizeBytes : 0) - line.doneBytes);
+    this.stored(path, (failure === null ? line.sizeBytes : 0) - line.doneBytes);
     if (failure !== null) this.totalBytes -= line.sizeBytes;
     Object.assign(line, { state, fileId, failure });
   }
 
   reset(path: string): void {
-    this.held(path, -this.line(path).doneBytes);
+    this.stored(path, -this.line(path).doneBytes);
     this.state(path, "waiting");
   }
 
-  trouble(trouble: Trouble, isOver: boolean): void {
-    if (isOver) this.troubles.delete(trouble);
-    else this.troubles.add(trouble);
+  waitReason(waitReason: WaitReason, isOver: boolean): void {
+    if (isOver) this.waitReasons.delete(waitReason);
+    else this.waitReasons.add(waitReason);
   }
 
   /** Say of all that has not ended that it was left. */
@@ -99,7 +96,7 @@ export class ProgressStore implements Watcher {
     const { doneBytes, totalBytes } = this;
     const changed = [...this.changed].map((line): FileProgress => ({ ...line }));
     this.changed.clear();
-    return { changed, doneBytes, totalBytes, ...this.meter.at(nowMs, totalBytes - doneBytes), troubles: [...this.troubles] };
+    return { changed, doneBytes, totalBytes, ...this.meter.at(nowMs, totalBytes - doneBytes), waitReasons: [...this.waitReasons] };
   }
 
   private line(path: string): Line {
@@ -107,4 +104,55 @@ export class ProgressStore implements Watcher {
     if (line === undefined) throw new Error(`${path} is no file of this upload`);
     return line;
   }
+}
+
+const WINDOW_MS = 10_000;
+const SOONEST_MS = 1_500;
+
+export interface Rate {
+  readonly bytesPerS: number | null;
+  readonly leftS: number | null;
+}
+
+/** The rate over the last seconds in which anything was expected to move. */
+export class RateMeter {
+  private samples: { readonly atMs: number; readonly bytes: number }[] = [];
+  private sent = 0;
+
+  /** Bytes that moved; negative when they must move again. */
+  moved(sizeBytes: number): void {
+    this.sent += sizeBytes;
+  }
+
+  /** Forget the past: after a pause it says nothing of what comes. */
+  restart(): void {
+    this.samples = [];
+  }
+
+  /** Return the rate now, and how long `leftBytes` take at it; null where too little is known. */
+  at(nowMs: number, leftBytes: number): Rate {
+    if (this.sent === 0) return { bytesPerS: null, leftS: null }; // it still reads: that says nothing of sending
+    this.samples.push({ atMs: nowMs, bytes: this.sent });
+    while (this.samples.length > 2 && (this.samples[1]?.atMs ?? nowMs) < nowMs - WINDOW_MS) this.samples.shift();
+    const first = this.samples[0];
+    if (first === undefined || nowMs - first.atMs < SOONEST_MS) return { bytesPerS: null, leftS: null };
+    const bytesPerS = Math.max(0, ((this.sent - first.bytes) * 1000) / (nowMs - first.atMs));
+    return { bytesPerS, leftS: bytesPerS > 0 ? leftBytes / bytesPerS : null };
+  }
+}
+
+export interface Watcher {
+  state(path: string, state: FileState): void;
+  /** So many more bytes were read for the checksums of the whole, before anything is sent; 0 begins anew. */
+  read(path: string, sizeBytes: number): void;
+  /** So many more bytes are at the store; negative when they must be sent again. */
+  moved(path: string, sizeBytes: number): void;
+  /** So many bytes need not be sent: the other side has them. */
+  stored(path: string, sizeBytes: number): void;
+  /** A file is done, well or not. */
+  ended(path: string, state: FileState, fileId: string | null, failure: Failure | null): void;
+  /** Nothing that was sent of a file counts any more. */
+  reset(path: string): void;
+  /** Whom it waits for, or that this is over. */
+  waitReason(waitReason: WaitReason, isOver: boolean): void;
 }

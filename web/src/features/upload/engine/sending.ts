@@ -1,9 +1,11 @@
 // One file's upload under way: which parts are left, what has been hashed, and whether it has ended.
-
 import type { Hashing, WholeSums } from "./checksums";
-import type { StoredPart, JournalPart } from "./journal";
-import type { PartToSign, PlannedFile, UploadFinish, UploadRead } from "./types";
-import { slices } from "./reading";
+import type { Journal, JournalPart, StoredPart } from "./journal";
+import type { PartToSign, PlannedFile, SignedPart, UploadFinish, UploadRead } from "./types";
+import { checkUnchanged, slices } from "./reading";
+import { ApiProblem, type RetryingApi, type UploadContext } from "./api";
+import type { PutAnswer, Store } from "./store";
+import type { Watcher } from "./progressStore";
 
 /** A part that is to be sent. */
 export interface Part {
@@ -26,7 +28,7 @@ export class Sending {
   latest: PartToSign | null = null;
   ended = false;
   private left = 1; // the hashing itself; parts are added while it runs
-  private readonly held: ReadonlyMap<number, StoredPart>;
+  private readonly storedParts: ReadonlyMap<number, StoredPart>;
 
   constructor(
     readonly planned: PlannedFile,
@@ -37,7 +39,7 @@ export class Sending {
     nowMs: number,
   ) {
     this.renewedMs = nowMs;
-    this.held = new Map(upload.parts.map((part) => [part.number, part]));
+    this.storedParts = new Map(upload.parts.map((part) => [part.number, part]));
   }
 
   get path(): string {
@@ -74,12 +76,12 @@ export class Sending {
   }
 
   /** Say whether the store holds these very bytes: our journal's checksum and the store's etag both agree. */
-  isHeld(number: number, sizeBytes: number, checksum: string): boolean {
-    const held = this.held.get(number);
+  isStored(number: number, sizeBytes: number, checksum: string): boolean {
+    const storedParts = this.storedParts.get(number);
     const written = this.remembered.get(number);
-    if (held === undefined || written === undefined) return false;
-    const sameEtag = held.etag.replaceAll('"', "") === written.etag;
-    return sameEtag && held.size_bytes === sizeBytes && written.checksum === checksum;
+    if (storedParts === undefined || written === undefined) return false;
+    const sameEtag = storedParts.etag.replaceAll('"', "") === written.etag;
+    return sameEtag && storedParts.size_bytes === sizeBytes && written.checksum === checksum;
   }
 
   addPart(): void {
@@ -104,4 +106,76 @@ export class Sending {
     this.ended = true;
     return first;
   }
+}
+
+const REFUSALS = 4;
+
+/** What an upload works with. */
+export interface Parts {
+  readonly retryingApi: RetryingApi;
+  readonly store: Store;
+  readonly journal: Journal;
+  readonly hashing: Hashing;
+  readonly watcher: Watcher;
+  readonly around: UploadContext;
+  readonly stop: AbortController;
+}
+
+/** The store would not take a part, for its own reason. */
+export class StoreRefused extends Error {
+  override readonly name = "StoreRefused";
+}
+
+/**
+ * Send a part; resolves when the store has it and the journal says so, or its upload has ended meanwhile.
+ *
+ * @throws FileFailure, ApiProblem (of this upload, or of all), StoreRefused, Stopped
+ */
+export async function sendPart(part: Part, first: SignedPart, parts: Parts): Promise<void> {
+  const { retryingApi, around } = parts;
+  const signAgain = async () => (await retryingApi.sign([toSign(part)]))[0] as SignedPart;
+  const tries = around.backoff.begin();
+  let signed = first;
+  let refusals = 0;
+  while (!part.sending.ended) {
+    await around.gate.passed();
+    if (Date.parse(signed.expires_at) <= around.clock.now()) signed = await signAgain(); // spares sending it in vain
+    const answer = await put(part, signed, parts);
+    if (answer.meaning === "taken") {
+      around.waitReasons.over("store");
+      if (part.sizeBytes < part.sending.upload.size_bytes) {
+        const { sending, number, checksum } = part;
+        await parts.journal.record({ uploadId: sending.upload.id, number, checksum, etag: answer.etag });
+      }
+      return;
+    }
+    if (answer.meaning === "gone") throw goneAt(part);
+    if (answer.meaning !== "called_back") await checkUnchanged(part.sending.planned);
+    if (answer.meaning === "try_again") {
+      around.waitReasons.note("store", around.clock.now());
+      await tries.pause();
+    } else if (answer.meaning !== "called_back" && ++refusals >= REFUSALS) {
+      throw new StoreRefused(answer.reason);
+    }
+    signed = await signAgain();
+  }
+}
+
+async function put(part: Part, signed: SignedPart, { store, around, watcher }: Parts): Promise<PutAnswer> {
+  const { planned, path } = part.sending;
+  const body = planned.file.slice(part.offset, part.offset + part.sizeBytes);
+  let sent = 0;
+  const answer = await store.put(signed, body, around.gate.called, (sizeBytes) => {
+    sent += sizeBytes;
+    watcher.moved(path, sizeBytes);
+  });
+  // A store says no more than that it took it all; a small part may have passed unheard.
+  watcher.moved(path, answer.meaning === "taken" ? part.sizeBytes - sent : -sent);
+  return answer;
+}
+
+function goneAt(part: Part): ApiProblem {
+  const detail = `the store no longer knows the upload of ${part.sending.path}`;
+  const code = "upload_gone";
+  return new ApiProblem({ code, detail, status: 410, title: "upload gone", type: "urn:kleinkram:error:upload_gone" });
 }

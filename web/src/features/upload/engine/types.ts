@@ -1,6 +1,7 @@
 // The nouns of an upload: what was dropped, what is planned, how it goes and how it ends.
-
 import type { components } from "@/api/schema";
+import type { Report } from "./uploadQueue";
+import type { JournalHead } from "./journal";
 
 type Schemas = components["schemas"];
 export type ChecksumKind = Schemas["ChecksumKind"];
@@ -82,7 +83,7 @@ export interface FileProgress {
 }
 
 /** Whom an upload waits for. */
-export type Trouble = "server" | "store" | "lease";
+export type WaitReason = "server" | "store" | "lease";
 
 export interface MissionPlace {
   readonly id: string;
@@ -90,3 +91,9 @@ export interface MissionPlace {
   readonly projectId: string;
   readonly projectName: string;
 }
+
+export type Command =
+  | { readonly kind: "start"; readonly head: JournalHead; readonly files: readonly PlannedFile[] }
+  | { readonly kind: "pause" | "go_on" | "cancel"; readonly id: string };
+
+export type { Report };

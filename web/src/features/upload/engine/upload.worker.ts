@@ -2,11 +2,9 @@
 
 import { UploadQueue } from "./uploadQueue";
 import { realClock } from "./flow";
-import { httpApi } from "./http";
-import { openJournal } from "./indexeddb";
-import type { Journal } from "./journal";
-import { MemoryJournal } from "./memory";
-import type { Command } from "./protocol";
+import { httpApi } from "./api";
+import { MemoryJournal, openJournal, type Journal } from "./journal";
+import type { Command } from "./types";
 import { realStore } from "./store";
 
 async function alone(name: string, run: () => Promise<void>): Promise<boolean> {
@@ -21,7 +19,7 @@ async function alone(name: string, run: () => Promise<void>): Promise<boolean> {
   });
 }
 
-async function kept(): Promise<Journal> {
+async function openOrMemory(): Promise<Journal> {
   try {
     return await openJournal();
   } catch {
@@ -29,7 +27,7 @@ async function kept(): Promise<Journal> {
   }
 }
 
-const queue = kept().then(
+const queue = openOrMemory().then(
   (journal) =>
     new UploadQueue({
       api: httpApi(self.location.origin),
@@ -45,7 +43,7 @@ self.addEventListener("message", ({ data }: MessageEvent<Command>) => {
   void queue.then((at) => {
     if (data.kind === "start") return at.start(data.head, data.files);
     if (data.kind === "pause") at.pause(data.id);
-    if (data.kind === "go_on") at.goOn(data.id);
+    if (data.kind === "go_on") at.resume(data.id);
     if (data.kind === "cancel") at.cancel(data.id);
     return undefined;
   });

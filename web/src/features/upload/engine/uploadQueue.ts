@@ -1,19 +1,15 @@
 // The uploads of a page: one a mission at a time, each by itself. Begins them, pauses them, ends them, and tells of them.
 
-import type { Surroundings, UploadApi } from "./api";
-import { ApiProblem, Asking } from "./api";
+import { ApiProblem, RetryingApi, Backoff, WaitReasons, type UploadContext, type UploadApi } from "./api";
 import { Hashing } from "./checksums";
-import type { Clock } from "./flow";
-import { Gate } from "./flow";
-import { type Journal, type JournalHead, lockName } from "./journal";
-import type { Snapshot } from "./progressStore";
-import { ProgressStore } from "./progressStore";
+import { Gate, type Clock } from "./flow";
+import { lockName, type Journal, type JournalHead } from "./journal";
+import { ProgressStore, type Snapshot } from "./progressStore";
 import type { Failure, PlannedFile } from "./types";
-import { Backoff, Troubles } from "./backoff";
 import type { Store } from "./store";
 import { Uploader } from "./uploader";
 
-const TELL_MS = 250;
+const REPORT_MS = 250;
 
 /**
  * `signed_out`: it waits until the person has signed in again. `elsewhere`: another tab of this browser uploads into the
@@ -78,17 +74,17 @@ export class UploadQueue {
     if (run === undefined) return;
     run.phase = "paused";
     run.gate.close();
-    this.tell(run);
+    this.reportRun(run);
   }
 
-  goOn(id: string): void {
+  resume(id: string): void {
     const run = this.runs.get(id);
     if (run === undefined) return;
     run.phase = "running";
     run.progress.meter.restart();
     run.gate.open();
     run.backoff.nudge();
-    this.tell(run);
+    this.reportRun(run);
   }
 
   /** End an upload: what is there stays, the rest is forgotten. */
@@ -127,16 +123,16 @@ export class UploadQueue {
   private async upload(run: Run, head: JournalHead, files: readonly PlannedFile[]): Promise<void> {
     const { api, store, journal, clock } = this.parts;
     const { progress: watcher, gate, backoff, stop } = run;
-    const troubles = new Troubles((trouble, isOver) => watcher.trouble(trouble, isOver));
+    const waitReasons = new WaitReasons((waitReason, isOver) => watcher.waitReason(waitReason, isOver));
     const signedOut = () => {
       run.phase = "signed_out";
-      this.tell(run);
+      this.reportRun(run);
     };
-    const around: Surroundings = { clock, gate, backoff, troubles, signedOut };
-    const asking = new Asking(api, around);
+    const around: UploadContext = { clock, gate, backoff, waitReasons, signedOut };
+    const retryingApi = new RetryingApi(api, around);
     try {
       const hashing = await Hashing.ready();
-      await new Uploader(head, { asking, store, journal, hashing, watcher, around, stop }).run(files);
+      await new Uploader(head, { retryingApi, store, journal, hashing, watcher, around, stop }).run(files);
       if (run.phase === "cancelled") await this.forget(head.id);
       else run.phase = "over";
       await this.close(head.id);
@@ -162,12 +158,12 @@ export class UploadQueue {
 
   private async telling(run: Run): Promise<void> {
     while (!run.stop.signal.aborted) {
-      this.tell(run);
-      await this.parts.clock.wait(TELL_MS, run.stop.signal);
+      this.reportRun(run);
+      await this.parts.clock.wait(REPORT_MS, run.stop.signal);
     }
   }
 
-  private tell(run: Run): void {
+  private reportRun(run: Run): void {
     const { id, phase, failure, progress } = run;
     this.parts.report({ id, phase, failure, snapshot: progress.snapshot(this.parts.clock.now()) });
   }

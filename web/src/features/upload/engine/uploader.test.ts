@@ -1,9 +1,8 @@
 // @vitest-environment node
 import { beforeEach, describe, expect, it, vi } from "vitest";
 import { UploadQueue, type Report } from "./uploadQueue";
-import type { JournalHead } from "./journal";
-import { MemoryJournal } from "./memory";
-import type { FileProgress, PlannedFile, Trouble } from "./types";
+import { MemoryJournal, type JournalHead } from "./journal";
+import type { FileProgress, PlannedFile, WaitReason } from "./types";
 import { identityOf } from "./plan";
 import { FastClock } from "./testing/clock";
 import { House, problem, sum } from "./testing/fakeServer";
@@ -41,9 +40,9 @@ function planned(path: string, bytes: Uint8Array, modifiedMs = 1000): PlannedFil
 
 function queue(on: (report: Report, queue: UploadQueue) => void = () => undefined): UploadQueue {
   const heard = reports;
-  const report = (told: Report) => {
-    heard.push(told);
-    on(told, made);
+  const report = (isCalled: Report) => {
+    heard.push(isCalled);
+    on(isCalled, made);
   };
   const alone = async (_: string, run: () => Promise<void>) => (await run(), true);
   const made = new UploadQueue({ api: house, store: house, journal, clock, report, alone });
@@ -62,8 +61,8 @@ function last(): Report {
   return reports.at(-1) as Report;
 }
 
-function troubles(): Set<Trouble> {
-  return new Set(reports.flatMap(({ snapshot }) => [...snapshot.troubles]));
+function waitReasons(): Set<WaitReason> {
+  return new Set(reports.flatMap(({ snapshot }) => [...snapshot.waitReasons]));
 }
 
 describe("an upload", () => {
@@ -81,7 +80,7 @@ describe("an upload", () => {
     house.partBytes = 4 * 1024 * 1024;
     const large = bytesOf(LARGE);
     await queue().start(HEAD, [planned("large", large)]);
-    expect(house.asked).toMatchObject([{ path: "large", sha256: null }]);
+    expect(house.announced).toMatchObject([{ path: "large", sha256: null }]);
     expect(house.puts).toHaveLength(3);
     arrived("large", large);
   });
@@ -102,7 +101,7 @@ describe("an upload", () => {
   it("reads a large file first where the server asks for its checksum", async () => {
     house.files.set("a", bytesOf(LARGE));
     await queue().start(HEAD, [planned("a", bytesOf(LARGE))]);
-    expect(house.asked.map(({ sha256 }) => sha256 != null)).toEqual([false, true]);
+    expect(house.announced.map(({ sha256 }) => sha256 != null)).toEqual([false, true]);
     expect(ends().get("a")?.state).toBe("present");
   });
 
@@ -118,7 +117,7 @@ describe("an upload", () => {
   });
 
   it("refuses what has no room, and keeps it for another day", async () => {
-    house.trouble = (what) => (what === "begin" ? { problem: problem("quota_exceeded", 507) } : "fine");
+    house.fault = (what) => (what === "begin" ? { problem: problem("quota_exceeded", 507) } : "fine");
     await queue().start(HEAD, [planned("a", bytesOf(50))]);
     expect(ends().get("a")?.failure).toMatchObject({ problem: { code: "quota_exceeded" } });
     expect(await journal.files(HEAD.id)).toMatchObject([{ path: "a", state: "waiting" }]);
@@ -138,7 +137,7 @@ describe("an upload", () => {
   });
 
   it("stops at what concerns all files, and keeps what was sent", async () => {
-    house.trouble = (what) => (what === "complete" ? { problem: problem("internal_error", 500) } : "fine");
+    house.fault = (what) => (what === "complete" ? { problem: problem("internal_error", 500) } : "fine");
     house.partBytes = 1_000_000;
     await queue().start(HEAD, [planned("a", bytesOf(LARGE))]);
     expect(last()).toMatchObject({ phase: "failed", failure: { problem: { code: "internal_error", request_id: "r1" } } });
@@ -152,20 +151,20 @@ describe("after a reload", () => {
 
   async function interrupted(parts: number): Promise<void> {
     house.partBytes = 1_000_000;
-    house.trouble = (what) => {
+    house.fault = (what) => {
       if (what !== "put") return "fine";
       if (house.puts.length < parts) return "fine";
       return { meaning: "try_again", etag: "", reason: "" };
     };
     const first = queue(({ phase, snapshot }, at) => {
-      if (phase === "running" && snapshot.troubles.includes("store")) at.pause(HEAD.id); // as a page that is closed: it does nothing more
+      if (phase === "running" && snapshot.waitReasons.includes("store")) at.pause(HEAD.id); // as a page that is closed: it does nothing more
     });
     void first.start(HEAD, [planned("a", whole), planned("b", bytesOf(5))]);
     await expect.poll(() => last().phase, { timeout: 20_000 }).toBe("paused");
     clock.freeze();
     clock = new FastClock();
     house.clock = clock;
-    house.trouble = () => "fine";
+    house.fault = () => "fine";
     house.puts.length = 0;
     reports = [];
   }
@@ -207,30 +206,30 @@ describe("after a reload", () => {
 describe("trouble", () => {
   it("waits for a server that is away, says so, and goes on", async () => {
     let tries = 0;
-    house.trouble = (what) => (what === "begin" && ++tries < 9 ? null : "fine");
+    house.fault = (what) => (what === "begin" && ++tries < 9 ? null : "fine");
     await queue().start(HEAD, [planned("a", bytesOf(5))]);
     expect(tries).toBe(9);
-    expect(troubles()).toEqual(new Set(["server"]));
-    expect(last().snapshot.troubles).toEqual([]);
+    expect(waitReasons()).toEqual(new Set(["server"]));
+    expect(last().snapshot.waitReasons).toEqual([]);
     expect(house.files.has("a")).toBe(true);
   });
 
   it("waits for a store that is away, whatever the server says of it", async () => {
     let tries = 0;
-    house.trouble = (what) => {
+    house.fault = (what) => {
       if (what === "put" && ++tries < 6) return { meaning: "try_again", etag: "", reason: "" };
       return what === "complete" && ++tries < 12 ? { problem: problem("store_unavailable", 503) } : "fine";
     };
     await queue().start(HEAD, [planned("a", bytesOf(5))]);
     expect(last()).toMatchObject({ phase: "over", snapshot: { doneBytes: 5, totalBytes: 5 } });
-    expect(troubles()).toEqual(new Set(["store", "server"]));
+    expect(waitReasons()).toEqual(new Set(["store", "server"]));
   });
 
   it("waits as long as a server says that is asked too often", async () => {
-    let told = false;
-    house.trouble = (what) => {
-      if (what !== "begin" || told) return "fine";
-      told = true;
+    let isCalled = false;
+    house.fault = (what) => {
+      if (what !== "begin" || isCalled) return "fine";
+      isCalled = true;
       return { problem: problem("rate_limited", 429, { retry_after_s: 40 }) };
     };
     const before = clock.now();
@@ -254,7 +253,7 @@ describe("trouble", () => {
   });
 
   it("gives up a part that the store refuses again and again", async () => {
-    house.trouble = (what) => (what === "put" ? { meaning: "refused", etag: "", reason: "400 BadDigest" } : "fine");
+    house.fault = (what) => (what === "put" ? { meaning: "refused", etag: "", reason: "400 BadDigest" } : "fine");
     await queue().start(HEAD, [planned("a", bytesOf(5))]);
     expect(house.puts).toHaveLength(4);
     expect(ends().get("a")?.failure).toEqual({ kind: "transfer_failed", detail: "400 BadDigest" });
@@ -262,7 +261,7 @@ describe("trouble", () => {
 
   it("begins a file anew whose upload has ended behind its back", async () => {
     let lost = false;
-    house.trouble = (what) => {
+    house.fault = (what) => {
       if (what === "complete" && !lost) {
         lost = true;
         house.lose("a");
@@ -277,7 +276,7 @@ describe("trouble", () => {
   it("keeps its names while a store is away for minutes", async () => {
     const until = clock.now() + 5 * 60_000;
     const leases: number[] = [];
-    house.trouble = (what) => {
+    house.fault = (what) => {
       if (what !== "put" || clock.now() > until) return "fine";
       leases.push(...house.openUploads.map((upload) => upload.leaseMs - clock.now()));
       return { meaning: "try_again", etag: "", reason: "" };
@@ -290,14 +289,14 @@ describe("trouble", () => {
   it("waits for a name whose holder has died, and refuses one whose holder lives", async () => {
     house.lease("dead");
     const alive = house.lease("alive");
-    house.trouble = (what) => {
-      if (what === "begin" && house.asked.length > 0) alive.leaseMs = clock.now() + 60_000;
+    house.fault = (what) => {
+      if (what === "begin" && house.announced.length > 0) alive.leaseMs = clock.now() + 60_000;
       return "fine";
     };
     await queue().start(HEAD, [planned("dead", bytesOf(5)), planned("alive", bytesOf(5))]);
     expect(house.files.has("dead")).toBe(true);
     expect(ends().get("alive")?.failure).toMatchObject({ problem: { code: "name_leased" } });
-    expect(troubles()).toContain("lease");
+    expect(waitReasons()).toContain("lease");
   });
 });
 
@@ -306,13 +305,13 @@ describe("a person", () => {
     house.partBytes = 1_000_000;
     let atPause = -1;
     const at = queue();
-    house.trouble = (what) => {
+    house.fault = (what) => {
       if (what === "put" && house.puts.length === 3 && atPause < 0) {
         at.pause(HEAD.id);
         atPause = house.puts.length;
         void clock.wait(300_000, new AbortController().signal).then(() => {
           expect(house.puts.length - atPause).toBeLessThanOrEqual(4);
-          at.goOn(HEAD.id);
+          at.resume(HEAD.id);
         });
       }
       return "fine";
@@ -325,15 +324,15 @@ describe("a person", () => {
   it("signs in again and the upload goes on where it was", async () => {
     let isSignedIn = true;
     house.partBytes = 1_000_000;
-    house.trouble = (what) => {
+    house.fault = (what) => {
       if (house.puts.length === 2 && what === "put") isSignedIn = false;
       return what !== "put" && !isSignedIn ? { problem: problem("not_authenticated", 401) } : "fine";
     };
     const at = queue(({ phase }) => {
       if (phase !== "signed_out" || isSignedIn) return;
-      house.trouble = () => "fine";
+      house.fault = () => "fine";
       isSignedIn = true;
-      queueMicrotask(() => at.goOn(HEAD.id));
+      queueMicrotask(() => at.resume(HEAD.id));
     });
     await at.start(HEAD, [planned("a", bytesOf(LARGE))]);
     expect(reports.some(({ phase }) => phase === "signed_out")).toBe(true);
@@ -343,7 +342,7 @@ describe("a person", () => {
   it("cancels: what came in stays, names are free, and nothing is remembered", async () => {
     house.partBytes = 1_000_000;
     const at = queue();
-    house.trouble = (what) => {
+    house.fault = (what) => {
       if (what === "put" && house.puts.length === 3) at.cancel(HEAD.id);
       return "fine";
     };

@@ -1,18 +1,14 @@
 // Announcing files to the server, and acting on what it decides for each. The bytes are the pipeline's.
 //
 // Files are announced a batch at a time, just before they are sent, so that no lease runs out while others are sent.
-
-import { ApiProblem } from "./api";
-import { batches } from "./batches";
-import { Candidate } from "./candidate";
+import { ApiProblem, type UploadContext } from "./api";
+import { batches } from "./plan";
+import { Candidate, FileFailure } from "./reading";
 import { Stopped } from "./flow";
 import type { JournalFile, JournalHead } from "./journal";
-import { NameConflicts } from "./nameConflicts";
 import type { Failure, PlannedFile, ProblemDocument, UploadDecision, UploadFile } from "./types";
 import { Pipeline } from "./pipeline";
-import type { Parts } from "./sendPart";
-import { FileFailure } from "./reading";
-import { Sending } from "./sending";
+import { Sending, type Parts } from "./sending";
 
 export const CONNECTIONS = 4;
 const BEGINNINGS = 4;
@@ -77,31 +73,31 @@ export class Uploader {
   }
 
   private async announce(batch: readonly PlannedFile[]): Promise<void> {
-    let asking: Candidate[] = [];
+    let announced: Candidate[] = [];
     for (const file of batch) {
       const candidate = await this.opened(file);
-      if (candidate !== null) asking.push(candidate);
+      if (candidate !== null) announced.push(candidate);
     }
-    while (asking.length > 0) {
-      const decisions = await this.begin(asking);
+    while (announced.length > 0) {
+      const decisions = await this.begin(announced);
       if (decisions === null) return;
       // All written down before the first is sent: a crash from here on leaves none that cannot be resumed.
-      await this.writeDown(asking, decisions);
+      await this.writeDown(announced, decisions);
       const again: Candidate[] = [];
-      for (const [place, candidate] of asking.entries()) {
+      for (const [place, candidate] of announced.entries()) {
         if (await this.asksAgain(candidate, decisions[place] as UploadDecision)) again.push(candidate);
       }
-      asking = again;
+      announced = again;
     }
   }
 
-  private async begin(asking: readonly Candidate[]): Promise<readonly UploadDecision[] | null> {
-    const files: UploadFile[] = asking.map((candidate) => candidate.announcement());
+  private async begin(announced: readonly Candidate[]): Promise<readonly UploadDecision[] | null> {
+    const files: UploadFile[] = announced.map((candidate) => candidate.announcement());
     try {
-      return await this.parts.asking.begin(this.head.mission.id, files);
+      return await this.parts.retryingApi.begin(this.head.mission.id, files);
     } catch (error) {
       if (!(error instanceof ApiProblem) || error.code !== "quota_exceeded") throw error;
-      for (const { planned } of asking) this.refused(planned, { kind: "problem", problem: error.problem });
+      for (const { planned } of announced) this.refused(planned, { kind: "problem", problem: error.problem });
       return null;
     }
   }
@@ -111,7 +107,7 @@ export class Uploader {
     const candidate = new Candidate(planned, this.remembered.get(planned.path) ?? null);
     try {
       const lost = candidate.dropOtherSize();
-      if (lost !== null) await this.parts.asking.abort(lost);
+      if (lost !== null) await this.parts.retryingApi.abort(lost);
       if (candidate.isSmall) await this.hashWhole(candidate);
       return candidate;
     } catch (error) {
@@ -131,9 +127,9 @@ export class Uploader {
     });
   }
 
-  private async writeDown(asking: readonly Candidate[], decisions: readonly UploadDecision[]): Promise<void> {
+  private async writeDown(announced: readonly Candidate[], decisions: readonly UploadDecision[]): Promise<void> {
     const files: JournalFile[] = [];
-    for (const [place, { planned }] of asking.entries()) {
+    for (const [place, { planned }] of announced.entries()) {
       const decision = decisions[place];
       if (decision?.decision === "send") files.push(this.written(planned, "sending", decision.upload.id));
     }
@@ -153,7 +149,7 @@ export class Uploader {
       case "linked": {
         const sha256 = decision.file?.sha256 ?? candidate.sha256;
         await this.note([this.written(planned, "done", null, sha256)]);
-        watcher.held(planned.path, planned.identity.sizeBytes);
+        watcher.stored(planned.path, planned.identity.sizeBytes);
         watcher.ended(planned.path, decision.decision, decision.file?.id ?? null, null);
         return false;
       }
@@ -191,7 +187,7 @@ export class Uploader {
   }
 
   private async failed(sending: Sending, failure: Failure): Promise<void> {
-    if (failure.kind === "file_changed") await this.parts.asking.abort(sending.upload.id); // its name is free at once
+    if (failure.kind === "file_changed") await this.parts.retryingApi.abort(sending.upload.id); // its name is free at once
     const isResumable = failure.kind === "transfer_failed" || failure.kind === "file_unreadable";
     if (!isResumable) await this.note([this.written(sending.planned, "waiting")], [sending.upload.id]);
     this.refused(sending.planned, failure);
@@ -201,8 +197,8 @@ export class Uploader {
   private async again(sending: Sending, problem: ProblemDocument): Promise<void> {
     const begun = (this.beginnings.get(sending.path) ?? 1) + 1;
     this.beginnings.set(sending.path, begun);
-    const isKept = problem.code === "upload_incomplete";
-    if (!isKept) await this.note([this.written(sending.planned, "waiting")], [sending.upload.id]);
+    const keepsParts = problem.code === "upload_incomplete";
+    if (!keepsParts) await this.note([this.written(sending.planned, "waiting")], [sending.upload.id]);
     if (begun > BEGINNINGS) {
       this.refused(sending.planned, { kind: "problem", problem });
       return;
@@ -231,5 +227,46 @@ export class Uploader {
   ): JournalFile {
     const { sizeBytes, modifiedMs } = planned.identity;
     return { id: this.head.id, path: planned.path, sizeBytes, modifiedMs, state, uploadId, sha256 };
+  }
+}
+
+const PATIENCE_MS = 90_000;
+const POLL_MS = 2_000;
+
+interface Waiting {
+  readonly file: PlannedFile;
+  readonly problem: ProblemDocument;
+}
+
+export class NameConflicts {
+  private waiting: Waiting[] = [];
+
+  constructor(private readonly around: UploadContext) {}
+
+  add(file: PlannedFile, problem: ProblemDocument): void {
+    this.waiting.push({ file, problem });
+  }
+
+  /** Announce them again until each is free or refused; whoever announces adds those that are still held. @throws Stopped */
+  async settle(
+    announce: (files: readonly PlannedFile[]) => Promise<void>,
+    refuse: (file: PlannedFile, problem: ProblemDocument) => void,
+  ): Promise<void> {
+    if (this.waiting.length === 0) return;
+    const { clock, backoff, waitReasons } = this.around;
+    const givesUpMs = clock.now() + PATIENCE_MS;
+    waitReasons.note("lease", clock.now());
+    while (this.waiting.length > 0 && clock.now() < givesUpMs) {
+      await backoff.wait(POLL_MS);
+      const then = this.waiting.splice(0);
+      await announce(then.map(({ file }) => file));
+      const ends = new Map(then.map(({ file, problem }) => [file.path, problem["lease_ends_at"]]));
+      for (const item of this.waiting.splice(0)) {
+        if (ends.get(item.file.path) === item.problem["lease_ends_at"]) this.waiting.push(item);
+        else refuse(item.file, item.problem);
+      }
+    }
+    for (const { file, problem } of this.waiting.splice(0)) refuse(file, problem);
+    waitReasons.over("lease");
   }
 }

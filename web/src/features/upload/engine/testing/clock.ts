@@ -26,7 +26,7 @@ export class FastClock implements Clock {
     await new Promise<void>((resolve) => {
       const wake = () => {
         signal.removeEventListener("abort", wake);
-        this.waiters = this.waiters.filter((each) => each !== waiter);
+        this.waiters = this.waiters.filter((item) => item !== waiter);
         resolve();
       };
       const waiter = { atMs: this.nowMs + milliseconds, wake };

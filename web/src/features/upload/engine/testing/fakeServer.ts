@@ -32,11 +32,11 @@ export class House implements UploadApi, Store {
   partBytes = 1000;
   /** Files that are there, by path. */
   readonly files = new Map<string, Uint8Array>();
-  readonly asked: UploadFile[] = [];
+  readonly announced: UploadFile[] = [];
   readonly puts: string[] = [];
   readonly aborted: string[] = [];
   /** What goes wrong next: each question or PUT asks first. */
-  trouble: (what: "begin" | "sign" | "complete" | "abort" | "put") => Answer<never> | PutAnswer | "fine" = () => "fine";
+  fault: (what: "begin" | "sign" | "complete" | "abort" | "put") => Answer<never> | PutAnswer | "fine" = () => "fine";
   private readonly uploads = new Map<string, Upload>();
   private count = 0;
 
@@ -59,9 +59,9 @@ export class House implements UploadApi, Store {
   }
 
   async begin(_missionId: string, files: readonly UploadFile[]): Promise<Answer<readonly UploadDecision[]>> {
-    const wrong = this.trouble("begin");
+    const wrong = this.fault("begin");
     if (wrong !== "fine") return wrong as Answer<never>;
-    this.asked.push(...files);
+    this.announced.push(...files);
     return { ok: await Promise.all(files.map((file) => this.decide(file))) };
   }
 
@@ -90,19 +90,19 @@ export class House implements UploadApi, Store {
   private send(upload: Upload): UploadDecision {
     upload.leaseMs = this.clock.now() + LEASE_MS;
     const isMultipart = upload.sizeBytes > this.partBytes;
-    const held = [...upload.parts].map(([number, bytes]) => ({ number, size_bytes: bytes.length, etag: `"etag-${upload.id}-${number}"` }));
+    const storedParts = [...upload.parts].map(([number, bytes]) => ({ number, size_bytes: bytes.length, etag: `"etag-${upload.id}-${number}"` }));
     return {
       decision: "send",
       upload: {
         id: upload.id, mission_id: "m", path: upload.path, size_bytes: upload.sizeBytes, part_size_bytes: this.partBytes,
         checksum: this.checksum, state: "open", lease_ends_at: new Date(upload.leaseMs).toISOString(),
-        expires_at: new Date(this.clock.now() + 1e9).toISOString(), parts: isMultipart ? held : [],
+        expires_at: new Date(this.clock.now() + 1e9).toISOString(), parts: isMultipart ? storedParts : [],
       },
     };
   }
 
   sign(parts: readonly PartToSign[]): Promise<Answer<readonly SignedPart[]>> {
-    const wrong = this.trouble("sign");
+    const wrong = this.fault("sign");
     if (wrong !== "fine") return Promise.resolve(wrong as Answer<never>);
     const signed: SignedPart[] = [];
     for (const { upload_id, number, checksum } of parts) {
@@ -118,7 +118,7 @@ export class House implements UploadApi, Store {
   async put(part: SignedPart, body: Blob, signal: AbortSignal, moved: (sizeBytes: number) => void): Promise<PutAnswer> {
     const answer = (meaning: PutAnswer["meaning"], etag = "", reason = ""): PutAnswer => ({ meaning, etag, reason });
     if (signal.aborted) return answer("called_back");
-    const wrong = this.trouble("put");
+    const wrong = this.fault("put");
     this.puts.push(part.url);
     if (wrong !== "fine") return wrong as PutAnswer;
     if (Date.parse(part.expires_at) <= this.clock.now()) return answer("sign_again", "", "403");
@@ -130,7 +130,7 @@ export class House implements UploadApi, Store {
   }
 
   async complete(finishes: readonly UploadFinish[]): Promise<Answer<readonly UploadOutcome[]>> {
-    const wrong = this.trouble("complete");
+    const wrong = this.fault("complete");
     if (wrong !== "fine") return wrong as Answer<never>;
     return { ok: await Promise.all(finishes.map((finish) => this.finish(finish))) };
   }

@@ -1,0 +1,17 @@
+import { expect, it } from "vitest";
+import { keysOf } from "./live";
+
+const change = { noun: "file", change: "changed", id: "f", mission_id: "m", project_id: "p" };
+
+it("makes old what a change of a file shows in", () => {
+  const keys = keysOf("change", change);
+  expect(keys).toContainEqual(["missions", "one", "m"]);
+  expect(keys).toContainEqual(["files", "one", "f"]);
+  expect(keysOf("change", { ...change, id: null })).toContainEqual(["files", "one"]);
+});
+
+it("makes old everything where something was missed, and nothing for nouns that nobody shows", () => {
+  expect(keysOf("refetch", { reason: "rights" })).toEqual([[]]);
+  expect(keysOf("change", { ...change, noun: "weather" })).toEqual([]);
+  expect(keysOf("change", "markup")).toEqual([]);
+});
