@@ -18,7 +18,7 @@ from kleinkram.client import Client, connect
 from kleinkram.client.errors import ServerUnreachable
 from kleinkram.client.transfer import download, plan_download, plan_upload, upload
 from kleinkram.client.transfer.download import fetch
-from kleinkram.client.transfer.report import SilentObserver
+from kleinkram.client.transfer.report import Watcher
 from kleinkram.contract.access import Scope, TokenKind
 from kleinkram.contract.audit import Change
 from kleinkram.contract.files import DownloadLink, FileFilter
@@ -46,7 +46,7 @@ class Behind:
     to_store: Cutter
 
 
-class Shown(SilentObserver):
+class Shown(Watcher):
     """What a progress bar is told."""
 
     def __init__(self) -> None:

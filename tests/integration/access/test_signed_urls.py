@@ -11,7 +11,7 @@ import urllib3
 
 from kleinkram.client import connect
 from kleinkram.client.transfer import Outcome, TransferResult, download, plan_download
-from kleinkram.client.transfer.report import SilentObserver
+from kleinkram.client.transfer.report import Watcher
 from kleinkram.contract.access import Right
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import FileFilter
@@ -102,7 +102,7 @@ def test_an_upload_completed_after_the_right_was_revoked_creates_no_file(api: Ap
     assert api.all("/files", {"mission_id": mission_id}) == []
 
 
-class _Midway(SilentObserver):
+class _Midway(Watcher):
     """Does something once, when the first bytes of a transfer have moved."""
 
     def __init__(self, act: Callable[[], object]) -> None:

@@ -30,7 +30,7 @@ def test_every_command_explains_itself(name: str) -> None:
     assert shown.exit_code == 0, shown.output
     assert "Usage:" in shown.output
     module, attribute, _ = COMMANDS[name]
-    assert getattr(importlib.import_module(module), attribute)
+    assert getattr(importlib.import_module(f"kleinkram.cli.{module}"), attribute)
 
 
 @pytest.mark.parametrize(("alias", "name"), ALIASES.items())

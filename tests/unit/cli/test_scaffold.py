@@ -8,8 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from kleinkram.cli.main import app
+from kleinkram.client.actions import read_manifest
 from kleinkram.client.errors import InvalidInput
-from kleinkram.client.manifest import read_manifest
 
 
 def init(*arguments: object) -> None:

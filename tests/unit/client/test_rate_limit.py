@@ -1,6 +1,6 @@
 """The bandwidth limit is not exceeded."""
 
-from kleinkram.client._retry import LONGEST_WAIT_S, Backoff
+from kleinkram.client._http import LONGEST_WAIT_S, Backoff
 from kleinkram.client.transfer.threads import RateLimit
 
 
