@@ -46,7 +46,7 @@ _OF_THE_WHOLE = frozenset(("silent-topic", "starts-late", "stops-early", "long-g
 def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) -> RecordingSummary:
     """Merge the summaries of the members of one recording, given in the order of recording.
 
-    Counts are added; a count that one member does not know is not known of the whole. Silences between members count
+    Counts are added; a count that is unknown of one member is unknown of the whole. Silences between members count
     as gaps. Where members overlap in time, the longest gap of a topic is an upper bound.
 
     `content` is `error` or `pending` if a member is; else `recovered` where something can be read and something not;

@@ -35,7 +35,7 @@ class Source(Protocol):
 def check_range(source: Source, offset: int, length: int) -> None:
     """Check a range."""
     if length < 0 or length > MAX_READ:
-        raise SourceError(f"{source.name}: {length} bytes asked for at once; at most {MAX_READ} may be")
+        raise SourceError(f"{source.name}: {length} bytes requested at once; at most {MAX_READ} may be")
     if offset < 0 or offset + length > source.size_bytes:
         raise SourceError(f"{source.name}: bytes {offset}+{length} lie outside its {source.size_bytes} bytes")
 
@@ -49,7 +49,7 @@ class FileSource:
         self.path = Path(path)
         self.name = self.path.name
         try:
-            # Without O_NONBLOCK, a pipe would wait here for somebody to write into it.
+            # Without O_NONBLOCK, opening a pipe would wait here for a writer.
             self._descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError as error:
             raise SourceError(f"{path}: cannot be opened: {error.strerror}") from error

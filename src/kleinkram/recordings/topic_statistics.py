@@ -230,7 +230,7 @@ _SHARE_OF_SPAN = 10
 _MOST_OF_A_KIND = 3
 _MOST_NAMED = 5
 _OF_ROS_ITSELF = frozenset(("/rosout", "/rosout_agg", "/parameter_events", "/events/write_split"))
-"""Topics that speak when something happens, and are silent in the best of recordings."""
+"""Topics with messages only when something happens; they may be empty in whole recordings."""
 
 
 def find_quality_warnings(
