@@ -26,7 +26,7 @@ from kleinkram.recordings.model import (
     counted,
 )
 from kleinkram.recordings.timeline import LEAST_JUMP_NS, StampRun, bulk, join, within
-from kleinkram.recordings.topic_statistics import bounded, find_quality_warnings, island_times
+from kleinkram.recordings.topic_statistics import bounded, find_quality_warnings, with_times
 
 _WORST_FIRST = (
     Content.error,
@@ -185,15 +185,20 @@ def _combine_topic(parts: list[TopicSummary], island: StampRun | None) -> TopicS
     ]
     run = within(join(runs), island)
     count = _total(part.count for part in parts)
-    return replace(
-        parts[0],
+    first = parts[0]
+    topic = TopicSummary(
+        name=first.name,
+        message_type=first.message_type,
+        schema_name=first.schema_name,
+        schema_encoding=first.schema_encoding,
+        message_encoding=first.message_encoding,
         count=count,
-        **island_times(run, island),
         out_of_order_count=_total(part.out_of_order_count for part in parts),
         stored_bytes=_total(part.stored_bytes for part in parts),
         suspect_count=0 if count is None else count - (run.count if run else 0),
         density=run.density if run else None,
     )
+    return with_times(topic, run, island)
 
 
 MESSAGE_ZSTD = "message-zstd"  # what `compression` says where the data of each message is compressed by itself
