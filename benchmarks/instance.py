@@ -45,7 +45,7 @@ def instance() -> Iterator[dict[str, str]]:
     try:
         if not (process.stdout and process.stdout.readline()):
             raise SystemExit("Kleinkram did not start")
-        worker = psutil.Process(endpoint_info()["parts"]["worker"])
+        worker = psutil.Process(endpoint_info()["services"]["worker"])
         inherited = {key: value for key, value in worker.environ().items() if key.startswith("KLEINKRAM_")}
         yield {**variables(), **inherited}
     finally:
@@ -70,7 +70,11 @@ def settle() -> None:
             line for line in lines if line.startswith("kleinkram_jobs{") and ('"todo"' in line or '"doing"' in line)
         ]
         if (
-            sum(float(line.rsplit(" ", 1)[1]) for line in busy if "finish_uploads" not in line and "sweep" not in line)
+            sum(
+                float(line.rsplit(" ", 1)[1])
+                for line in busy
+                if "finish_uploads" not in line and "collect_garbage" not in line
+            )
             == 0
         ):
             return

@@ -1,4 +1,4 @@
-"""Actions that are images, as who writes one meets them: built here, and run in a container."""
+"""Actions with an image of their own are built and run in a container."""
 
 import re
 import shutil
@@ -87,7 +87,7 @@ def test_the_shipped_action_says_the_same_as_an_image(
 
 
 @pytest.mark.slow
-def test_what_init_makes_runs_as_it_is(containers: Terminal, project: str, tmp_path: Path) -> None:
+def test_the_action_made_by_init_runs_unchanged(containers: Terminal, project: str, tmp_path: Path) -> None:
     containers.run("sample", tmp_path / "drive", "--size", "2MB", "--format", "mcap")
     containers.run("upload", "-p", project, "-m", "drive", "--create", "--wait", tmp_path / "drive")
     containers.run("action", "init", tmp_path / "counting", "--image")

@@ -1,4 +1,4 @@
-"""`klein audit`: what happened, found and exported."""
+"""`klein audit` lists, filters and exports events."""
 
 import json
 
@@ -21,7 +21,7 @@ def test_events_are_found_and_exported(terminal: Terminal, project: str) -> None
     assert len(terminal.run("audit", *since, "-p", project, "--export").out.splitlines()) == 1
 
 
-def test_what_cannot_be_meant_is_refused(terminal: Terminal) -> None:
+def test_invalid_filters_are_refused(terminal: Terminal) -> None:
     assert "--export gives everything" in terminal.run("audit", "--export", "--limit", 3, code=2).err
     assert "noun_id" in terminal.run("audit", "--id", "x", code=2).err
     assert "say a time as" in terminal.run("audit", "--since", "yesterday", code=2).err

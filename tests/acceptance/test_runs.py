@@ -1,4 +1,4 @@
-"""Runs on a whole `klein up`: launched, followed, fetched, taken over, ended, and read back as lineage."""
+"""Runs on a real `klein up`: launch, follow, download, take over, cancel, lineage."""
 
 import signal
 from collections.abc import Iterator
@@ -85,7 +85,7 @@ def test_a_run_is_followed_fetched_reused_and_leaves_its_lineage(
     assert retried["cause"]["retry_of_id"] == run["id"]
 
 
-def test_who_stops_following_does_not_stop_the_run(
+def test_ending_the_log_view_does_not_stop_the_run(
     terminal: Terminal, mission: tuple[str, ...], project: str, tmp_path: Path
 ) -> None:
     (tmp_path / "look.py").write_text(WHOLE)

@@ -1,4 +1,4 @@
-"""A robot that may only upload, a partner with one mission, a guest with a link, a stranger: each at a terminal."""
+"""Terminals of an upload-only robot, a partner with one mission, a guest with a share, and a stranger."""
 
 import filecmp
 import json
@@ -68,7 +68,7 @@ def test_a_robot_that_may_only_upload_to_one_project(
 
 
 @pytest.mark.slow
-def test_who_has_one_mission_names_it_by_its_project(
+def test_a_person_with_one_mission_may_name_it_by_its_project(
     terminal: Terminal, project: str, day: Path, tmp_path: Path, url: str
 ) -> None:
     terminal.run("mission", "create", "hidden", "-p", project)

@@ -1,4 +1,4 @@
-"""Transfers that are cut, raced, refused and resumed, as people see them."""
+"""Transfers that are interrupted, concurrent, refused or resumed."""
 
 import os
 import signal
@@ -78,7 +78,7 @@ def test_an_upload_survives_a_crash_of_the_other_side(
     dead = instance.kill_part(part)
     ended = end(process)
     assert ended.code == 0, ended.err
-    wait_until(lambda: instance.runtime_info()["parts"].get(part) not in {None, dead}, "the part was started again")
+    wait_until(lambda: instance.runtime_info()["services"].get(part) not in {None, dead}, "the part was started again")
     terminal.run("verify", "-p", project, "-m", "m", file)
 
 
@@ -98,7 +98,7 @@ def test_a_file_that_changes_while_it_is_read_is_refused(terminal: Terminal, pro
     terminal.run("verify", "-p", project, "-m", "m", file, calm)
 
 
-def test_of_two_uploads_of_one_name_one_succeeds_and_one_fails(
+def test_one_of_two_uploads_of_the_same_name_succeeds(
     terminal: Terminal, other_terminal: Terminal, project: str, tmp_path: Path
 ) -> None:
     terminal.run("mission", "create", "m", "-p", project)
@@ -112,7 +112,7 @@ def test_of_two_uploads_of_one_name_one_succeeds_and_one_fails(
     terminal.run("verify", "-p", project, "-m", "m", winner)
 
 
-def test_what_is_there_already_is_not_sent(terminal: Terminal, project: str, tmp_path: Path) -> None:
+def test_files_already_uploaded_are_not_sent_again(terminal: Terminal, project: str, tmp_path: Path) -> None:
     file = random_file(tmp_path / "a.bin", PART + 1000)
     upload = ["upload", "-p", project, "-m", "m", "--create", file, "--json"]
     (first,) = terminal.run(*upload).json()["items"]

@@ -1,4 +1,4 @@
-"""Two people edit one thing: the second is told, and what the first wrote stands."""
+"""Concurrent edits: the second gets a conflict, and the first stays."""
 
 from collections.abc import Callable
 from typing import Any
@@ -83,7 +83,7 @@ def test_the_second_of_two_edits_is_refused(api: Api, made: dict[str, Any], noun
 
 
 @pytest.mark.parametrize("noun", _EDITS)
-def test_what_is_so_already_is_no_conflict(api: Api, made: dict[str, Any], noun: str) -> None:
+def test_an_edit_without_change_is_no_conflict(api: Api, made: dict[str, Any], noun: str) -> None:
     seen, body = made[noun], _EDITS[noun][0][0]
     edited = _change(api, noun, seen, body).ok()
     assert _change(api, noun, seen, body).ok()["etag"] == edited["etag"], "an answer was lost, and asked for again"
@@ -119,7 +119,7 @@ def test_the_second_of_two_membership_edits_is_refused(api: Api, made: dict[str,
     put({}, seen).refused(404, "not_found")
 
 
-def test_what_jobs_find_out_is_no_edit(api: Api, made: dict[str, Any]) -> None:
+def test_results_of_jobs_do_not_change_the_etag(api: Api, made: dict[str, Any]) -> None:
     api.sql("UPDATE mission SET files_revision = files_revision + 1, start_ns = 1, end_ns = 2")
     upload(api, made["missions"]["id"], "more.bin", b"more")
     assert _change(api, "missions", made["missions"], {"notes": "sun"}).ok()["notes"] == "sun"

@@ -1,4 +1,4 @@
-"""What becomes of a transaction that the database does not let through: named, and to be tried again."""
+"""Failed transactions are classified and, where possible, retried."""
 
 import asyncio
 from typing import Any
@@ -23,7 +23,7 @@ async def _run(database: Database, statement: str) -> str:
 
 
 @pytest.mark.parametrize("state", ["40P01", "40001", "57014", "57P01", "55P03"])
-def test_what_may_be_tried_again_says_so(api: Api, state: str) -> None:
+def test_retryable_errors_are_marked(api: Api, state: str) -> None:
     async def work(context: AppContext) -> None:
         with pytest.raises(DatabaseUnavailable):
             await _run(context.database, f"DO $$ BEGIN RAISE SQLSTATE '{state}'; END $$")
@@ -131,7 +131,7 @@ def test_statements_by_themselves_begin_no_transaction(api: Api, how: Any, troub
     on_site(api, work)
 
 
-def test_what_is_read_by_itself_may_be_tried_again_too(api: Api) -> None:
+def test_single_reads_are_retried_too(api: Api) -> None:
     async def work(context: AppContext) -> None:
         with pytest.raises(DatabaseUnavailable):
             async with context.database.autocommit() as connection:

@@ -1,4 +1,4 @@
-"""How the server's S3 client takes the answers of a store in trouble, which a healthy one never gives."""
+"""The S3 client of the server with error responses of a failing store."""
 
 import asyncio
 import http.server
@@ -88,7 +88,7 @@ def _ask(settings: Settings, question: S3Request) -> str:
 _DONE = ScriptedReply(200, b"<R xmlns='urn:any'><UploadId>7</UploadId></R>")
 
 
-def test_what_passes_by_itself_is_tried_again() -> None:
+def test_transient_errors_are_retried() -> None:
     with _store([ScriptedReply(503), ScriptedReply(500, b"<Error><Code>InternalError</Code></Error>"), _DONE]) as (
         settings,
         seen,

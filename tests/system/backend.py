@@ -77,7 +77,7 @@ def on_site(cluster: Cluster, work: Callable[[AppContext], Awaitable[T]]) -> T:
         s3_internal_url=cluster.runtime_info()["store_url"],
         s3_access_key=secrets.s3_access_key,
         s3_secret_key=secrets.s3_secret_key,
-        sweep_grace_s=0,
+        garbage_grace_s=0,
     )
 
     async def run() -> T:

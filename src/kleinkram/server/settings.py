@@ -281,7 +281,7 @@ class Settings(BaseSettings):
     download_url_s: Seconds = Field(default=900, description="Lifetime of download URLs, in seconds.")
     share_days_max: int = Field(default=90, ge=1, le=3650, description="Maximum lifetime of share links, in days.")
     trash_days: int = Field(default=30, ge=0, description="Days for which deleted objects can be restored.")
-    sweep_grace_s: float = Field(
+    garbage_grace_s: float = Field(
         default=3600,
         ge=0,
         description="Seconds between marking an unreferenced blob for deletion and deleting its object.",

@@ -78,7 +78,7 @@ def test_a_group_is_made_filled_granted_and_ended(api: Api, klein: Klein) -> Non
     assert [row["to"]["name"] for row in klein(ada, "access", "list", *place, "--grants")["items"]] == []
 
 
-def test_a_name_that_is_somebodys_and_a_groups_must_be_told_apart(api: Api, klein: Klein) -> None:
+def test_a_name_of_both_a_person_and_a_group_must_be_disambiguated(api: Api, klein: Klein) -> None:
     ada, bob = person(api), person(api)
     twin = group(api, bob.name, members=[ada, bob])
     project = api.as_(ada.token).project()

@@ -1,4 +1,4 @@
-"""Grants through HTTP: who may give what to whom, for how long, and what that lets them do."""
+"""Grants through HTTP: who may grant what to whom, for how long, and with what effect."""
 
 import datetime
 import uuid
@@ -44,7 +44,7 @@ def project(api: Api, ada: Person) -> Any:
     return api.as_(ada.token).project()
 
 
-def test_whoever_makes_a_project_owns_it_and_nobody_else_sees_it(
+def test_a_new_project_is_owned_by_its_creator_and_hidden_from_others(
     api: Api, ada: Person, bob: Person, project: Any
 ) -> None:
     path = f"/projects/{project['id']}"
@@ -55,7 +55,9 @@ def test_whoever_makes_a_project_owns_it_and_nobody_else_sees_it(
 
 
 @pytest.mark.parametrize("right", RIGHTS)
-def test_a_right_is_given_seen_changed_and_taken(api: Api, ada: Person, bob: Person, project: Any, right: str) -> None:
+def test_a_grant_is_created_listed_changed_and_revoked(
+    api: Api, ada: Person, bob: Person, project: Any, right: str
+) -> None:
     path, hers, his = f"/projects/{project['id']}", api.as_(ada.token), api.as_(bob.token)
     given = hers.post(f"{path}/grants", {"person_id": bob.id, "right": right}).ok(201)
     assert given["to"] == {"kind": "person", "id": bob.id, "name": bob.name}
@@ -88,7 +90,9 @@ def test_the_same_grant_again_changes_nothing_and_another_takes_its_place(
 
 
 @pytest.mark.parametrize("held", RIGHTS)
-def test_nobody_gives_more_than_they_hold(api: Api, ada: Person, bob: Person, project: Any, held: str) -> None:
+def test_a_grant_cannot_exceed_the_rights_of_its_grantor(
+    api: Api, ada: Person, bob: Person, project: Any, held: str
+) -> None:
     grant(api, bob, Right(held), project_id=project["id"])
     carol = person(api)
     met(api, bob, carol)
@@ -106,7 +110,7 @@ def test_nobody_gives_more_than_they_hold(api: Api, ada: Person, bob: Person, pr
         his.patch(mine, {"right": "DELETE"}).refused(403, "right_exceeded")
 
 
-def test_nobody_gives_for_longer_than_they_hold(api: Api, ada: Person, bob: Person, project: Any) -> None:
+def test_a_grant_cannot_outlast_the_rights_of_its_grantor(api: Api, ada: Person, bob: Person, project: Any) -> None:
     mine = grant(api, bob, Right.write, project_id=project["id"], expires_s=86_400)
     path, his = f"/projects/{project['id']}/grants", api.as_(bob.token)
     carol = person(api)
@@ -119,7 +123,7 @@ def test_nobody_gives_for_longer_than_they_hold(api: Api, ada: Person, bob: Pers
     his.post(path, {**wanted, "expires_at": in_days(0.5)}).ok(201)
 
 
-def test_a_membership_that_ends_bounds_what_may_be_given_by_it(api: Api, ada: Person, project: Any) -> None:
+def test_a_temporary_membership_bounds_the_grants_made_through_it(api: Api, ada: Person, project: Any) -> None:
     guest = person(api)
     lab = group(api, members=[ada])
     join(api, guest, lab, expires_s=3600)
@@ -157,7 +161,9 @@ def test_the_last_owner_neither_goes_nor_ends(api: Api, ada: Person, bob: Person
     hers.get(f"/projects/{project['id']}").refused(404, "not_found")
 
 
-def test_of_two_owners_who_remove_each_other_one_is_told(api: Api, ada: Person, bob: Person, project: Any) -> None:
+def test_two_owners_who_remove_each_other_at_the_same_time_cannot_both_succeed(
+    api: Api, ada: Person, bob: Person, project: Any
+) -> None:
     path = f"/projects/{project['id']}/grants"
     his = grant(api, bob, Right.delete, project_id=project["id"])
     (hers,) = [each["id"] for each in api.as_(bob.token).all(path) if each["to"]["id"] == ada.id]
@@ -171,7 +177,9 @@ def test_of_two_owners_who_remove_each_other_one_is_told(api: Api, ada: Person, 
     assert len(api.all(path)) == 1
 
 
-def test_of_two_owners_who_leave_at_once_one_stays(api: Api, ada: Person, bob: Person, project: Any) -> None:
+def test_two_owners_who_leave_at_the_same_time_cannot_leave_a_project_without_owner(
+    api: Api, ada: Person, bob: Person, project: Any
+) -> None:
     path = f"/projects/{project['id']}/grants"
     his = grant(api, bob, Right.delete, project_id=project["id"])
     (hers,) = [each["id"] for each in api.as_(bob.token).all(path) if each["to"]["id"] == ada.id]
@@ -208,7 +216,7 @@ def test_an_address_is_answered_the_same_whether_or_not_somebody_has_it(api: Api
     hers.delete(f"{path}/grants/{own['id']}").refused(409, "last_owner")
 
 
-def test_only_whom_one_knows_of_can_be_given_rights_by_id(api: Api, ada: Person, project: Any) -> None:
+def test_only_visible_people_can_be_granted_rights_by_id(api: Api, ada: Person, project: Any) -> None:
     path, hers = f"/projects/{project['id']}/grants", api.as_(ada.token)
     stranger, gone = person(api), person(api)
     met(api, ada, gone)

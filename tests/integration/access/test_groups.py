@@ -1,4 +1,4 @@
-"""Groups through HTTP: who makes, sees, fills and ends them, and what being in one gives."""
+"""Groups through HTTP: who creates, sees, edits and deletes them, and the rights of members."""
 
 import asyncio
 import threading
@@ -40,7 +40,7 @@ def made_by(api: Api, who: Person) -> Any:
     return api.as_(who.token).post("/groups", {"name": f"group {uuid.uuid4().hex[:12]}"}).ok(201)
 
 
-def test_whoever_makes_a_group_edits_it_and_only_members_see_it(api: Api, ada: Person, bob: Person) -> None:
+def test_a_new_group_is_edited_by_its_creator_and_visible_to_members(api: Api, ada: Person, bob: Person) -> None:
     made = made_by(api, ada)
     assert (made["kind"], made["member_count"], made["is_member"], made["is_editor"]) == ("custom", 1, True, True)
     assert made["created_by"]["id"] == ada.id
@@ -136,7 +136,7 @@ def test_a_name_is_taken_whatever_its_case(api: Api, ada: Person, bob: Person) -
     api.as_(bob.token).patch(f"/groups/{other['id']}", {"name": made["name"]}).refused(409, "name_taken")
 
 
-def test_what_a_group_owns_keeps_an_owner(api: Api, ada: Person, bob: Person) -> None:
+def test_projects_of_a_group_always_have_an_owner(api: Api, ada: Person, bob: Person) -> None:
     made, project = made_by(api, ada), api.as_(ada.token).project()
     grants, path, hers = f"/projects/{project['id']}/grants", f"/groups/{made['id']}", api.as_(ada.token)
     hers.call("PUT", f"{path}/members/{bob.id}", {"is_editor": True}).ok()
@@ -155,7 +155,9 @@ def test_what_a_group_owns_keeps_an_owner(api: Api, ada: Person, bob: Person) ->
     assert hers.get(path).ok()["member_count"] == 2
 
 
-def test_of_two_members_who_own_by_a_group_and_leave_at_once_one_stays(api: Api, ada: Person, bob: Person) -> None:
+def test_two_members_of_an_owning_group_who_leave_at_the_same_time_cannot_leave_it_empty(
+    api: Api, ada: Person, bob: Person
+) -> None:
     made, project = made_by(api, ada), api.as_(ada.token).project()
     grants, path, hers = f"/projects/{project['id']}/grants", f"/groups/{made['id']}", api.as_(ada.token)
     hers.call("PUT", f"{path}/members/{bob.id}", {}).ok()
@@ -209,7 +211,7 @@ def test_admins_are_a_group_of_their_own(start_api: Callable[..., Api]) -> None:
 
 
 @pytest.mark.parametrize("creators", ["affiliated", "everybody", "admins"])
-def test_who_may_make_projects_and_groups_is_a_setting(start_api: Callable[..., Api], creators: str) -> None:
+def test_a_setting_restricts_who_creates_projects_and_groups(start_api: Callable[..., Api], creators: str) -> None:
     lab = Affiliation(name="Lab", domains=("lab.example",), default_right=Right.read)
     api = start_api(creators=creators, affiliations=(lab,))
     ours, theirs = person(api), person(api)

@@ -1,4 +1,4 @@
-"""What one may not see is not given away sideways: by a conflict, an error's words, a hash, a list of names."""
+"""Conflicts, error sentences, hashes and lists of names reveal nothing about hidden objects."""
 
 import os
 import uuid
@@ -48,14 +48,14 @@ def _same_but_for_ids(one: Answer, other: Answer) -> bool:
 
 
 @pytest.mark.parametrize("path", ["", "/template", "/access", "/grants"])
-def test_a_hidden_project_is_told_like_one_that_is_not_there(api: Api, hidden: Any, member: Person, path: str) -> None:
+def test_a_hidden_project_looks_like_a_missing_one(api: Api, hidden: Any, member: Person, path: str) -> None:
     theirs = api.as_(member.token)
     answers = [theirs.get(f"/projects/{ref}{path}") for ref in (hidden["id"], uuid.uuid4())]
     assert _same_but_for_ids(*answers), answers
 
 
 @pytest.mark.parametrize("path", ["", "/recordings", "/uploads", "/access", "/grants"])
-def test_a_hidden_mission_is_told_like_one_that_is_not_there(api: Api, hidden: Any, member: Person, path: str) -> None:
+def test_a_hidden_mission_looks_like_a_missing_one(api: Api, hidden: Any, member: Person, path: str) -> None:
     theirs, mission = api.as_(member.token), api.mission(hidden["id"])["id"]
     answers = [theirs.get(f"/missions/{ref}{path}") for ref in (mission, uuid.uuid4())]
     assert _same_but_for_ids(*answers), answers
@@ -107,7 +107,7 @@ def test_one_who_may_only_upload_learns_no_hash_and_no_other_path(api: Api, memb
         assert "one.bin" not in told.replace(path, ""), path
 
 
-def test_somebody_hidden_is_told_like_nobody(api: Api, member: Person) -> None:
+def test_a_hidden_person_looks_like_a_missing_one(api: Api, member: Person) -> None:
     theirs, stranger = api.as_(member.token), people.person(api, email=f"{uuid.uuid4().hex}@elsewhere.test")
     answers = [theirs.get(f"/people/{ref}") for ref in (stranger.id, uuid.uuid4())]
     assert _same_but_for_ids(*answers), answers

@@ -1,4 +1,4 @@
-"""Who knows of whom, and whose addresses."""
+"""Which people and which of their addresses a person may see."""
 
 import uuid
 
@@ -57,9 +57,7 @@ def test_a_shared_project_ends_with_the_grant(api: Api, ada: Person, bob: Person
     assert not knows(api, bob, ada)
 
 
-def test_who_has_a_mission_is_known_to_those_of_the_project_and_not_the_other_way(
-    api: Api, ada: Person, bob: Person
-) -> None:
+def test_project_members_see_people_of_a_mission_but_not_vice_versa(api: Api, ada: Person, bob: Person) -> None:
     project = api.as_(ada.token).project()
     mission = api.as_(ada.token).mission(project["id"])
     grant(api, bob, Right.read, mission_id=mission["id"])
@@ -135,7 +133,7 @@ def test_an_address_that_nobody_verified_shows_to_nobody(api: Api, ada: Person, 
     assert api.get(f"/people/{bob.id}").ok()["emails"] == []
 
 
-def test_who_left_shows_to_admins_only(api: Api, ada: Person, bob: Person) -> None:
+def test_former_members_are_visible_to_admins_only(api: Api, ada: Person, bob: Person) -> None:
     group(api, members=[ada, bob])
     deactivate(api, bob)
     api.as_(ada.token).get(f"/people/{bob.id}").refused(404, "not_found")

@@ -1,4 +1,4 @@
-"""Public projects: anybody reads them, nobody without an account does more, and who fetched what is recorded."""
+"""Public projects: anybody reads them, changes need an account, and downloads are recorded."""
 
 from typing import Any
 
@@ -82,7 +82,7 @@ def test_a_stranger_does_nothing_else(api: Api, sample: Sample, stranger: Api, p
         answer.refused(401, "not_authenticated")
 
 
-def test_what_is_taken_back_or_thrown_away_is_gone_for_strangers(api: Api, stranger: Api, public: Any) -> None:
+def test_private_again_or_deleted_projects_are_hidden_from_strangers(api: Api, stranger: Api, public: Any) -> None:
     mission = api.mission(public["id"])
     stranger.get(f"/missions/{mission['id']}").ok()
     api.patch(f"/projects/{public['id']}", {"is_public": False}).ok()

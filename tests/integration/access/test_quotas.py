@@ -1,4 +1,4 @@
-"""Quotas: nothing comes into a project beyond them, by whatever way, however many come at once."""
+"""Quotas: no operation exceeds them, also when many run at the same time."""
 
 import threading
 from typing import Any
@@ -43,7 +43,7 @@ def test_files_are_counted_too(api: Api) -> None:
     assert (refused["unit"], refused["used"], refused["requested"], refused["quota"]) == ("files", 2, 1, 2)
 
 
-def test_what_is_given_up_gives_its_room_back(api: Api) -> None:
+def test_an_abandoned_upload_frees_its_quota(api: Api) -> None:
     _, mission = _bounded(api, quota_bytes=100)
     (opened,) = _begin(api, mission["id"], {"a": 100}).ok()["items"]
     _begin(api, mission["id"], {"b": 1}).refused(507, "quota_exceeded")
@@ -51,7 +51,7 @@ def test_what_is_given_up_gives_its_room_back(api: Api) -> None:
     _begin(api, mission["id"], {"b": 100}).ok()
 
 
-def test_what_is_resumed_or_there_already_asks_for_no_more(api: Api) -> None:
+def test_resumed_and_duplicate_uploads_need_no_more_quota(api: Api) -> None:
     _, mission = _bounded(api, quota_bytes=100, quota_files=2)
     body = b"x" * 60
     (opened,) = begin(api, mission["id"], {"a": body})
@@ -127,7 +127,7 @@ def test_restoring_takes_the_room_back(api: Api, sample: Sample) -> None:
     assert api.get(f"/files/{second}").ok()["path"] == "b"
 
 
-def test_what_is_lost_can_be_sent_again_into_a_full_project(api: Api) -> None:
+def test_a_missing_file_can_be_uploaded_again_into_a_full_project(api: Api) -> None:
     _, mission = _bounded(api, quota_files=1)
     body = b"needed again"
     there = upload(api, mission["id"], "a", body)
@@ -153,7 +153,7 @@ def test_quotas_are_for_admins(api: Api) -> None:
 
 
 @pytest.mark.parametrize("who", ["robot", "partner"])
-def test_who_may_not_see_the_project_hears_no_numbers_of_it(api: Api, who: str) -> None:
+def test_quota_errors_show_no_numbers_of_a_hidden_project(api: Api, who: str) -> None:
     project, mission = _bounded(api, quota_bytes=100)
     upload(api, mission["id"], "a", b"x" * 60)
     if who == "robot":

@@ -1,4 +1,4 @@
-"""Links: what one shows, and nothing beside it, by a name, a number or a recording; and how it ends."""
+"""Shares: what a link shows and what it hides, and how it ends."""
 
 import datetime
 import re
@@ -136,7 +136,7 @@ def test_a_link_to_both_halves_shows_their_recording(api: Api, outing: Outing) -
         ("/stats", {"by": "metadata.robot"}),
     ],
 )
-def test_what_a_link_to_files_does_not_show_cannot_be_asked_for(
+def test_a_share_of_files_gives_no_access_to_anything_else(
     api: Api, outing: Outing, path: str, query: dict[str, str]
 ) -> None:
     guest = api.as_(_link(api, outing.mission["id"], file_ids=[outing.first])["secret"])
@@ -217,7 +217,7 @@ def test_a_link_ends_when_it_is_revoked_expired_or_its_mission_is_gone(api: Api,
     guests[2].get("/files").refused(401, "not_authenticated")
 
 
-def test_a_link_ends_with_whoever_made_it(api: Api, outing: Outing) -> None:
+def test_a_share_ends_when_its_creator_loses_access(api: Api, outing: Outing) -> None:
     ada = people.person(api)
     people.grant(api, ada, Right.write, mission_id=outing.mission["id"])
     guest = api.as_(_link(api.as_(ada.token), outing.mission["id"])["secret"])
@@ -253,7 +253,7 @@ def test_a_link_is_to_files_of_its_mission(api: Api, sample: Sample, outing: Out
     api.post(f"/missions/{outing.mission['id']}/shares", body).refused(404, "not_found")
 
 
-def test_its_maker_and_those_who_may_write_end_it(api: Api, outing: Outing) -> None:
+def test_its_creator_and_writers_can_revoke_a_share(api: Api, outing: Outing) -> None:
     mission_id = outing.mission["id"]
     ada, bob = people.person(api), people.person(api)
     people.grant(api, ada, Right.write, mission_id=mission_id)

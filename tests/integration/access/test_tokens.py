@@ -1,4 +1,4 @@
-"""Tokens over HTTP: what can be made, by whom, what it then reaches, and how it ends."""
+"""Tokens through HTTP: who creates which, what it allows, and how it ends."""
 
 import datetime
 import re
@@ -56,7 +56,7 @@ def test_a_secret_is_shown_once_and_works_until_it_is_revoked(api: Api) -> None:
     assert [event["operation"] for event in api.events(token_id)] == ["token.revoke", "token.create"]
 
 
-def test_only_a_hash_is_kept(api: Api) -> None:
+def test_only_the_hash_of_a_token_is_stored(api: Api) -> None:
     made = _made(api, name="kept")
     rows = api.sql("SELECT * FROM token WHERE id = %s", made["token"]["id"])
     assert made["secret"] not in str(rows)
@@ -75,7 +75,7 @@ def test_only_a_hash_is_kept(api: Api) -> None:
         ({"name": ""}, "name"),
     ],
 )
-def test_what_no_token_can_be_is_refused_by_name(api: Api, wanted: dict[str, Any], field: str) -> None:
+def test_invalid_token_requests_name_the_invalid_field(api: Api, wanted: dict[str, Any], field: str) -> None:
     project_id = api.project()["id"]
     body = {"name": "x", **wanted}
     if "project_ids" in body:
@@ -206,7 +206,7 @@ def test_any_token_may_end_itself_and_no_other_without_the_scope(api: Api) -> No
     its.get("/projects").refused(401, "not_authenticated")
 
 
-def test_what_a_token_made_ends_with_it(api: Api) -> None:
+def test_tokens_created_by_a_token_are_revoked_with_it(api: Api) -> None:
     ada = people.person(api)
     hers = api.as_(ada.token)
     stolen, other = _made(hers, scopes=["admin"]), _made(hers, scopes=["admin"])
@@ -225,7 +225,7 @@ def test_what_a_token_made_ends_with_it(api: Api) -> None:
     api.as_(other["secret"]).get("/me").ok()
 
 
-def test_who_signs_out_keeps_what_they_made_until_somebody_ends_that(api: Api) -> None:
+def test_signing_out_keeps_tokens_until_they_are_revoked(api: Api) -> None:
     ada = people.person(api)
     hers = api.as_(ada.token)
     laptop = _made(hers, scopes=["admin"])
@@ -266,7 +266,7 @@ def test_a_token_that_is_limited_reaches_nothing_else_of_its_person(api: Api) ->
     with_it.delete(f"/tokens/{narrow.id}").ok(204)
 
 
-def test_a_secret_that_was_cut_or_mistyped_can_be_told(api: Api) -> None:
+def test_a_truncated_or_mistyped_token_is_recognised(api: Api) -> None:
     secret = _made(api)["secret"]
     wrong = secret[:-10] + ("a" if secret[-10] != "a" else "b") + secret[-9:]
     assert not is_mangled(secret)

@@ -1,4 +1,4 @@
-"""What admins see of the whole server, and that it holds no secret."""
+"""The admin view of the server, which contains no secret."""
 
 import json
 
@@ -21,18 +21,18 @@ def lab(start_api: StartApi) -> Api:
     return start_api()
 
 
-def test_storage_is_told_by_state(lab: Api) -> None:
+def test_storage_is_reported_by_state(lab: Api) -> None:
     mission = lab.mission(lab.project()["id"])
     sample = Sample(lab)
     sample.file(mission["id"], "kept.mcap", size_bytes=3)
     trashed = sample.file(mission["id"], "trashed.mcap", size_bytes=5)
     lab.delete(f"/files/{trashed}").ok()
-    sample.blob(size_bytes=7, doomed_at="2026-01-01T00:00:00Z")
+    sample.blob(size_bytes=7, marked_for_deletion_at="2026-01-01T00:00:00Z")
     begin(lab, mission["id"], {"coming.bin": b"eleven byte"}, hashed=False)
     told = lab.get("/admin/storage").ok()
     assert told["blobs"] == [{"state": "stored", "count": 2, "size_bytes": 8}]
     assert told["trash"] == {"state": "trash", "count": 1, "size_bytes": 5}
-    assert told["doomed"] == {"state": "doomed", "count": 1, "size_bytes": 7}
+    assert told["marked_for_deletion"] == {"state": "marked_for_deletion", "count": 1, "size_bytes": 7}
     assert told["uploads"] == {"state": "under_way", "count": 1, "size_bytes": 11}
 
 
@@ -107,8 +107,10 @@ def test_a_job_shows_why_it_failed_while_it_is_tried_again(
     lab.sql("DELETE FROM procrastinate_jobs WHERE id = %s", job_id)
 
 
-def test_all_that_were_given_up_are_put_back_and_none_was_in_the_future(lab: Api) -> None:
-    insert = "INSERT INTO procrastinate_jobs (queue_name, task_name, status, args) VALUES ('default', 'sweep',"
+def test_all_failed_jobs_are_retried_and_none_is_scheduled_later(lab: Api) -> None:
+    insert = (
+        "INSERT INTO procrastinate_jobs (queue_name, task_name, status, args) VALUES ('default', 'collect_garbage',"
+    )
     job_id = lab.sql(f"{insert} 'failed', '{{}}') RETURNING id")[0][0]
     lab.sql(f"{insert} 'failed', '{{}}')")
     for kind, at in (("failed", "now() - interval '1 h'"), ("scheduled", "now() + interval '1 h'")):
@@ -121,7 +123,7 @@ def test_all_that_were_given_up_are_put_back_and_none_was_in_the_future(lab: Api
         assert client.admin.retry_jobs() == len(told)
         assert client.admin.jobs().failed == []
         assert client.admin.retry_jobs() == 0
-    lab.sql("DELETE FROM procrastinate_jobs WHERE task_name = 'sweep'")
+    lab.sql("DELETE FROM procrastinate_jobs WHERE task_name = 'collect_garbage'")
 
 
 def test_health_says_how_database_and_store_are(lab: Api) -> None:
@@ -132,7 +134,7 @@ def test_health_says_how_database_and_store_are(lab: Api) -> None:
     assert (told["store_checksum"], told["store_takes_pages"]) == ("crc64nvme", True)
 
 
-def test_settings_in_force_hold_no_secret(lab: Api) -> None:
+def test_effective_settings_contain_no_secret(lab: Api) -> None:
     told = {each["name"]: each for each in lab.get("/admin/settings").ok()["settings"]}
     assert told["KLEINKRAM_S3_BUCKET"]["value"] == lab.app.state.settings.s3_bucket
     assert told["KLEINKRAM_S3_BUCKET"]["is_set"] is True
@@ -149,7 +151,7 @@ def test_settings_in_force_hold_no_secret(lab: Api) -> None:
     assert [each for each in secrets if each in json.dumps(told)] == []
 
 
-def test_it_is_for_admins(lab: Api) -> None:
+def test_only_admins_have_access(lab: Api) -> None:
     member = lab.as_(people.person(lab).token)
     for page in ("storage", "jobs", "scrub", "health", "settings"):
         member.get(f"/admin/{page}").refused(403, "forbidden")

@@ -1,4 +1,4 @@
-"""`klein admin`, as an admin uses it, and as somebody else may not."""
+"""`klein admin`, used by an admin and refused to others."""
 
 import json
 from collections.abc import Callable
@@ -72,10 +72,14 @@ def test_health_and_storage_are_shown(klein: Klein) -> None:
     told: Any = json.loads(klein("health", "--json"))
     assert told["not_ready"] is None
     assert "under_way" in klein("storage")
-    assert json.loads(klein("storage", "--json"))["doomed"] == {"state": "doomed", "count": 0, "size_bytes": 0}
+    assert json.loads(klein("storage", "--json"))["marked_for_deletion"] == {
+        "state": "marked_for_deletion",
+        "count": 0,
+        "size_bytes": 0,
+    }
 
 
 @pytest.mark.parametrize("command", [["jobs"], ["storage"], ["health"], ["retry", "1"]])
-def test_it_is_for_admins(lab: Api, klein: Klein, command: list[str]) -> None:
+def test_only_admins_have_access(lab: Api, klein: Klein, command: list[str]) -> None:
     with pytest.raises(Forbidden):
         klein(*command, token=person(lab).token)

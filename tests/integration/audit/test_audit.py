@@ -1,4 +1,4 @@
-"""The record through HTTP."""
+"""The audit log through HTTP."""
 
 import uuid
 
@@ -27,7 +27,7 @@ def test_narrows_by_noun(api: Api) -> None:
     assert api.all("/audit", {**query, "noun": "colour"}) == []
 
 
-def test_what_failed_left_no_trace(api: Api) -> None:
+def test_failed_requests_write_no_audit_entry(api: Api) -> None:
     project = api.project()
     api.post(f"/projects/{project['id']}/missions", {"name": "x", "metadata_yaml": "["}).refused(422, "yaml_invalid")
     assert len(api.all("/audit", {"project_id": project["id"]})) == 1

@@ -1,4 +1,4 @@
-"""Every operation that changes something says what it writes into the record, and writes it."""
+"""Every operation that changes something declares its audit entry, and writes it."""
 
 import uuid
 
@@ -27,7 +27,7 @@ WRITES: dict[str, set[str]] = {
     "label_files": {"file.update"},
     "move_file": {"file.leave", "file.arrive"},
     "delete_file": {"[file.delete]"},
-    "complete_uploads": {"[file.upload]", "[file.mend]"},
+    "complete_uploads": {"[file.upload]", "[file.repair]"},
     "abort_upload": {"upload.abort"},
     "restore_from_trash": {"project.restore", "mission.restore", "file.restore"},
     "create_action": {"action.create"},

@@ -1,4 +1,4 @@
-"""Finding events: by person, credential, object, place, operation and time, as pages and as an export."""
+"""Finding events by person, credential, object, place, operation and time, as pages and as an export."""
 
 import datetime
 import json
@@ -81,7 +81,7 @@ def test_says_with_what_it_was_done_and_where(api: Api, lab: Lab) -> None:
     assert (event["mission_id"], event["project_id"]) == (lab["mission"], lab["project"])
 
 
-def test_a_link_is_told_apart_and_owners_see_from_where_it_was_used(api: Api, sample: Sample) -> None:
+def test_uses_of_a_share_are_distinguished_and_owners_see_their_addresses(api: Api, sample: Sample) -> None:
     project = api.project()["id"]
     mission = api.mission(project)["id"]
     link, owner = people.share(api, mission), people.person(api)

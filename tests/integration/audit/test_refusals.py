@@ -1,4 +1,4 @@
-"""Failed sign-ins and denials leave a trace, however many there are no more than a page of it."""
+"""Failed sign-ins and denials are recorded, in bounded number."""
 
 import uuid
 from concurrent.futures import ThreadPoolExecutor
@@ -38,7 +38,7 @@ def test_a_failed_sign_in_is_noted_without_its_token(start_api: StartApi, sent: 
     assert sent.split()[1] not in str(event)
 
 
-def test_a_denial_is_noted_with_who_was_denied_though_nothing_else_is_kept(start_api: StartApi) -> None:
+def test_a_denial_is_recorded_although_the_transaction_is_rolled_back(start_api: StartApi) -> None:
     api = start_api()
 
     async def forbidden(db: Transaction, actor: CurrentActor) -> None:

@@ -1,4 +1,4 @@
-"""Signing in and out, by whatever way, is told: who, by what, from where; and so is what failed."""
+"""Sign-ins and sign-outs are recorded with method and address, and so are failures."""
 
 from typing import Any
 
@@ -20,7 +20,7 @@ def _latest(api: Api, operation: str) -> Any:
     return api.get("/audit", {"operation": operation, "limit": "1"}).ok()["items"][0]
 
 
-def test_a_sign_in_and_out_are_told_with_their_session(api: Api) -> None:
+def test_sign_in_and_sign_out_are_recorded_with_their_session(api: Api) -> None:
     ada = account(api)
     made = _latest(api, "person.create")
     assert (made["actor"], made["noun_id"], made["address"]) == (None, ada.id, "127.0.0.1")
@@ -34,7 +34,7 @@ def test_a_sign_in_and_out_are_told_with_their_session(api: Api) -> None:
     assert (ended["noun_id"], ended["actor"]["id"]) == (began["noun_id"], ada.id)
 
 
-def test_a_failed_sign_in_is_told_without_what_was_typed(api: Api) -> None:
+def test_a_failed_sign_in_is_recorded_without_the_input(api: Api) -> None:
     typed = any_email()
     Browser(api).post("/auth/password", {"email": typed, "password": "not the right one"}).refused(
         401, "sign_in_failed"
@@ -44,7 +44,7 @@ def test_a_failed_sign_in_is_told_without_what_was_typed(api: Api) -> None:
     assert typed not in str(event)
 
 
-def test_the_owner_s_link_and_its_use_are_told(api: Api) -> None:
+def test_creation_and_use_of_the_owner_link_are_recorded(api: Api) -> None:
     link = code_of(api.post("/auth/owner-link").ok()["url"])
     made = _latest(api, "link.create")
     assert (made["actor"]["name"], made["token"]["name"]) == ("owner", "local owner")
@@ -53,7 +53,7 @@ def test_the_owner_s_link_and_its_use_are_told(api: Api) -> None:
 
 
 @pytest.mark.parametrize(("act", "told"), [("approve", "login.approve"), ("deny", "login.deny")])
-def test_what_was_said_to_a_program_is_told(api: Api, act: str, told: str) -> None:
+def test_approval_of_a_program_is_recorded(api: Api, act: str, told: str) -> None:
     ada = account(api)
     shown = api.as_(None).post("/auth/device", {"client": "klein on anymal"}).ok()["user_code"]
     ada.browser.post(f"/auth/device/{act}", {"user_code": shown}).ok()
@@ -62,7 +62,7 @@ def test_what_was_said_to_a_program_is_told(api: Api, act: str, told: str) -> No
     assert event["session_id"] is not None
 
 
-def test_too_many_tries_are_refused_and_told(start_api: StartApi) -> None:
+def test_too_many_attempts_are_refused_and_recorded(start_api: StartApi) -> None:
     api = start_api(sign_ins_per_minute=2)
     wrong = {"email": any_email(), "password": "not the right one"}
     answers = [Browser(api).post("/auth/password", wrong) for _ in range(5)]
@@ -70,7 +70,7 @@ def test_too_many_tries_are_refused_and_told(start_api: StartApi) -> None:
     assert _latest(api, "rate.limited")["noun_name"] == "POST /api/v1/auth/password"
 
 
-def test_a_code_that_was_used_is_told(api: Api) -> None:
+def test_reuse_of_a_code_is_recorded(api: Api) -> None:
     link = code_of(api.post("/auth/owner-link").ok()["url"])
     Browser(api).post("/auth/link", {"code": link}).ok()
     Browser(api).post("/auth/link", {"code": link}).refused(410, "code_gone")

@@ -1,4 +1,4 @@
-"""One's own account: what it says, and unlinking a provider, which locks nobody out and ends nothing else."""
+"""The own account: its data, and unlinking a provider without locking anybody out."""
 
 import json
 from concurrent.futures import ThreadPoolExecutor
@@ -16,7 +16,7 @@ from kleinkram.server.settings import Affiliation
 from tests.integration import people
 from tests.integration.auth.accounts import PASSWORD, account, any_email, sign_in, signed_in
 from tests.integration.auth.browser import Browser
-from tests.integration.auth.lab import Lab, _fake, _lab, _shared, known_as, provider_settings, sentence
+from tests.integration.auth.provider_setup import Lab, _fake, _lab, _shared, known_as, provider_settings, sentence
 from tests.integration.conftest import StartApi
 
 __all__ = ["_fake", "_lab", "_shared"]
@@ -72,7 +72,7 @@ def test_a_provider_is_unlinked_where_a_password_stays_and_nothing_else_ends(lab
     _unlink(made.browser, linked).refused(404, "not_found")
 
 
-def test_what_was_unlinked_is_not_linked_again_by_an_address_but_by_who_is_signed_in(lab: Lab) -> None:
+def test_an_unlinked_identity_is_linked_again_only_by_the_signed_in_person(lab: Lab) -> None:
     made = account(lab.api)
     subject = f"back {made.id}"
     linked = _link(lab, made.browser, subject, **known_as(made.email))
@@ -102,7 +102,7 @@ def test_the_last_way_in_stays(lab: Lab) -> None:
     assert lab.sign_in("only's second").me()["person"]["id"] == browser.me()["person"]["id"]
 
 
-def test_of_two_at_once_one_stays(lab: Lab) -> None:
+def test_one_of_two_sign_in_methods_removed_at_the_same_time_remains(lab: Lab) -> None:
     browser = lab.sign_in("hasty twin", **known_as(any_email()))
     _link(lab, browser, "hasty twin's other")
     with ThreadPoolExecutor(2) as pool:

@@ -1,4 +1,4 @@
-"""Local accounts: invited, signed in to, changed, reset; and nothing that tells a guest who has one."""
+"""Local accounts: invitation, sign-in, change and reset of the password; nothing reveals who has an account."""
 
 from typing import Any
 
@@ -149,7 +149,7 @@ def test_a_reset_ends_personal_tokens_and_leaves_robots_a_change_ends_none(api: 
     assert told["tokens"] == 1
 
 
-def test_one_time_links_do_not_survive_leaving_and_coming_back(api: Api) -> None:
+def test_one_time_links_do_not_survive_removal_and_return(api: Api) -> None:
     made, leaving = account(api), people.person(api, admin=True)
     reset = code_of(api.post(f"/people/{made.id}/reset").ok(201)["url"])
     invited = {"email": any_email()}
@@ -179,7 +179,7 @@ def test_links_end_with_the_power_of_the_admin_who_made_them(api: Api, how: str)
     assert victim.browser.is_signed_in()
 
 
-def test_who_left_is_refused_like_a_stranger_and_their_session_has_ended(api: Api) -> None:
+def test_a_removed_person_cannot_sign_in_and_has_no_session(api: Api) -> None:
     made = account(api)
     reset = code_of(api.post(f"/people/{made.id}/reset").ok(201)["url"])
     api.sql("UPDATE person SET deactivated_at = now() WHERE id = %s", made.id)

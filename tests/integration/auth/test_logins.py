@@ -1,4 +1,4 @@
-"""Logins of programs: by a browser on the same machine, and by a code typed on another."""
+"""Sign-in of programs: by a browser on the same machine, or by a code on another."""
 
 import base64
 import hashlib
@@ -75,7 +75,7 @@ def test_a_code_is_good_for_no_longer_than_its_time_and_its_session(api: Api) ->
         {"client": "a\nb"},
     ],
 )
-def test_what_is_no_loopback_of_a_program_is_refused(ada: Account, wanted: dict[str, Any]) -> None:
+def test_redirects_to_other_than_loopback_are_refused(ada: Account, wanted: dict[str, Any]) -> None:
     asked = {"port": 40123, "state": "a" * 20, "code_challenge": "A" * 43, "client": "klein"}
     ada.browser.post("/auth/cli/approve", {**asked, **wanted}).refused(422, "invalid_request")
 
@@ -127,7 +127,7 @@ def test_a_code_that_nobody_typed_in_time_is_over(api: Api, ada: Account) -> Non
     ada.browser.post("/auth/device/approve", {"user_code": began["user_code"]}).refused(410, "code_gone")
 
 
-def test_who_signs_out_everywhere_takes_back_what_was_not_fetched_yet(api: Api) -> None:
+def test_signing_out_everywhere_revokes_tokens_not_yet_fetched(api: Api) -> None:
     made, began = signed_in(api), _begin(api)
     made.browser.post("/auth/device/approve", {"user_code": began["user_code"]}).ok()
     made.browser.call("DELETE", "/api/v1/me/sessions").ok(204)

@@ -1,4 +1,4 @@
-"""Signing in by an OpenID provider: whose account it opens, what is not believed, and what its failures look like."""
+"""Sign-in with an OpenID provider: account mapping, claims that are not trusted, and failures."""
 
 import re
 import time
@@ -16,7 +16,7 @@ from tests.integration.api_server import Api
 from tests.integration.auth.accounts import PASSWORD, account, any_email
 from tests.integration.auth.browser import Browser
 from tests.integration.auth.fake_provider import CLIENT_ID
-from tests.integration.auth.lab import Lab, _fake, _lab, _shared, known_as, provider_settings, sentence
+from tests.integration.auth.provider_setup import Lab, _fake, _lab, _shared, known_as, provider_settings, sentence
 from tests.integration.conftest import StartApi
 
 __all__ = ["_fake", "_lab", "_shared"]
@@ -47,7 +47,7 @@ def test_a_verified_address_opens_what_was_granted_to_it(lab: Lab) -> None:
     assert browser.get(f"/api/v1/projects/{project['id']}").ok()["name"] == project["name"]
 
 
-def test_claims_that_only_userinfo_tells_are_asked_for(lab: Lab) -> None:
+def test_claims_missing_in_the_id_token_are_fetched_from_userinfo(lab: Lab) -> None:
     lab.provider.tells_in_userinfo = True
     email = any_email()
     assert lab.sign_in("shy", **known_as(email)).me()["emails"] == [email]
@@ -93,7 +93,7 @@ def test_an_address_of_a_domain_that_is_not_trusted_opens_nobody_s_account(lab: 
         assert "does not get an account" in lab.refuses(f"thief of {domain}", **known_as(made.email))
 
 
-def test_an_address_that_was_given_to_somebody_else_does_not_open_its_former_owner_s_account(lab: Lab) -> None:
+def test_a_reassigned_address_does_not_open_the_account_of_its_former_owner(lab: Lab) -> None:
     email = any_email()
     former = lab.sign_in("left the lab", **known_as(email)).me()["person"]["id"]
     assert "belongs to another identity" in lab.refuses("came later", **known_as(email))
@@ -128,13 +128,13 @@ def test_linking_ends_with_the_session_that_began_it(lab: Lab) -> None:
     assert lab.api.sql("SELECT count(*) FROM identity WHERE subject = 'late'") == [(0,)]
 
 
-def test_whoever_has_no_trusted_address_gets_no_account(lab: Lab) -> None:
+def test_no_account_is_created_without_a_trusted_address(lab: Lab) -> None:
     for claims in ({}, {"email": "a@other.example", "email_verified": True}, {"email": any_email()}):
         assert "does not get an account" in lab.refuses("outsider", **claims)
     assert lab.api.sql("SELECT count(*) FROM identity WHERE subject = 'outsider'") == [(0,)]
 
 
-def test_who_is_invited_gets_one_where_nobody_else_does(start_api: StartApi, lab: Lab) -> None:
+def test_only_invited_people_get_an_account_where_registration_is_closed(start_api: StartApi, lab: Lab) -> None:
     settings = provider_settings("lab", lab.provider.url, open_to=OpenTo.invited)
     invited = Lab(start_api(oidc_providers=[settings]), lab.provider)
     email = any_email()
@@ -144,7 +144,7 @@ def test_who_is_invited_gets_one_where_nobody_else_does(start_api: StartApi, lab
     assert "require an invitation" in invited.refuses("another", **known_as(any_email()))
 
 
-def test_an_invitation_ends_with_the_power_of_whoever_made_it(start_api: StartApi, lab: Lab) -> None:
+def test_an_invitation_ends_when_its_creator_loses_the_right_to_invite(start_api: StartApi, lab: Lab) -> None:
     settings = provider_settings("lab", lab.provider.url, open_to=OpenTo.invited)
     invited = Lab(start_api(oidc_providers=[settings]), lab.provider)
     email, leaving = any_email(), people.person(invited.api, admin=True)
@@ -173,7 +173,7 @@ def test_two_first_sign_ins_at_once_make_one_account(lab: Lab) -> None:
     assert len({each.me()["person"]["id"] for each in browsers}) == 1
 
 
-def test_who_left_is_refused(lab: Lab) -> None:
+def test_a_removed_person_is_refused(lab: Lab) -> None:
     me = lab.sign_in("left", **known_as(any_email())).me()
     lab.api.sql("UPDATE person SET deactivated_at = now() WHERE id = %s", me["person"]["id"])
     assert "deactivated" in lab.refuses("left")
@@ -307,7 +307,7 @@ def test_a_provider_that_dies_on_the_way_is_a_sentence_and_an_event(lab: Lab, di
     assert latest_refusal(lab.api) == {"provider": "The Lab", "reason": "it answered with status 503"}
 
 
-def test_a_provider_that_is_away_or_calls_itself_otherwise_is_said_before_anybody_leaves(lab: Lab) -> None:
+def test_an_unreachable_or_misconfigured_provider_is_reported_before_the_redirect(lab: Lab) -> None:
     lab.provider.is_dead.add("/.well-known/openid-configuration")
     Browser(lab.api).post("/auth/providers/lab", {}).refused(503, "provider_unavailable")
     lab.provider.is_dead.clear()

@@ -1,4 +1,4 @@
-"""The second factor of local accounts: enrolled, asked for, used once, and taken away."""
+"""The second factor of local accounts: enrolment, use, one-time codes, reset."""
 
 import time
 from typing import Any
@@ -94,7 +94,7 @@ def test_after_ten_wrong_codes_the_right_one_is_not_taken_for_a_while(api: Api, 
     Browser(api).post("/auth/password", right).ok()
 
 
-def test_it_is_in_use_only_once_confirmed(api: Api, ada: Account) -> None:
+def test_the_second_factor_is_required_only_after_confirmation(api: Api, ada: Account) -> None:
     ada.browser.post("/me/totp").ok(201)
     ada.browser.post("/me/totp/confirm", {"code": "000000"}).refused(401, "second_factor_wrong")
     sign_in(Browser(api), ada.email)
@@ -109,7 +109,7 @@ def test_an_admins_link_to_a_new_password_takes_the_code_too(api: Api, ada: Acco
     Browser(api).post("/auth/reset", new | {"second_factor": device.next_code()}).ok()
 
 
-def test_an_admin_takes_it_away_from_whoever_lost_the_device(api: Api, ada: Account) -> None:
+def test_an_admin_resets_the_second_factor_of_a_lost_device(api: Api, ada: Account) -> None:
     _enrol(api, ada)
     api.as_(people.person(api).token).delete(f"/people/{ada.id}/totp").refused(403, "forbidden")
     api.delete(f"/people/{ada.id}/totp").ok(204)
@@ -126,7 +126,7 @@ def test_one_switches_it_off_by_oneself(api: Api, ada: Account) -> None:
     assert "totp.disable" in [event["operation"] for event in api.events(ada.id)]
 
 
-def test_its_secret_is_never_told_again(api: Api, ada: Account) -> None:
+def test_the_secret_of_the_second_factor_is_shown_once(api: Api, ada: Account) -> None:
     begun = ada.browser.post("/me/totp").ok(201)
     ada.browser.post("/me/totp/confirm", {"code": pyotp.TOTP(begun["secret"]).now()}).ok()
     told = [ada.browser.get(path).body for path in ("/api/v1/me/account", "/api/v1/me")]

@@ -1,4 +1,4 @@
-"""Sessions of browsers: cookies that no script reads, new with every sign-in, over when somebody says so."""
+"""Browser sessions: HttpOnly cookies, renewed at each sign-in, revoked on request."""
 
 import re
 
@@ -82,7 +82,7 @@ def test_a_token_lists_and_ends_browsers_too_unless_it_is_limited_to_less(api: A
     assert not made.browser.is_signed_in()
 
 
-def test_who_was_away_for_too_long_signs_in_again(api: Api) -> None:
+def test_idle_sessions_expire(api: Api) -> None:
     made = account(api)
     idle_s = api.app.state.settings.session_idle_s
     api.sql("UPDATE session SET last_used_at = now() - make_interval(secs => %s) WHERE person_id = %s", idle_s, made.id)
@@ -109,7 +109,7 @@ def test_no_other_site_s_page_changes_anything_or_signs_anybody_in(api: Api, ori
     assert made.browser.is_signed_in()
 
 
-def test_what_takes_a_browser_is_refused_to_tokens(api: Api) -> None:
+def test_tokens_cannot_use_operations_for_browsers(api: Api) -> None:
     token = api.as_(people.person(api).token)
     token.post("/auth/device/approve", {"user_code": "BCDF-GHJK"}).refused(403, "scope_missing")
     token.post("/auth/password/change", {"old_password": "x", "new_password": "y" * 12}).refused(403, "scope_missing")

@@ -1,4 +1,4 @@
-"""One order of locks: what a worker keeps of a blob, and what is linked to it meanwhile, never wait for each other."""
+"""One lock order: storing results about a blob and linking it do not deadlock."""
 
 import os
 import uuid
@@ -28,7 +28,7 @@ async def _failure(db: Connection, blob_id: uuid.UUID) -> None:
 
 @pytest.mark.parametrize("keep", [_summary, _failure])
 @pytest.mark.parametrize("link_first", [True, False])
-def test_a_blob_is_linked_while_what_it_holds_is_kept(api: Api, keep: _Keep, link_first: bool) -> None:
+def test_a_blob_is_linked_while_its_summary_is_stored(api: Api, keep: _Keep, link_first: bool) -> None:
     mission_id = api.mission(api.project()["id"])["id"]
     body = os.urandom(1000)
     file = upload(api, mission_id, "a.bin", body)

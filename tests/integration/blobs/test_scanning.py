@@ -1,4 +1,4 @@
-"""Verifying reads every byte anyway: a recording is scanned on the way, and says the same here as on a robot."""
+"""Verification scans a recording while it reads every byte, with the same result as on a robot."""
 
 import sqlite3
 import sys
@@ -111,7 +111,7 @@ sys.stdout.flush()
 """
 
 
-def test_a_reader_that_answers_before_it_was_given_everything_is_not_believed(
+def test_an_answer_of_a_reader_before_all_bytes_were_sent_is_rejected(
     api: Api, mission_id: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     generate_mcap(tmp_path / "run.mcap", size_bytes=2_000_000, seed=14)

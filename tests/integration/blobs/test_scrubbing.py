@@ -1,4 +1,4 @@
-"""What a scrub finds behind the server's back: objects that vanished, were cut off, altered, or came back."""
+"""A scrub finds objects that vanished, were truncated, altered, or came back."""
 
 import os
 import uuid
@@ -23,7 +23,7 @@ _AT_LEISURE = "SELECT args ->> 'ref' FROM procrastinate_jobs WHERE status = 'tod
 @pytest.fixture(name="api", scope="module")
 def _api(start_api: StartApi) -> Api:
     """An API of its own: what others leave in the store is nobody's to compare."""
-    return start_api(sweep_grace_s=0)
+    return start_api(garbage_grace_s=0)
 
 
 def _key(api: Api, file_id: str) -> str:
@@ -62,7 +62,7 @@ def _verified(api: Api, mission_id: str, number: int = 4) -> list[tuple[Any, byt
     return [(files[path], body) for path, body in bodies.items()]
 
 
-def test_where_all_is_well_nothing_is_marked(api: Api, mission_id: str) -> None:
+def test_a_scrub_of_intact_objects_marks_nothing(api: Api, mission_id: str) -> None:
     files = _verified(api, mission_id)
     begun = begin(api, mission_id, {"under way.bin": b"abc"})[0]["upload"]
     send(api, begun, b"abc")  # an object, and no blob yet
@@ -73,7 +73,7 @@ def test_where_all_is_well_nothing_is_marked(api: Api, mission_id: str) -> None:
     assert {_read(api, file)["state"] for file, _ in files} == {"verified"}
 
 
-def test_what_vanished_is_lost_and_mended_by_uploading_again(api: Api, mission_id: str) -> None:
+def test_a_vanished_object_is_missing_and_repaired_by_uploading_again(api: Api, mission_id: str) -> None:
     (file, body), *_ = _verified(api, mission_id)
     _remove(api, _key(api, file["id"]))
     assert _counts(_scrub(api)) == (1, 0, 0)
@@ -90,7 +90,7 @@ def test_what_vanished_is_lost_and_mended_by_uploading_again(api: Api, mission_i
     assert fetch(link["url"]) == (200, body)
 
 
-def test_what_was_cut_off_is_corrupt_and_says_how(api: Api, mission_id: str) -> None:
+def test_a_truncated_object_is_corrupt_with_a_reason(api: Api, mission_id: str) -> None:
     (file, body), *_ = _verified(api, mission_id)
     _put(api, _key(api, file["id"]), body[:1000])
     assert _counts(_scrub(api)) == (0, 1, 0)
@@ -180,7 +180,7 @@ def test_an_object_without_a_row_is_counted_and_left(start_api: StartApi) -> Non
     assert on_site(api, lambda context: context.storage.sizes("")) == {"stray/object": 3}
 
 
-def test_what_comes_and_what_goes_meanwhile_is_not_lost(
+def test_blobs_added_and_removed_during_a_scrub_are_not_reported_missing(
     api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (going, _), *_ = _verified(api, mission_id)

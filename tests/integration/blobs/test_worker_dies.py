@@ -1,4 +1,4 @@
-"""A worker that dies in the middle of a job: the job is done all the same, and the periodic ones go on."""
+"""A worker dies during a job: the job is completed, and periodic jobs continue."""
 
 import os
 import signal
@@ -67,7 +67,7 @@ def test_a_job_whose_worker_died_is_done_by_the_next(api: Api, tmp_path: Path) -
     # As if a periodic job had died too, with its next round queued already: that one must not stop the rescue.
     api.sql(
         "INSERT INTO procrastinate_jobs (queue_name, task_name, lock, queueing_lock, args, status)"
-        " VALUES ('default', 'sweep', 'sweep', 'sweep', '{\"timestamp\": 0}', 'doing')"
+        " VALUES ('default', 'collect_garbage', 'collect_garbage', 'collect_garbage', '{\"timestamp\": 0}', 'doing')"
         " ON CONFLICT DO NOTHING"
     )
     api.sql("UPDATE procrastinate_workers SET last_heartbeat = now() - interval '1 hour'")
@@ -75,7 +75,7 @@ def test_a_job_whose_worker_died_is_done_by_the_next(api: Api, tmp_path: Path) -
         wait_until(lambda: api.get(f"/files/{file['id']}").ok()["state"] == "verified", limit_s=60)
         read = api.get(f"/files/{file['id']}").ok()
         assert (read["content"], read["depth"], read["message_count"]) == ("indexed", "scan", truth.message_count)
-        stuck = "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'sweep' AND status = 'doing'"
+        stuck = "SELECT count(*) FROM procrastinate_jobs WHERE task_name = 'collect_garbage' AND status = 'doing'"
         wait_until(lambda: api.sql(stuck) == [(0,)])
 
 

@@ -1,4 +1,4 @@
-"""`klein inspect`: what a person reads, what a script reads, and the exit code."""
+"""`klein inspect`: text for people, JSON for scripts, and the exit code."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from kleinkram.cli import main as entry
-from kleinkram.cli.inspect import show
 from kleinkram.cli.options import read_text
+from kleinkram.cli.recordings import show
 from kleinkram.recordings import Content, Lost, Problem, RecordingFormat, RecordingSummary
 from kleinkram.recordings.inspect import Inspection, InspectionKind
 from kleinkram.recordings.sample import SampleFormat, generate_mission
@@ -86,7 +86,7 @@ def test_losses_and_problems_in_plain_words(capsys: pytest.CaptureFixture[str]) 
     assert "\x07" not in shown
 
 
-def test_a_text_given_as_a_file_is_read_to_the_letter(tmp_path: Path) -> None:
+def test_a_text_from_a_file_is_read_unchanged(tmp_path: Path) -> None:
     text = "\ufeffcountry: CH\r\nserial: 8\r\n"
     (tmp_path / "mission.yaml").write_bytes(text.encode())
     assert read_text(tmp_path / "mission.yaml") == text

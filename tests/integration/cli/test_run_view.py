@@ -1,4 +1,4 @@
-"""How runs, actions and lineage read on a terminal."""
+"""Runs, actions and lineage on a terminal."""
 
 import uuid
 
@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from kleinkram.cli.main import app
-from kleinkram.cli.run_view import standing
+from kleinkram.cli.run_view import status_text
 from kleinkram.contract.base import Page
 from kleinkram.contract.reports import Progress, Severity
 from kleinkram.contract.runs import EndReason, LineageFile, LineageRead, LineageRun, RunRead, RunState
@@ -33,11 +33,11 @@ def shown(script: Scripted, *arguments: object) -> str:
         (RunState.done, {"reuses_id": uuid.uuid4()}, "done: reused"),
     ],
 )
-def test_what_a_run_is_at_is_said_in_a_few_words(state: RunState, more: dict[str, object], said: str) -> None:
-    assert standing(run_detail(state, **more)) == said
+def test_the_state_of_a_run_is_described_briefly(state: RunState, more: dict[str, object], said: str) -> None:
+    assert status_text(run_detail(state, **more)) == said
 
 
-def test_all_of_a_run_is_shown_and_names_obey_nobody() -> None:
+def test_all_fields_of_a_run_are_shown_and_names_are_escaped() -> None:
     run = run_detail(
         RunState.failed,
         reason=EndReason.time,
@@ -82,7 +82,7 @@ def test_lineage_reads_both_ways() -> None:
         assert "Uploaded: no run made it." in shown(script, "lineage", "derived/slam.bag")
 
 
-def test_an_action_says_what_it_can_be_told() -> None:
+def test_an_action_shows_its_parameters() -> None:
     action = action_read("look", project="alps")
     with scripted(Page(items=[action], next=None)) as script:
         said = shown(script, "action", "info", "look")

@@ -1,4 +1,4 @@
-"""What the SDK shows to the world, and what asking for it costs."""
+"""The public names of the SDK, and the cost of importing it."""
 
 import subprocess
 import sys
@@ -29,7 +29,7 @@ def test_a_client_has_one_attribute_a_noun() -> None:
     assert nouns >= {"service", "me", "search", "actions", "runs"}
 
 
-def test_a_client_loads_what_is_asked_for() -> None:
+def test_exports_are_imported_on_first_use() -> None:
     program = (
         "import sys, kleinkram; client = kleinkram.connect('http://127.0.0.1:9', 'a token'); client.projects\n"
         "sys.exit(any(f'kleinkram.client.{noun}' in sys.modules for noun in ('actions', 'runs', 'admin', 'tokens')))"

@@ -1,4 +1,4 @@
-"""A file arrives in any order, is verified as a whole, and only then gets its name."""
+"""A file is downloaded in any order, verified as a whole, and only then named."""
 
 import hashlib
 import os
@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from kleinkram.client.errors import DestinationDiffers, DestinationRefused, VerifyFailed
+from kleinkram.client.transfer.destination import RANGE_BYTES, PartialFile
 from kleinkram.client.transfer.local_file import Crc64Hash
-from kleinkram.client.transfer.partial_file import RANGE_BYTES, PartialFile
 from tests.api_objects import file_read, link_to
 
 CONTENT = os.urandom(3 * RANGE_BYTES + 77)
@@ -59,7 +59,7 @@ def test_the_next_run_takes_up_what_is_there(tmp_path: Path) -> None:
     assert (tmp_path / "big.bin").read_bytes() == CONTENT
 
 
-def test_what_is_left_of_another_file_is_not_taken_up(tmp_path: Path) -> None:
+def test_a_partial_download_of_another_file_is_not_resumed(tmp_path: Path) -> None:
     first = PartialFile(LINK, tmp_path / "big.bin", overwrite=False)
     bring(first, 0)
     first.close()
@@ -86,7 +86,7 @@ def test_other_bytes_are_found_and_removed(tmp_path: Path, kind: str) -> None:
     good.close()
 
 
-def test_what_came_to_be_meanwhile_is_not_replaced(tmp_path: Path) -> None:
+def test_a_file_created_during_the_download_is_not_replaced(tmp_path: Path) -> None:
     target = tmp_path / "big.bin"
     fetching = PartialFile(LINK, target, overwrite=False)
     bring(fetching, 0, 1, 2, 3)

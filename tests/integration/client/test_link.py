@@ -1,4 +1,4 @@
-"""How a transfer adapts to its link, and what it tells about it."""
+"""A transfer adapts to its network link and reports its state."""
 
 import contextlib
 import errno
@@ -14,8 +14,8 @@ import pytest
 import urllib3
 
 from kleinkram.client import _network
+from kleinkram.client._http import Backoff
 from kleinkram.client._network import NetworkMonitor, WatchedConnection, WatchedPools, has_address
-from kleinkram.client._retry import Backoff
 from kleinkram.client.errors import ServerUnreachable
 from kleinkram.client.transfer import plan_download
 from kleinkram.client.transfer.download import fetch
@@ -25,12 +25,11 @@ from kleinkram.client.transfer.link import (
     SLOW_S,
     Lane,
     LinkMonitor,
-    LinkReport,
     Window,
     diagnose,
     is_silence,
 )
-from kleinkram.client.transfer.report import SilentObserver
+from kleinkram.client.transfer.report import LinkReport, Watcher
 from kleinkram.client.transfer.threads import Stop
 from kleinkram.contract.files import DownloadLink
 from kleinkram.contract.uploads import MIN_PART_BYTES as PART
@@ -55,7 +54,7 @@ def clock() -> Clock:
     return Clock()
 
 
-def test_a_fast_link_is_used_in_full_after_a_few_parts(clock: Clock) -> None:
+def test_a_fast_link_is_fully_used_after_several_parts(clock: Clock) -> None:
     window = Window(_CONNECTIONS, clock=clock)
     assert window.limit_bytes == PART
     for _ in range(_CONNECTIONS):
@@ -116,7 +115,7 @@ def test_large_parts_of_a_very_large_file_are_judged_by_their_rate(clock: Clock)
     assert window.limit_bytes > 100 * PART
 
 
-def test_what_broke_off_goes_on_before_others_begin() -> None:
+def test_interrupted_parts_are_sent_before_new_ones() -> None:
     lane = Lane(Stop(), Window(_CONNECTIONS))
     order: list[str] = []
     is_waiting = threading.Event()
@@ -158,7 +157,7 @@ def _backoff() -> Backoff:
     return Backoff(10.0, lambda _: None)
 
 
-def test_silence_is_told_once_for_all_connections_that_it_ends(clock: Clock) -> None:
+def test_a_silent_network_is_reported_once_for_all_connections(clock: Clock) -> None:
     watch, said = _watch(clock)
     for _ in range(4):
         watch.lost("http://store:9000/b/k?signature=x", _backoff(), TimeoutError(), "it took too long")
@@ -169,7 +168,7 @@ def test_silence_is_told_once_for_all_connections_that_it_ends(clock: Clock) -> 
     assert watch.report() == LinkReport(connections_lost=4, longest_outage_s=35.0)
 
 
-def test_another_address_is_told_and_reconnected_from_at_once(clock: Clock) -> None:
+def test_a_changed_address_is_reported_and_reconnected_from_at_once(clock: Clock) -> None:
     watch, said = _watch(clock)
     watch.moved("10.0.0.7")
     assert watch.has_moved()
@@ -240,7 +239,7 @@ def test_a_store_that_refuses_connections_is_not_silent(clock: Clock) -> None:
         socket.gaierror(socket.EAI_AGAIN, "Temporary failure in name resolution"),
     ],
 )
-def test_a_machine_without_a_network_is_told_so(clock: Clock, cause: OSError, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_network_is_reported(clock: Clock, cause: OSError, monkeypatch: pytest.MonkeyPatch) -> None:
     watch, said = _watch(clock)
     backoff = _backoff()
     error = _unconnected(cause)
@@ -349,7 +348,7 @@ def test_a_transfer_that_ends_before_its_first_byte_says_what_does_not_answer(
     server = f"http://127.0.0.1:{choose_port()}"
     said: list[str] = []
 
-    class Heard(SilentObserver):
+    class Heard(Watcher):
         def notify(self, text: str) -> None:
             said.append(text)
 

@@ -1,4 +1,4 @@
-"""The port that a browser comes back to listens to one login's browser only."""
+"""The loopback port of a login accepts only the browser of that login."""
 
 import socket
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ def visit(loopback: Loopback, target: str) -> urllib3.BaseHTTPResponse:
         return pool.request("GET", f"http://127.0.0.1:{loopback.port}{target}")
 
 
-def test_the_code_is_brought_and_the_person_told(loopback: Loopback) -> None:
+def test_the_code_is_received_and_the_browser_shows_the_result(loopback: Loopback) -> None:
     answer = visit(loopback, f"/?code=the-code&state={STATE}")
     assert loopback.wait(5) == "the-code"
     assert answer.status == 200
@@ -44,7 +44,7 @@ def test_the_code_is_brought_and_the_person_told(loopback: Loopback) -> None:
         ("/", 400),
     ],
 )
-def test_whoever_lacks_the_state_is_not_listened_to(loopback: Loopback, target: str, status: int) -> None:
+def test_requests_without_the_state_are_rejected(loopback: Loopback, target: str, status: int) -> None:
     assert visit(loopback, target).status == status
     visit(loopback, f"/?code=right&state={STATE}")
     assert loopback.wait(5) == "right"

@@ -1,4 +1,4 @@
-"""The file of tokens: for its owner alone, whole at any moment, and one process's at a time."""
+"""The file of saved tokens: private, always complete, locked by one process at a time."""
 
 import datetime
 import subprocess
@@ -63,7 +63,7 @@ def test_a_file_that_others_may_read_or_change_is_refused_until_it_is_mended(exp
     assert load_endpoints().endpoints == {"lab": LAB}
 
 
-def test_what_is_saved_comes_back() -> None:
+def test_saved_endpoints_are_loaded() -> None:
     add_endpoint("lab", LAB)
     add_endpoint("field", FIELD)
     assert load_endpoints() == SavedEndpoints(current="lab", endpoints={"lab": LAB, "field": FIELD})

@@ -1,4 +1,4 @@
-"""What is told as it happens, to whom, and when that ends."""
+"""Events are sent as changes happen, to people who may see them."""
 
 import time
 from collections.abc import Callable
@@ -84,7 +84,7 @@ def test_nobody_hears_of_what_they_may_not_see(lab: Api) -> None:
         assert deaf.events == [], "a token that is limited to what its carrier may not see hears nothing"
 
 
-def test_many_at_once_are_told_as_one(lab: Api) -> None:
+def test_many_changes_at_once_are_one_event(lab: Api) -> None:
     mission = lab.mission(lab.project()["id"])
     with listening(lab) as ears, lab.statements() as statements:
         upload_all(lab, mission["id"], {f"{number}.txt": f"file {number}".encode() for number in range(30)})
@@ -131,7 +131,7 @@ def test_a_browser_s_stream_ends_when_it_signs_out(lab: Api) -> None:
         ears.ends()
 
 
-def test_whoever_loses_or_gains_a_right_is_told_to_fetch_all_and_hears_no_more_of_it(lab: Api) -> None:
+def test_a_change_of_rights_makes_clients_reload_and_ends_events_of_hidden_objects(lab: Api) -> None:
     mission, other = lab.mission(lab.project()["id"]), lab.mission(lab.project()["id"])
     member = people.person(lab)
     people.grant(lab, member, Right.read, mission_id=other["id"])
@@ -146,7 +146,7 @@ def test_whoever_loses_or_gains_a_right_is_told_to_fetch_all_and_hears_no_more_o
         assert {data["mission_id"] for event, data in ears.events if event == "change"} == {other["id"]}
 
 
-def test_who_comes_back_is_told_what_happened_meanwhile(lab: Api) -> None:
+def test_a_reconnecting_client_receives_missed_events(lab: Api) -> None:
     mission = lab.mission(lab.project()["id"])
     with listening(lab) as ears:
         last = ears.last_id
@@ -161,12 +161,12 @@ def test_who_comes_back_is_told_what_happened_meanwhile(lab: Api) -> None:
         assert ears.last_id.partition("-")[0] == last.partition("-")[0]
 
 
-def test_a_place_that_is_none_of_ours_is_not_said_back(lab: Api) -> None:
+def test_an_unknown_last_event_id_is_not_echoed(lab: Api) -> None:
     for after in ("1\nevent: change\ndata: {}", "1\r", "é"):
         lab.get("/events", {"after": after, "for_s": "0"}).refused(422, "invalid_request")
 
 
-def test_who_listens_too_slowly_is_told_to_fetch_all(lab: Api, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slow_client_is_told_to_reload(lab: Api, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hubs, "MAX_PENDING", 3)
     mission = lab.mission(lab.project()["id"])
     written = f'["thing", "changed", "\' || gen_random_uuid() || \'", null, "{mission["id"]}", null]'
@@ -187,7 +187,7 @@ def test_one_account_gets_so_many_streams(lab: Api, monkeypatch: pytest.MonkeyPa
         wait_until(lambda: lab.as_(member.token).get("/events", {"for_s": "0"}).status == 200)
 
 
-def test_no_connection_is_held_for_a_stream(lab: Api, postgres: RunningPostgres) -> None:
+def test_a_stream_occupies_no_database_connection(lab: Api, postgres: RunningPostgres) -> None:
     pool = lab.app.state.database.engine.pool
     with ExitStack() as stack:
         streams = [stack.enter_context(listening(lab)) for _ in range(12)]

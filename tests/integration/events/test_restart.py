@@ -1,4 +1,4 @@
-"""What becomes of streams, and of a program that follows them, when the API stops and comes back."""
+"""Event streams and their clients when the API restarts."""
 
 import threading
 import time
@@ -62,7 +62,7 @@ def test_a_program_that_follows_goes_on_after_a_restart(
         assert not follower.is_alive()
 
 
-def test_streams_are_told_to_fetch_all_when_the_database_was_away(
+def test_clients_reload_after_a_restart_of_the_database(
     settings: dict[str, Any], postgres: RunningPostgres, tmp_path: Path
 ) -> None:
     name = settings["database_url"].rpartition("/")[2]

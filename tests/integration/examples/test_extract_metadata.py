@@ -1,4 +1,4 @@
-"""The shipped action on real recordings, against what another library and another formula say of them."""
+"""The shipped action on real recordings, compared with another library and another formula."""
 
 import json
 import math
@@ -12,7 +12,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from kleinkram.action.testing import Tried, try_out
-from kleinkram.client.manifest import read_manifest
+from kleinkram.client.actions import read_manifest
 
 FOLDER = Path(__file__).parents[3] / "examples" / "actions" / "extract-metadata"
 GPS_STEP_M = 1.0
@@ -131,7 +131,7 @@ def test_a_drive_with_gps_has_a_place_on_earth(recordings_dir: Path, tmp_path: P
 
 
 @pytest.mark.slow
-def test_what_is_no_place_is_said_and_not_counted(recordings_dir: Path, tmp_path: Path) -> None:
+def test_invalid_positions_are_reported_and_not_counted(recordings_dir: Path, tmp_path: Path) -> None:
     folder = recordings_dir / "mcap" / "SO_bag"
     ran = extract(tmp_path, {f"auv/{each.name}": each for each in folder.iterdir()})
     lost = {each.topic: each.message for each in ran.report.findings if each.code == "track.no_fix"}

@@ -1,4 +1,4 @@
-"""Download links: good for reading the bytes from the store itself, and noted in the record."""
+"""Download links: valid for reading the bytes from the store, and recorded in the audit log."""
 
 import asyncio
 import uuid
@@ -26,7 +26,7 @@ def _stored(api: Api, key: str, body: bytes) -> None:
     asyncio.run(put())
 
 
-def test_links_lead_to_the_bytes_in_the_order_asked(api: Api, sample: Sample, mission: str) -> None:
+def test_download_links_are_in_the_requested_order(api: Api, sample: Sample, mission: str) -> None:
     ids = []
     for body in (b"first", b"second"):
         key = f"blobs/{uuid.uuid4()}"
@@ -93,9 +93,7 @@ def test_a_look_into_a_file_is_recorded_as_one(api: Api, sample: Sample, mission
 
 
 @pytest.mark.parametrize("state", ["lost", "corrupt"])
-def test_bytes_that_are_not_what_they_were_are_not_given_out(
-    api: Api, sample: Sample, mission: str, state: str
-) -> None:
+def test_corrupt_bytes_are_not_served(api: Api, sample: Sample, mission: str, state: str) -> None:
     good, bad = sample.file(mission, "a.mcap"), sample.file(mission, "b.mcap", state=state)
     problem = api.post("/files/download", {"file_ids": [good, bad]}).refused(409, "file_unavailable")
     assert (problem["path"], problem["state"]) == ("b.mcap", state)

@@ -1,4 +1,4 @@
-"""Files through HTTP: renaming, moving, labelling, deleting. The bytes are no part of it."""
+"""Files through HTTP: rename, move, label, delete."""
 
 import uuid
 from concurrent.futures import ThreadPoolExecutor
@@ -37,7 +37,7 @@ def test_reads_a_file_with_all_that_is_known_of_it(api: Api, sample: Sample, mis
     assert (seen["mission"]["id"], seen["uploaded_by"]["name"]) == (mission, "owner")
 
 
-def test_what_is_unknown_is_not_found(api: Api) -> None:
+def test_unknown_ids_are_not_found(api: Api) -> None:
     unknown = str(uuid.uuid4())
     for answer in (
         api.get(f"/files/{unknown}"),
@@ -150,7 +150,7 @@ def test_a_deleted_file_is_gone_and_its_path_is_free(api: Api, sample: Sample, m
     assert [event["operation"] for event in api.events(file_id)] == ["file.delete"]
 
 
-def test_what_is_deleted_while_it_moves_is_deleted_where_it_went(api: Api, sample: Sample) -> None:
+def test_a_file_deleted_during_a_move_is_deleted_at_its_new_place(api: Api, sample: Sample) -> None:
     project = api.project()["id"]
     source, target = sorted((api.mission(project) for _ in range(2)), key=lambda mission: str(mission["id"]))
     file_id = sample.file(source["id"], "a.mcap")
@@ -187,7 +187,7 @@ def test_two_deletions_at_once_are_one(api: Api, sample: Sample, noun: str) -> N
     assert [event["operation"] for event in api.events(noun_id)].count(f"{noun}.delete") == 1
 
 
-def test_changing_a_file_takes_few_queries(api: Api, sample: Sample, mission: str) -> None:
+def test_changing_a_file_takes_at_most_a_fixed_number_of_queries(api: Api, sample: Sample, mission: str) -> None:
     for number in range(20):
         sample.file(mission, f"{number}.mcap")
     file_id = sample.file(mission, "a.mcap")

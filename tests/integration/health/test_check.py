@@ -1,4 +1,4 @@
-"""`python -m kleinkram.server check`: what is right is said to be, and what is wrong is named with its remedy."""
+"""`python -m kleinkram.server check` names each fault with its remedy."""
 
 import json
 import os
@@ -97,14 +97,14 @@ def test_a_reader_that_cannot_start_is_named(api: Api, monkeypatch: pytest.Monke
         ({"scheme": "http"}, "problem", "X-Forwarded-Proto"),
     ],
 )
-def test_what_a_proxy_leaves_out_is_named(api: Api, said: dict[str, Any], level: str, words: str) -> None:
+def test_headers_missing_from_a_proxy_are_named(api: Api, said: dict[str, Any], level: str, words: str) -> None:
     seen = {"peer": "10.0.0.3", "is_trusted": True, "forwarded": True, "address": "203.0.113.7", "scheme": "https"}
     settings = api.app.state.settings.model_copy(update={"public_url": "https://lab.example"})
     found = checks._proxy(settings, Seen.model_validate({**seen, **said}))
     assert (found.level.value, words in found.message + found.remedy) == (level, True)
 
 
-def test_how_a_request_came_in_is_told_to_who_has_the_settings_alone(api: Api) -> None:
+def test_only_operators_see_how_a_request_arrived(api: Api) -> None:
     url = f"{api.url}/health/live"
     assert urllib3.request("GET", url, headers={CHECK_HEADER: "guess"}).data == b"live\n"
     told = urllib3.request("GET", url, headers={CHECK_HEADER: proof(api.app.state.settings)}).json()

@@ -1,4 +1,4 @@
-"""Metrics: each process's own, the site's once, and none that mislead."""
+"""Metrics: those of each process, and those of the whole server once."""
 
 import urllib3
 
@@ -44,7 +44,7 @@ def test_a_job_that_waits_for_another_attempt_counts_as_old(start_api: StartApi)
     api = start_api()
     job = "INSERT INTO procrastinate_jobs (queue_name, task_name, attempts, scheduled_at, args) VALUES"
     put_off = f"{job} ('default', 'tend_runs', 0, now() + interval '1 h', '{{}}') RETURNING id"
-    retrying = f"{job} ('default', 'sweep', 2, now() + interval '1 h', '{{}}') RETURNING id"
+    retrying = f"{job} ('default', 'collect_garbage', 2, now() + interval '1 h', '{{}}') RETURNING id"
     for statement in (put_off, retrying):
         api.sql(
             "UPDATE procrastinate_events SET at = now() - interval '100 s' WHERE type = 'deferred' AND job_id = %s",
@@ -52,7 +52,7 @@ def test_a_job_that_waits_for_another_attempt_counts_as_old(start_api: StartApi)
         )
     text = api.metrics()
     assert 100 <= _values(text, "kleinkram_queue_oldest_seconds")["kleinkram_queue_oldest_seconds"] < 1000
-    assert _values(text, "kleinkram_jobs_retrying") == {'kleinkram_jobs_retrying{task="sweep"}': 1}
+    assert _values(text, "kleinkram_jobs_retrying") == {'kleinkram_jobs_retrying{task="collect_garbage"}': 1}
 
 
 def test_workers_are_processes_that_are_alive(start_api: StartApi) -> None:

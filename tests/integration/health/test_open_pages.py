@@ -1,4 +1,4 @@
-"""What is for everybody: whether the server lives and is ready. Counts and reasons are for those who watch it."""
+"""Public health pages show liveness and readiness only; counts and reasons need authorization."""
 
 import pytest
 import urllib3
@@ -47,7 +47,7 @@ def test_why_it_is_not_ready_is_for_those_who_watch(start_api: StartApi) -> None
     assert "migrations" in _get(api, "/health/ready")[1]
 
 
-def test_what_is_for_everybody_names_nothing(api: Api, sample: Sample) -> None:
+def test_public_pages_reveal_no_names(api: Api, sample: Sample) -> None:
     project = api.project(name="a secret of ours")
     mission = api.mission(project["id"], name="outing to Zanskar")
     file = sample.file(mission["id"], "unheard-of.mcap")

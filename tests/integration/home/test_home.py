@@ -1,4 +1,4 @@
-"""Home shows what moved, what is unfinished, what needs somebody and what it takes: of what they may see alone."""
+"""Home shows recent, unfinished and failed work and the storage used, of visible objects only."""
 
 import pytest
 
@@ -53,7 +53,7 @@ def test_unfinished_uploads_say_how_far_they_got(lab: Api, member: people.Person
     assert unfinished["expires_at"] > unfinished["created_at"]
 
 
-def test_what_needs_attention_is_told_by_mission(lab: Api, member: people.Person) -> None:
+def test_missions_that_need_attention_are_listed(lab: Api, member: people.Person) -> None:
     project = lab.project()
     mission, hidden = lab.mission(project["id"]), lab.mission(lab.project()["id"])
     people.grant(lab, member, Right.read, project_id=project["id"])
@@ -89,7 +89,7 @@ def test_admins_hear_of_the_whole_server(lab: Api) -> None:
     assert store.free_bytes is None, "where the store's disk is not this machine's"
 
 
-def test_it_takes_few_statements_however_much_there_is(lab: Api) -> None:
+def test_the_number_of_statements_does_not_depend_on_the_amount_of_data(lab: Api) -> None:
     with lab.statements() as statements:
         lab.get("/home").ok()
     assert len([each for each in statements if each.lstrip().startswith(("SELECT", "WITH"))]) <= 12

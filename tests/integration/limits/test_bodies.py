@@ -1,4 +1,4 @@
-"""What one request may cost: bodies are bounded, for strangers tightly, and so is what is said of what is wrong."""
+"""Request bodies are bounded, more tightly without credentials, and so are error lists."""
 
 import json
 
@@ -17,7 +17,7 @@ def _post(api: Api, path: str, headers: dict[str, str]) -> urllib3.BaseHTTPRespo
 
 @pytest.mark.parametrize("more", [{}, {"Cookie": "kleinkram=nobody's"}, {"Authorization": "Bearer nobody's"}])
 @pytest.mark.parametrize("path", ["/auth/password", "/auth/device"])
-def test_who_signs_in_may_not_send_much(api: Api, path: str, more: dict[str, str]) -> None:
+def test_sign_in_bodies_are_limited(api: Api, path: str, more: dict[str, str]) -> None:
     refused = _post(api, path, more)
     assert refused.status == 413
     assert refused.json()["limit_bytes"] == 64 * 1024

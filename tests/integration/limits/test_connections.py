@@ -1,4 +1,4 @@
-"""What a stranger's connection may cost is bounded: in memory, in time, and in number."""
+"""Memory, time and number of unauthenticated connections are bounded."""
 
 import ipaddress
 import resource
@@ -64,7 +64,7 @@ def test_a_head_that_never_ends_is_not_waited_for(api: Api, begun: bytes, monkey
         pytest.param(_CHUNKED + b"2\r\n{}\r\n0;extension=", id="extension of the last chunk"),
     ],
 )
-def test_what_surrounds_a_body_is_cut_off_before_it_fills_memory(api: Api, begun: bytes) -> None:
+def test_oversized_chunk_framing_is_cut_off(api: Api, begun: bytes) -> None:
     before = psutil.Process().memory_info().rss
     with _connect(api) as connection:
         connection.sendall(begun)

@@ -1,4 +1,4 @@
-"""Asking too often is refused, with when to come back: each credential and each address by itself."""
+"""Rate limits per credential and per address, with Retry-After."""
 
 import datetime
 import uuid
@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from kleinkram.client import _retry
+from kleinkram.client import _http
 from kleinkram.client._http import Api as ClientApi
 from kleinkram.client.config import Endpoint, EndpointSource
 from kleinkram.contract.errors import NotFound, RateLimited
@@ -48,7 +48,7 @@ def _fresh(api: Api) -> Api:
         ("GET", "/audit/export?until=2000-01-01", None, "exports"),
     ],
 )
-def test_what_is_expensive_is_limited(strict: Api, method: str, path: str, body: object, what: str) -> None:
+def test_expensive_requests_are_limited(strict: Api, method: str, path: str, body: object, what: str) -> None:
     api = _fresh(strict)
     for _ in range(3):
         assert api.call(method, path, body).status in {200, 404}
@@ -59,7 +59,7 @@ def test_what_is_expensive_is_limited(strict: Api, method: str, path: str, body:
     assert f"at most 3 {what} in 60 s" in problem["detail"]
 
 
-def test_what_is_cheap_is_not_limited_and_others_go_on(strict: Api) -> None:
+def test_cheap_requests_and_other_clients_are_not_limited(strict: Api) -> None:
     api = _fresh(strict)
     for _ in range(3):
         api.get("/stats").ok()
@@ -159,7 +159,7 @@ def _limited(strict: Api) -> tuple[ClientApi, DownloadRequest]:
 
 
 def test_the_client_follows_retry_after(strict: Api, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_retry, "LONGEST_RETRY_AFTER_S", float("inf"))
+    monkeypatch.setattr(_http, "LONGEST_RETRY_AFTER_S", float("inf"))
     client, nothing = _limited(strict)
     waited: list[float] = []
 

@@ -1,4 +1,4 @@
-"""No secret is in a log line, in the record, in an error's answer or in what an object says of itself."""
+"""Log lines, audit log, error responses and representations of objects contain no secret."""
 
 import datetime
 import json
@@ -191,7 +191,7 @@ async def _owner(context: AppContext, token: str) -> str:
         return repr(await find_actor(db, token))
 
 
-def test_what_objects_say_of_themselves_holds_no_secret(api: Api) -> None:
+def test_representations_of_objects_contain_no_secret(api: Api) -> None:
     settings: Settings = api.app.state.settings
     hidden = [
         settings.s3_secret_key.get_secret_value(),

@@ -1,4 +1,4 @@
-"""Required metadata: judged on the server before anything else, everything wrong told at once."""
+"""Required metadata: validated by the server first, with all problems reported at once."""
 
 import math
 
@@ -25,7 +25,7 @@ def project_id(api: Api) -> str:
     return made
 
 
-def test_what_satisfies_is_stored_in_one_form(api: Api, project_id: str) -> None:
+def test_valid_metadata_are_stored_in_canonical_form(api: Api, project_id: str) -> None:
     text = (
         "robot: anymal\noperator: ada\ntemperature: -3.5 degC\nindoors: false\nday: 2024-05-31 14:00+02:00\n"
         "site: {latitude: 47.4, longitude: 8}\nreport: https://example.org/a?b=c\n"
@@ -43,7 +43,7 @@ def test_what_satisfies_is_stored_in_one_form(api: Api, project_id: str) -> None
     assert made["metadata_yaml"] == text
 
 
-def test_what_is_left_out_takes_its_default(api: Api, project_id: str) -> None:
+def test_omitted_fields_take_their_default(api: Api, project_id: str) -> None:
     made = api.mission(project_id, metadata_yaml="robot: spot\noperator: ada\nday:\nsite: Zürich\n")
     assert made["metadata"] == {"robot": "spot", "operator": "ada", "temperature": 12.5, "site": "Zürich"}
 
@@ -61,7 +61,7 @@ def test_without_metadata_all_that_is_required_is_named(api: Api, project_id: st
     assert api.all("/missions", {"project_id": project_id, "name": "never"}) == []
 
 
-def test_everything_wrong_is_told_at_once_with_its_place(api: Api, project_id: str) -> None:
+def test_all_problems_are_reported_at_once_with_their_place(api: Api, project_id: str) -> None:
     text = (
         "robt: anymal\n"
         "operator: Ada\n"
@@ -149,7 +149,7 @@ def test_yaml_that_cannot_be_read_names_line_and_column(api: Api, text: str, lin
     assert word in problem["reason"]
 
 
-def test_undeclared_fields_are_kept_where_the_project_accepts_them(api: Api) -> None:
+def test_undeclared_fields_are_stored_where_the_project_accepts_them(api: Api) -> None:
     text = "wheels: [4, {size: 1.5}]\nserial: '007'\nempty: null\nyes: no\n"
     made = api.mission(api.project()["id"], metadata_yaml=text)
     assert made["metadata"] == {"wheels": [4, {"size": 1.5}], "serial": "007", "empty": None, "yes": "no"}
@@ -196,7 +196,7 @@ def test_the_template_is_valid_once_the_required_fields_are_filled_in(api: Api) 
     assert made["metadata"] == {"robot": "spot", "operator": "ada", "temperature": 12.5}
 
 
-def test_the_template_suggests_what_the_last_mission_said_and_fills_nothing_in(api: Api) -> None:
+def test_the_template_suggests_values_of_the_last_mission_as_comments(api: Api) -> None:
     project = api.project(fields_yaml=FIELDS)
     api.mission(project["id"], metadata_yaml="robot: anymal\noperator: bob\n")
     text = 'robot: spot\noperator: ada\nday: 2024-05-31\nsite: {latitude: 1, longitude: 2, name: "a: b # c 🗻"}\n'
@@ -224,7 +224,7 @@ def test_the_template_leaves_out_what_no_longer_fits_and_suggests_what_was_not_d
     assert api.mission(project["id"], metadata_yaml=taken)["metadata"] == {"on: #1": ["a", {"b": "true"}]}
 
 
-def test_hints_are_few_and_cheap_however_much_is_wrong(api: Api) -> None:
+def test_the_number_and_cost_of_hints_are_bounded(api: Api) -> None:
     project_id = api.project(fields_yaml="undeclared: refuse\nfields:\n  - {name: robot, type: string}\n")["id"]
     body = {"name": "never", "metadata_yaml": "".join(f"robots{number}: x\n" for number in range(1000))}
     problem = api.post(f"/projects/{project_id}/missions", body).refused(422, "metadata_invalid")
@@ -245,7 +245,7 @@ def test_many_choices_are_named_in_part_and_one_has_its_length(api: Api) -> None
     assert [one["field"] for one in problem["problems"]] == ["robot.choices.0"]
 
 
-def test_a_form_sends_values_and_is_told_of_each_field(api: Api, project_id: str) -> None:
+def test_a_form_receives_the_problems_of_each_field(api: Api, project_id: str) -> None:
     path = f"/projects/{project_id}/missions"
     wrong = {"robot": "anymall", "operator": 7, "site": {"latitude": 91, "longitude": 8}, "day": None}
     problem = api.post(path, {"name": "never", "metadata": wrong}).refused(422, "metadata_invalid")
@@ -290,7 +290,7 @@ def test_values_that_nobody_keeps_are_refused(api: Api, project_id: str, values:
     assert word in problem["problems"][0]["message"]
 
 
-def test_metadata_is_said_in_one_way(api: Api, project_id: str) -> None:
+def test_metadata_are_accepted_in_one_way_only(api: Api, project_id: str) -> None:
     body = {"name": "never", "metadata": {"robot": "spot"}, "metadata_yaml": "robot: spot"}
     problem = api.post(f"/projects/{project_id}/missions", body).refused(422, "invalid_request")
     assert "not both" in problem["problems"][0]["message"]
@@ -308,7 +308,7 @@ def test_a_template_is_a_form_too(api: Api) -> None:
 
 
 @pytest.mark.parametrize("text", ["robot: spot\r\n# noted by hand\r\nsite: a\r\n", "\ufeffrobot: spot\n"])
-def test_metadata_are_kept_to_the_letter(api: Api, text: str) -> None:
+def test_metadata_are_stored_verbatim(api: Api, text: str) -> None:
     made = api.mission(api.project()["id"], metadata_yaml=text)
     assert made["metadata_yaml"] == text
     assert made["metadata"]["robot"] == "spot"

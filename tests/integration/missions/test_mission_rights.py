@@ -1,4 +1,4 @@
-"""What somebody who was let into one mission alone may do with it, and what they hear of its project."""
+"""Rights on a single mission: what they allow, and what they show of the project."""
 
 from kleinkram.contract.access import Right
 from tests.integration import people
@@ -7,7 +7,7 @@ from tests.integration.api_server import Api
 _FIELDS = "fields:\n- {name: robot, type: string, required: true}\n- {name: budget, type: number}\n"
 
 
-def test_who_may_write_a_mission_alone_edits_its_metadata_and_hears_what_it_lacks(api: Api) -> None:
+def test_writers_of_a_mission_edit_its_metadata_and_see_what_is_missing(api: Api) -> None:
     project, partner = api.project(fields_yaml=_FIELDS), people.person(api)
     mission_id = api.mission(project["id"], metadata_yaml="robot: anymal\n")["id"]
     people.grant(api, partner, Right.write, mission_id=mission_id)
@@ -21,7 +21,7 @@ def test_who_may_write_a_mission_alone_edits_its_metadata_and_hears_what_it_lack
     theirs.get(f"/projects/{project['id']}/template").refused(404, "not_found")
 
 
-def test_who_may_read_it_alone_hears_nothing(api: Api) -> None:
+def test_readers_of_a_mission_see_no_missing_metadata(api: Api) -> None:
     project, partner = api.project(fields_yaml=_FIELDS), people.person(api)
     mission_id = api.mission(project["id"], metadata_yaml="robot: anymal\n")["id"]
     people.grant(api, partner, Right.create, mission_id=mission_id)

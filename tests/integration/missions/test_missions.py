@@ -24,7 +24,7 @@ def test_makes_a_mission_and_reads_it_back(api: Api) -> None:
     assert api.get(f"/missions/{made['id']}").ok() == made
 
 
-def test_making_one_takes_few_queries_and_one_audit_row(api: Api) -> None:
+def test_creating_a_mission_takes_a_bounded_number_of_queries_and_one_audit_row(api: Api) -> None:
     project = api.project()
     with api.statements() as statements:
         made = api.mission(project["id"], metadata_yaml="robot: spot\n")
@@ -56,7 +56,7 @@ def test_a_mission_needs_a_project_that_is_there(api: Api) -> None:
     api.post(f"/projects/{project['id']}/missions", {"name": "late"}).refused(404, "not_found")
 
 
-def test_what_is_unknown_is_not_found(api: Api) -> None:
+def test_unknown_ids_are_not_found(api: Api) -> None:
     unknown = f"/missions/{uuid.uuid4()}"
     for answer in (api.get(unknown), api.patch(unknown, {"notes": "x"}), api.delete(unknown)):
         answer.refused(404, "not_found")
@@ -114,7 +114,7 @@ def test_does_not_move_onto_a_name_or_into_nothing(api: Api) -> None:
     assert len(api.events(made["id"])) == 1
 
 
-def test_what_was_added_up_holds_until_files_change_whoever_changes_them(api: Api) -> None:
+def test_stored_totals_are_valid_until_files_change(api: Api) -> None:
     mission = api.mission(api.project()["id"])
     seen = []
     for change in ("file_count = 9", "notes = 'rain'", "files_revision = files_revision + 1"):
@@ -190,7 +190,7 @@ def test_sorts_and_puts_missions_without_time_last(api: Api) -> None:
         assert "".join(mission["name"] for mission in listed) == names, sort
 
 
-def test_of_two_who_want_one_name_one_has_it(api: Api) -> None:
+def test_two_missions_created_at_the_same_time_cannot_share_a_name(api: Api) -> None:
     project = api.project()
     path = f"/projects/{project['id']}/missions"
     with ThreadPoolExecutor(4) as pool:

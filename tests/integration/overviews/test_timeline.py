@@ -1,4 +1,4 @@
-"""All files of a mission on one axis of time."""
+"""All files of a mission on one time axis."""
 
 import uuid
 
@@ -45,7 +45,7 @@ def test_pages_follow_each_other_and_leave_out_the_trash(api: Api, sample: Sampl
     api.get(path, {"limit": "10001"}).refused(422, "invalid_request")
 
 
-def test_it_takes_as_many_queries_for_many_files(api: Api, sample: Sample) -> None:
+def test_the_number_of_queries_does_not_depend_on_the_number_of_files(api: Api, sample: Sample) -> None:
     mission = api.mission(api.project()["id"])["id"]
     api.get(f"/missions/{mission}/timeline").ok()
     counts = []

@@ -1,4 +1,4 @@
-"""The topics of all recordings of a mission, together: derived by the worker, or added up for who is shown less."""
+"""The topics of all recordings of a mission: derived by the worker, or added up for people who see only a part."""
 
 import datetime
 import uuid
@@ -74,7 +74,7 @@ def test_topics_of_several_recordings_are_one(api: Api, sample: Sample, mission_
     assert topics["/odd", "c/msg/D"]["recordings"] == [[1, 1]]
 
 
-def test_what_the_worker_derives_is_the_same(api: Api, sample: Sample, mission_id: str) -> None:
+def test_the_worker_derives_the_same_topics(api: Api, sample: Sample, mission_id: str) -> None:
     stamps = [T0 + number * S for number in range(300)]
     for number in range(3):
         shifted = [stamp + number * 400 * S for stamp in stamps]
@@ -122,7 +122,7 @@ def test_fewer_bins_are_sums(api: Api, sample: Sample, mission_id: str) -> None:
     api.get(path, {"cursor": "x"}).ok()  # nothing is kept yet, so there is one page only
 
 
-def test_what_is_not_known_is_null_and_a_clock_never_set_widens_nothing(
+def test_unknown_values_are_null_and_unset_clocks_do_not_widen_the_span(
     api: Api, sample: Sample, mission_id: str
 ) -> None:
     stamps = [T0 + number * S for number in range(100)]

@@ -76,7 +76,7 @@ def test_refuses_what_it_does_not_know(api: Api) -> None:
     api.post("/projects", {"name": "x", "description": "a\x00b"}).refused(422, "invalid_request")
 
 
-def test_who_is_not_known_is_told_so(api: Api) -> None:
+def test_unknown_credentials_are_refused(api: Api) -> None:
     refused = api.call("GET", "/projects", headers={"Authorization": "Bearer wrong"}).refused(401, "not_authenticated")
     assert "token" in refused["detail"]
 
@@ -215,7 +215,7 @@ def test_globs_and_words_find_projects(api: Api) -> None:
     assert api.all("/projects", {"text": f"{tail} 100_"}) == []
 
 
-def test_counts_all_rows_when_asked(api: Api) -> None:
+def test_all_rows_are_counted_on_request(api: Api) -> None:
     tail = uuid.uuid4().hex
     for number in range(3):
         api.project(name=f"{number} {tail}")
@@ -254,7 +254,7 @@ def test_fields_are_edited_in_a_form(api: Api) -> None:
     assert {one["field"] for one in problems} == {"robot", "temperature"}
 
 
-def test_what_is_wrong_with_a_form_is_told_at_its_place(api: Api) -> None:
+def test_problems_of_a_form_name_their_field(api: Api) -> None:
     path = f"/projects/{api.project()['id']}"
     wrong = {"fields": [{"name": "a", "type": "string"}, {"name": "1b", "type": "choice", "unit": 5}]}
     problem = api.patch(path, {"metadata_fields": wrong}).refused(422, "invalid_request")

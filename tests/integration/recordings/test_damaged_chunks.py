@@ -1,4 +1,4 @@
-"""Chunks that are damaged, cut, hostile or too large: what can be read of them is read, and the loss is measured."""
+"""Damaged, truncated, hostile and oversized chunks: readable messages are read, and the loss is measured."""
 
 from __future__ import annotations
 
@@ -183,7 +183,7 @@ def bag_of_one_chunk(compression: BagCompression, *, payload_bytes: int, count: 
     return data, start, start + 8 + head_bytes + data_bytes
 
 
-def test_what_is_read_is_what_is_counted(tmp_path: Path) -> None:
+def test_as_many_messages_are_read_as_counted(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     content = packed(b"zstd", channel_record(0, b"/a") + messages(10))
     lie = packed(b"zstd", channel_record(1, b"/lie") + messages(20, 10, 1), crc=1)

@@ -1,4 +1,4 @@
-"""Rosbag2 databases: every schema, whole and damaged, friendly and hostile."""
+"""rosbag2 databases of every schema, intact, damaged and hostile."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def test_large_messages_are_not_read_for_a_summary(tmp_path: Path) -> None:
         (["ALTER TABLE topics RENAME COLUMN name TO title"], "no column name"),
     ],
 )
-def test_what_only_looks_like_a_recording(statements: list[str], named: str, tmp_path: Path) -> None:
+def test_files_that_resemble_recordings_are_refused(statements: list[str], named: str, tmp_path: Path) -> None:
     summary = scan_file(change(make_database(tmp_path / "a.db3", messages=steady(5)), *statements))
     assert summary.content is Content.broken
     assert named in (summary.reason or "")
@@ -180,7 +180,7 @@ def test_nothing_left(head: bytes, tmp_path: Path) -> None:
     assert summary.message_count in (None, 0)
 
 
-def test_what_a_database_says_of_its_origin(tmp_path: Path) -> None:
+def test_the_origin_of_a_database_is_reported(tmp_path: Path) -> None:
     """Where the messages are compressed each by itself, the database alone tells, and is read without metadata.yaml."""
     messages = [(1, T0 + number, zstandard.compress(bytes([number]) * 100)) for number in range(5)]
     path = make_database(tmp_path / "run_0.db3", schema="jazzy", messages=messages)

@@ -1,4 +1,4 @@
-"""Each of the real recordings comes out as independent readers found it: by summary and by scan, whole or broken."""
+"""Summary and scan of every real recording agree with independent readers."""
 
 from __future__ import annotations
 
@@ -170,14 +170,14 @@ def assert_as_expected(summary: RecordingSummary, entry: Entry) -> None:
 
 
 @pytest.mark.parametrize("entry", params(*DETAILED))
-def test_whole_by_summary(entry: Entry, recordings_dir: Path) -> None:
+def test_whole_recordings_by_summary(entry: Entry, recordings_dir: Path) -> None:
     summary = by_summary(recordings_dir / entry.name)
     assert_as_expected(summary, entry)
     assert [problem.code for problem in summary.problems] == UNUSUAL.get(entry.name, [])
 
 
 @pytest.mark.parametrize("entry", params(*DETAILED))
-def test_whole_by_scan(entry: Entry, recordings_dir: Path) -> None:
+def test_whole_recordings_by_scan(entry: Entry, recordings_dir: Path) -> None:
     """A scan says the same as the index, and what only it can know."""
     scanned = by_scan(recordings_dir / entry.name)
     assert_as_expected(scanned, entry)

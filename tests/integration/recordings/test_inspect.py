@@ -1,4 +1,4 @@
-"""`inspect_paths` and `combine`: recordings of several files as one."""
+"""`inspect_paths` and `combine`: several files as one recording."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_one_topic_that_comes_late_is_no_clock() -> None:
     assert "clock-jump" not in [problem.code for problem in combine(parts).problems]
 
 
-def test_what_is_recovered_always_says_what_is_lost() -> None:
+def test_recovered_recordings_always_report_what_is_lost() -> None:
     broken = RecordingSummary(RecordingFormat.mcap, Content.broken, "cut")
     assert combine([member(T0, T0 + 10), broken]).lost == Lost(0, 0, None)
     assert combine([broken, broken]).lost is None
@@ -183,7 +183,7 @@ def test_a_path_that_is_not_there(tmp_path: Path) -> None:
         inspect_paths([tmp_path, "/nowhere"])
 
 
-def test_a_deep_look_reads_every_byte_and_tells_how_far_it_is(tmp_path: Path) -> None:
+def test_a_scan_reads_every_byte_and_reports_progress(tmp_path: Path) -> None:
     class Watched:
         def __init__(self) -> None:
             self.named: list[object] = []
@@ -229,7 +229,7 @@ def test_one_unreadable_file_or_folder_hides_no_other(tmp_path: Path) -> None:
     assert "f2.mcap" in (actual["f2.mcap"].reason or "")
 
 
-def test_what_may_not_be_read_is_named_and_hides_no_other(tmp_path: Path) -> None:
+def test_unreadable_files_are_named_and_hide_no_others(tmp_path: Path) -> None:
     for name in ("f1.mcap", "f2.mcap", "locked/f4.mcap", "f3.mcap"):
         _write(tmp_path / "day" / name)
     (tmp_path / "day" / "f2.mcap").chmod(0)

@@ -33,7 +33,7 @@ def test_lists_the_recordings_of_a_mission_by_name(api: Api, sample: Sample) -> 
     assert counts == [3, 3, 3]
 
 
-def test_what_is_not_there_or_deleted_is_not_found(api: Api, sample: Sample) -> None:
+def test_missing_and_deleted_recordings_are_not_found(api: Api, sample: Sample) -> None:
     mission = api.mission(api.project()["id"])["id"]
     made = sample.recording(mission, "a", [sample.file(mission, "a.mcap")])
     api.delete(f"/missions/{mission}").ok()

@@ -1,4 +1,4 @@
-"""A rosbag2 folder as one recording: what is missing, what is surplus, and where metadata.yaml is wrong."""
+"""A rosbag2 folder as one recording: missing files, extra files, and wrong metadata.yaml."""
 
 from __future__ import annotations
 
@@ -88,11 +88,11 @@ def test_matching_metadata_causes_no_problem() -> None:
         ),
     ],
 )
-def test_what_disagrees_is_named(stated: Rosbag2Metadata, expected: list[tuple[str, str]]) -> None:
+def test_disagreements_with_the_metadata_are_named(stated: Rosbag2Metadata, expected: list[tuple[str, str]]) -> None:
     assert codes(compare_metadata(stated, MEMBERS, TOPICS)) == expected
 
 
-def test_what_is_not_known_is_not_compared() -> None:
+def test_unknown_values_are_not_compared() -> None:
     assert compare_metadata(Rosbag2Metadata(files=("a_0.db3", "a_1.db3")), MEMBERS, TOPICS) == []
     unknown = [MemberFacts("a_0.db3"), MemberFacts("a_1.db3")]
     assert compare_metadata(replace(STATED, message_count=31), unknown) == []

@@ -1,4 +1,4 @@
-"""A database whose recorder was killed: the log beside it holds messages that it does not."""
+"""Databases of killed recorders: messages in the SQLite log beside them are read."""
 
 from __future__ import annotations
 
@@ -122,9 +122,7 @@ def test_a_journal_that_spoils_the_copy_costs_no_messages(tmp_path: Path) -> Non
         assert [item.code for item in summary.problems] == ["journal-not-merged", "log-not-read"]
 
 
-def test_what_is_saved_of_a_database_while_it_is_read_leaves_no_temporary_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_recovering_a_database_leaves_no_temporary_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "tmp").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
     path = make_database(tmp_path / "a.db3", messages=[(1, time, bytes(3000)) for _, time, _ in steady(100)])

@@ -1,4 +1,4 @@
-"""Recordings that are compressed as a whole: whole, cut, damaged, and larger than they look."""
+"""Recordings compressed as a whole: intact, truncated, damaged, and larger than they claim."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_cut_anywhere(checksum: bool, database: bytes, temporary: Path) -> None:
 
 
 @pytest.mark.parametrize("with_size", [False, True])
-def test_what_follows_the_last_frame(with_size: bool, database: bytes) -> None:
+def test_bytes_after_the_last_frame_are_reported(with_size: bool, database: bytes) -> None:
     packed = zstandard.ZstdCompressor(write_content_size=with_size).compress(database)
     empty = zstandard.compress(b"")
     assert scan_bytes(packed + empty, "a.db3.zstd").content is Content.indexed
@@ -102,13 +102,13 @@ def test_damaged_data_say_where(database: bytes) -> None:
     ("inside", "named"),
     [(b"just words", "inside is unknown"), (b"a,b\n1,2\n3,4\n", "inside is csv"), (b"", "inside is empty")],
 )
-def test_what_is_no_recording_is_not_unpacked(inside: bytes, named: str) -> None:
+def test_files_that_are_no_recordings_are_not_decompressed(inside: bytes, named: str) -> None:
     summary = scan_bytes(zstandard.compress(inside), "notes.zst")
     assert (summary.format, summary.content) == (RecordingFormat.zstd, Content.opaque)
     assert named in (summary.reason or "")
 
 
-def test_the_name_inside_must_tell_the_truth(database: bytes) -> None:
+def test_the_name_inside_must_match_the_content(database: bytes) -> None:
     summary = scan_bytes(zstandard.compress(database), "a.mcap.zstd")
     assert [(p.code, p.where) for p in summary.problems] == [("extension-lies", "a.mcap")]
 
@@ -137,7 +137,7 @@ def test_no_copy_without_space(database: bytes, monkeypatch: pytest.MonkeyPatch,
     assert [*temporary.iterdir()] == []
 
 
-def test_what_a_killed_reader_left_is_removed_by_the_next(database: bytes, temporary: Path) -> None:
+def test_temporary_files_of_a_killed_reader_are_removed_by_the_next(database: bytes, temporary: Path) -> None:
     import fcntl
     import os
 

@@ -1,4 +1,4 @@
-"""What an engine is told of a run, and which images it is asked for: without an engine."""
+"""The container descriptions sent to an engine, and the images requested, without an engine."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from pathlib import Path
 import pytest
 
 from kleinkram.contract.actions import Network, Resources
-from kleinkram.runner.executors import docker_container
-from kleinkram.runner.executors.base import PortForward, RunJob
-from kleinkram.runner.executors.docker_client import ImageInfo
-from kleinkram.runner.executors.docker_container import describe, execution_error, with_barrier
-from kleinkram.runner.executors.docker_images import credentials_for, is_allowed, parse_image_name
+from kleinkram.runner.executors.base import RunJob
+from kleinkram.runner.executors.docker import container as docker_container
+from kleinkram.runner.executors.docker.client import ImageInfo
+from kleinkram.runner.executors.docker.container import describe, execution_error, with_barrier
+from kleinkram.runner.executors.docker.images import credentials_for, is_allowed, parse_image_name
+from kleinkram.runner.executors.port_forward import PortForward
 
 
 def job_of(folder: Path, network: Network = Network.none, **resources: int) -> RunJob:
@@ -45,7 +46,7 @@ def test_a_container_gets_no_more_than_its_job_needs(tmp_path: Path, network: Ne
     assert "docker.sock" not in json.dumps(host)
 
 
-def test_what_the_kernel_counts_is_no_more_than_the_runner_has_itself(tmp_path: Path) -> None:
+def test_measured_usage_does_not_exceed_that_of_the_runner(tmp_path: Path) -> None:
     limits = host_of(job_of(tmp_path, disk_bytes=10**9))["Ulimits"]
     assert isinstance(limits, list)
     hard = {entry["Name"]: entry["Hard"] for entry in limits}
@@ -69,7 +70,7 @@ def test_what_the_kernel_counts_is_no_more_than_the_runner_has_itself(tmp_path: 
         ("", None),
     ],
 )
-def test_what_first_processes_say_of_a_command_that_is_not_there(output: str, error: str | None) -> None:
+def test_a_missing_command_is_reported_for_every_init_process(output: str, error: str | None) -> None:
     result = execution_error(output, ["/usr/bin/odd", "-v"], 127)
     assert result is None if error is None else str(result).startswith(error)
 

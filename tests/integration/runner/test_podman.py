@@ -1,11 +1,11 @@
-"""Where Podman differs from Docker, as the page on security of runs says."""
+"""Differences between Podman and Docker, as the page on the security of runs describes them."""
 
 from __future__ import annotations
 
 import pytest
 
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner.executors.docker import DockerExecutor
+from kleinkram.runner.executors.docker.executor import DockerExecutor
 from tests.integration.runner.conftest import Bench, log_of
 from tests.integration.runner.test_docker import COUNTS
 
@@ -13,14 +13,14 @@ pytestmark = [pytest.mark.soak, pytest.mark.parametrize("bench", ["podman"], ind
 
 
 @pytest.mark.parametrize("folder", ["/run", "/var/tmp"])
-def test_what_is_written_to_its_memory_counts_as_the_runs(bench: Bench, folder: str) -> None:
+def test_tmpfs_counts_towards_the_memory_of_a_run(bench: Bench, folder: str) -> None:
     text = f"open('{folder}/one', 'w').close(); print('made', flush=True)\n"
     text += f"with open('{folder}/large', 'wb') as large:\n    while True: large.write(bytes(1_000_000))"
     job, ending = bench.run(text, memory_bytes=100_000_000)
     assert (ending.reason, log_of(job)) == (EndReason.memory, "made\n")
 
 
-def test_it_gives_no_gpus(bench: Bench) -> None:
+def test_podman_offers_no_gpus(bench: Bench) -> None:
     assert not bench.executor.abilities.gpus
 
 
@@ -33,7 +33,7 @@ def test_ended_by_hand(bench: Bench, words: list[str], reason: EndReason) -> Non
     assert bench.end_of(job).reason is reason
 
 
-def test_it_may_remember_nothing(bench: Bench) -> None:
+def test_podman_may_forget_its_containers(bench: Bench) -> None:
     """Whether somebody ended a container is not known then; how it ended is."""
     assert bench.engine is not None
     settings = bench.engine.folder / "containers.conf"

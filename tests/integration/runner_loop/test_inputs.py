@@ -1,4 +1,4 @@
-"""Inputs come once, verified, and what a run uses stays."""
+"""Inputs are downloaded once and verified; inputs in use stay in the cache."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_a_damaged_input_is_downloaded_once_more_and_never_used(server: FakeServ
 
 
 @pytest.mark.slow
-def test_what_came_is_fetched_anew_once_it_was_changed(server: FakeServer, runners: Runners) -> None:
+def test_changed_inputs_are_downloaded_again(server: FakeServer, runners: Runners) -> None:
     runners.start()
     ended(server.launch(READ, {"drive.bag": b"bytes of a drive"}))
     (stored,) = runners.folder.glob("cache/*.file")

@@ -1,4 +1,4 @@
-"""What a run may do by its own token: on its mission, while it lasts, and no more than its action and its starter."""
+"""The token of a run: valid for its mission, while it runs, with the rights of its action and its starter."""
 
 from typing import Any
 
@@ -22,7 +22,7 @@ def test_a_run_without_network_has_no_token(lab: Api, runner: Played, place: Pla
     assert runner.claim()["token"] is None
 
 
-def test_it_sees_its_mission_and_no_other(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_token_sees_its_mission_only(lab: Api, runner: Played, place: Place) -> None:
     other = lab.mission(place.project["id"])
     _, run = _begun(lab, runner, place)
     assert [entry["id"] for entry in run.all("/missions")] == [place.mission["id"]]
@@ -32,7 +32,7 @@ def test_it_sees_its_mission_and_no_other(lab: Api, runner: Played, place: Place
     assert len(run.all("/files")) == 2
 
 
-def test_it_sees_no_other_run(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_token_sees_its_run_only(lab: Api, runner: Played, place: Place) -> None:
     earlier = launch(lab, runner, place.mission)
     runner.finish(runner.claim()).ok()
     claim, run = _begun(lab, runner, place)
@@ -40,7 +40,7 @@ def test_it_sees_no_other_run(lab: Api, runner: Played, place: Place) -> None:
     run.get(f"/runs/{earlier['id']}").refused(404, "not_found")
 
 
-def test_it_may_do_what_its_action_asks_for_and_no_more(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_token_has_the_permissions_of_its_action_only(lab: Api, runner: Played, place: Place) -> None:
     """Whoever started it is the server's owner, who may do everything."""
     _, reading = _begun(lab, runner, place)
     file_id = place.files["drive.bin"]["id"]
@@ -57,7 +57,7 @@ def test_it_may_do_what_its_action_asks_for_and_no_more(lab: Api, runner: Played
     deleting.delete(f"/files/{file_id}").ok()
 
 
-def test_it_is_never_an_admin_nor_anybodys_account(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_token_is_neither_an_admin_nor_a_person(lab: Api, runner: Played, place: Place) -> None:
     _, run = _begun(lab, runner, place, right="DELETE")
     for path in ("/admin/settings", "/runners", "/tokens", "/me/sessions"):
         assert run.get(path).status == 403
@@ -74,13 +74,13 @@ def test_the_token_of_a_run_identifies_it(lab: Api, runner: Played, place: Place
     assert (me["emails"], me["groups"], me["is_admin"]) == ([], [], False)
 
 
-def test_it_ends_with_the_run(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_token_ends_with_the_run(lab: Api, runner: Played, place: Place) -> None:
     claim, run = _begun(lab, runner, place)
     runner.finish(claim).ok()
     run.get("/me").refused(401, "not_authenticated")
 
 
-def test_it_outlives_a_request_that_its_runner_gave_up(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_token_survives_an_abandoned_request_of_its_runner(lab: Api, runner: Played, place: Place) -> None:
     """A request whose line was cut waits on, and gets the run once more: it does not know that the next one got it."""
     claim, run = _begun(lab, runner, place)
     runner.active_ids.clear()
@@ -93,7 +93,7 @@ def test_it_outlives_a_request_that_its_runner_gave_up(lab: Api, runner: Played,
         entry.get("/me").refused(401, "not_authenticated")
 
 
-def test_it_ends_when_the_run_goes_to_another_runner(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_token_ends_when_the_run_moves_to_another_runner(lab: Api, runner: Played, place: Place) -> None:
     claim, run = _begun(lab, runner, place)
     lab.sql("UPDATE run SET lease_ends_at = now() - interval '1 s' WHERE id = %s", claim["run_id"])
     runner.claim()

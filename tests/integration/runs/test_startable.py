@@ -1,4 +1,4 @@
-"""Runs that no runner can ever start are refused, and shown where they wait already; failed runs need somebody."""
+"""Runs that no runner can start are refused or shown; failed runs are listed as needing attention."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_a_runner_that_is_switched_off_for_now_is_waited_for(single: Api, own_ru
         ({"script": None, "image": "lab/slam", "command": ["slam"]}, "the action is an image"),
     ],
 )
-def test_what_no_runner_has_is_refused(
+def test_requirements_that_no_runner_meets_are_refused(
     single: Api, own_runner: Played, mission: Any, expected: dict[str, Any], why: str
 ) -> None:
     action = {key: value for key, value in (definition(own_runner) | expected).items() if value is not None}

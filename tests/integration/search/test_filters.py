@@ -1,4 +1,4 @@
-"""What the filters of the lists find."""
+"""The filters of the lists."""
 
 import base64
 import datetime
@@ -143,7 +143,7 @@ def test_missions_are_counted_within_their_project(api: Api, by: str) -> None:
             assert who.get("/missions", wanted).ok()["total"] == count
 
 
-def test_a_project_may_be_given_by_name_or_glob(api: Api, project: Any) -> None:
+def test_a_project_is_selected_by_name_or_pattern(api: Api, project: Any) -> None:
     assert len(api.all("/files", {"project": project["name"].upper()})) == 3
     assert len(api.all("/files", {"project": project["name"][:20] + "*"})) == 3
     assert api.all("/missions", {"project": project["name"] + "x"}) == []
@@ -167,7 +167,7 @@ def test_files_sort_page_by_page(api: Api, project: Any, sort: str, found: list[
     assert [item["path"] for item in listed] == found
 
 
-def test_files_are_counted_when_asked(api: Api, project: Any) -> None:
+def test_files_are_counted_on_request(api: Api, project: Any) -> None:
     query = {"project_id": project["id"], "count": "true", "limit": "2", "label": "night"}
     assert api.get("/files", query).ok()["total"] == 2
 
@@ -233,7 +233,7 @@ def test_a_list_of_files_takes_the_same_number_of_queries_however_long(api: Api,
     assert counts == [2, 2, 2]
 
 
-def test_someone_who_sees_few_missions_finds_what_an_admin_finds_in_them(
+def test_a_person_with_several_missions_finds_what_an_admin_finds_in_them(
     api: Api, sample: Sample, project: Any
 ) -> None:
     """The statements on files name those missions; those of someone who sees many do not."""
@@ -263,7 +263,7 @@ def test_someone_who_sees_few_missions_finds_what_an_admin_finds_in_them(
 
 
 @pytest.mark.parametrize("sort", ["start", "-start", "-created", "size"])
-def test_a_list_continues_when_someone_begins_to_see_many_or_few_missions(
+def test_a_list_continues_when_the_number_of_visible_missions_changes(
     api: Api, sample: Sample, monkeypatch: pytest.MonkeyPatch, sort: str
 ) -> None:
     mission = api.mission(api.project()["id"])["id"]
@@ -283,9 +283,7 @@ def test_a_list_continues_when_someone_begins_to_see_many_or_few_missions(
     assert sorted(found) == sorted(ids)
 
 
-def test_someone_finds_the_same_files_whether_or_not_their_missions_count_as_few(
-    api: Api, sample: Sample, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_both_execution_plans_find_the_same_files(api: Api, sample: Sample, monkeypatch: pytest.MonkeyPatch) -> None:
     missions = [api.mission(api.project()["id"])["id"] for _ in range(3)]
     ids = [sample.file(mission, "a.mcap") for mission in missions]
     reader = people.person(api)
@@ -296,7 +294,7 @@ def test_someone_finds_the_same_files_whether_or_not_their_missions_count_as_few
         assert sorted(_ids(api.as_(reader.token).all("/files", {"sort": "created"}))) == sorted(ids)
 
 
-def test_granting_and_revoking_shows_at_once_to_someone_who_sees_few_missions(api: Api, sample: Sample) -> None:
+def test_granting_and_revoking_takes_effect_at_once_with_several_visible_missions(api: Api, sample: Sample) -> None:
     first, second = (api.mission(api.project()["id"])["id"] for _ in range(2))
     ids = [sample.file(mission, "a.mcap") for mission in (first, second)]
     reader = people.person(api)

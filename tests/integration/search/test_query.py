@@ -1,4 +1,4 @@
-"""One text that finds missions, files and topics, and how what it finds divides."""
+"""Full-text queries for missions, files and topics, and the facets of their results."""
 
 import json
 import uuid
@@ -160,7 +160,7 @@ def test_the_text_comes_back_in_its_own_spelling_and_with_what_it_means(lab: Api
     assert _found(lab, found["query"])["files"] == found["files"]
 
 
-def test_a_query_and_filters_beside_it_hold_together(lab: Api) -> None:
+def test_a_query_and_filters_are_combined(lab: Api) -> None:
     assert [each["path"] for each in lab.all("/files", {"query": "label:night", "content": "opaque"})] == [LOG]
     assert lab.get("/stats", {"query": "label:night", "text": "rained"}).ok()["total"]["files"] == 2
     assert {each["name"] for each in lab.all("/topics", {"query": "alps", "topic": "/i*"})} == {"/imu"}
@@ -169,7 +169,7 @@ def test_a_query_and_filters_beside_it_hold_together(lab: Api) -> None:
 
 
 @pytest.mark.parametrize("path", ["/search", "/search/facets", "/files", "/missions", "/topics", "/stats"])
-def test_what_is_wrong_with_a_query_is_said_with_its_column(lab: Api, path: str) -> None:
+def test_errors_of_a_query_name_the_column(lab: Api, path: str) -> None:
     problem = lab.get(path, {"query": "alps topc:/imu"}).refused(422, "invalid_query")
     assert (problem["expression"], problem["column"]) == ("topc:/imu", 6)
     assert "did you mean 'topic'?" in problem["detail"]
@@ -232,7 +232,7 @@ def test_a_facet_of_which_something_is_chosen_still_shows_the_others(lab: Api) -
     assert (found["file_count"], found["is_whole"]) == (0, True)
 
 
-def test_what_one_may_not_see_is_in_no_number(lab: Api) -> None:
+def test_hidden_files_are_in_no_count(lab: Api) -> None:
     member = people.person(lab)
     theirs = lab.as_(member.token)
     assert _facets(theirs, "") == {}

@@ -1,4 +1,4 @@
-"""Searches among very many files: totals estimated from a sample, exact lists, and as many statements for any page."""
+"""Searches among very many files: estimated totals, exact lists, a fixed number of statements."""
 
 import uuid
 from types import ModuleType
@@ -6,6 +6,7 @@ from urllib.parse import urlencode
 
 import pytest
 
+from kleinkram.server.filters import prepared
 from kleinkram.server.filters import text as text_filters
 from kleinkram.server.missions import service as missions_service
 from kleinkram.server.search import planner
@@ -41,14 +42,20 @@ def _full(start_api: StartApi) -> Api:
     return api
 
 
+def _set_limit(monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str, value: int) -> None:
+    """Change a limit of the search; statements that were built with the old one are not used."""
+    monkeypatch.setattr(module, name, value)
+    monkeypatch.setattr(prepared, "_built", {})
+
+
 @pytest.fixture(name="sampled")
 def _sampled(monkeypatch: pytest.MonkeyPatch) -> int:
     """A sample so small that the files count as very many."""
-    monkeypatch.setattr(planner, "SAMPLED_FILES", 60)
+    _set_limit(monkeypatch, planner, "SAMPLED_FILES", 60)
     return planner.SAMPLED_FILES
 
 
-def test_few_files_are_all_counted(full: Api) -> None:
+def test_a_small_number_of_files_is_counted_exactly(full: Api) -> None:
     found = full.get("/search", {"query": "drive"}).ok()
     assert (found["is_whole"], found["files"]["total"], found["missions"]["total"]) == (True, _FILES - _RARE, 1)
     assert found["topics"]["items"][0]["file_count"] == _FILES - _RARE
@@ -121,7 +128,7 @@ def test_very_many_files_in_one_mission_find_that_mission(start_api: StartApi, m
     for number in range(_FILES):
         sample.file(full, f"sheet_{number}.mcap", start_ns=number + 1, end_ns=number + 2)
     sampled_first = str(api.sql("SELECT id FROM mission ORDER BY id LIMIT 1")[0][0])
-    monkeypatch.setattr(missions_service, "SAMPLED_MISSIONS", 1)
+    _set_limit(monkeypatch, missions_service, "SAMPLED_MISSIONS", 1)
     found = api.get("/search", {"query": "sheet"}).ok()
     assert not found["is_whole"]
     assert [each["id"] for each in found["missions"]["items"]] == [full]
@@ -146,7 +153,7 @@ def _holding(api: Api, word: str) -> set[str]:
 
 @pytest.mark.parametrize("query", ["imu", "topic:/imu", "type:Imu", "imu drive"])
 @pytest.mark.usefixtures("sampled")
-def test_topics_kept_of_a_mission_exclude_it_only_where_they_are_current_and_whole(
+def test_stored_topics_exclude_a_mission_only_where_current_and_complete(
     full: Api, monkeypatch: pytest.MonkeyPatch, query: str
 ) -> None:
     """Among very many files, which are read mission by mission."""
@@ -170,7 +177,7 @@ def test_topics_kept_of_a_mission_exclude_it_only_where_they_are_current_and_who
         full.sql("UPDATE mission_topic SET name = '/gps', message_type = 'Fix' WHERE mission_id = %s", mission_id)
         assert not is_found()
         with monkeypatch.context() as patch:
-            patch.setattr(text_filters, "MOST_KEPT_TOPICS", 1)
+            _set_limit(patch, text_filters, "MOST_KEPT_TOPICS", 1)
             assert is_found()
         full.sql("UPDATE mission SET files_revision = 1 WHERE id = %s", mission_id)
         assert is_found()
@@ -229,7 +236,7 @@ def test_a_search_finds_the_same_whichever_plan_it_follows(
     spread: tuple[Api, str], monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str, value: int
 ) -> None:
     api, word = spread
-    monkeypatch.setattr(module, name, value)
+    _set_limit(monkeypatch, module, name, value)
     queries = ((word, 21, 13), (f"{word} imu", 9, 9), (f"{word} {word}_1", 1, 1), (f"-{word}", 3, 3))
     for query, files, missions in queries:
         found = api.get("/search", {"query": query, "limit": "50"}).ok()
@@ -243,9 +250,9 @@ def test_a_common_word_lists_what_a_rare_one_does(spread: tuple[Api, str], monke
     api, word = spread
     rare = api.get("/search", {"query": word, "limit": "50"}).ok()
     size = api.sql("SELECT count(*) FROM file")[0][0]
-    monkeypatch.setattr(planner, "SAMPLED_FILES", size)
-    monkeypatch.setattr(planner, "_COMMON_TOGETHER", 0)
-    monkeypatch.setattr(planner, "COMMON", 1)
+    _set_limit(monkeypatch, planner, "SAMPLED_FILES", size)
+    _set_limit(monkeypatch, planner, "_COMMON_TOGETHER", 0)
+    _set_limit(monkeypatch, planner, "COMMON", 1)
     common = api.get("/search", {"query": word, "limit": "50"}).ok()
     assert (rare["is_whole"], common["is_whole"]) == (True, False)
     for kind in ("files", "missions"):

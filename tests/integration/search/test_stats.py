@@ -1,4 +1,4 @@
-"""Statistics: what counts where, and how often."""
+"""Statistics: what is counted where, and how often."""
 
 import uuid
 from typing import Any
@@ -121,7 +121,7 @@ def test_more_groups_than_can_be_answered_are_refused(api: Api, project: Any, mo
     assert api.get("/stats", {**query, "topic": "/imu"}).ok()["total"]["files"] == 3
 
 
-def test_of_nothing_there_is_nothing(api: Api) -> None:
+def test_statistics_of_an_empty_server_are_empty(api: Api) -> None:
     stats = api.get("/stats", {"project_id": str(uuid.uuid4())}).ok()
     assert (stats["rows"], stats["total"]) == ([], _row(None, 0, 0, 0, 0, 0, 0))
 
@@ -131,7 +131,7 @@ def test_an_unknown_grouping_is_refused(api: Api, by: str) -> None:
     assert api.get("/stats", {"by": by}).refused(422, "invalid_query")["expression"] == by
 
 
-def test_times_at_the_end_of_what_can_be_told_break_nothing(api: Api, sample: Sample) -> None:
+def test_times_at_the_limits_of_the_range_are_accepted(api: Api, sample: Sample) -> None:
     mission = api.mission(api.project()["id"])["id"]
     sample.file(mission, "a.mcap", start_ns=-(2**63), end_ns=2**63 - 1)
     stats = api.get("/stats", {"mission_id": mission, "by": "month"}).ok()

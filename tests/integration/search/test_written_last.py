@@ -1,4 +1,4 @@
-"""Words are looked up as quickly right after very many files came as before."""
+"""Words are looked up as fast after a large import as before."""
 
 import json
 from typing import Any
@@ -15,7 +15,7 @@ INSERT INTO file (id, mission_id, blob_id, path, path_key, origin, uploaded_by_i
 _LOOK = "EXPLAIN (ANALYZE, BUFFERS, FORMAT JSON) SELECT id FROM file WHERE start_ns IS NULL AND path_key LIKE %s"
 
 
-def test_what_was_written_last_is_not_read_for_each_word(start_api: StartApi) -> None:
+def test_recent_rows_are_not_read_for_each_word(start_api: StartApi) -> None:
     api = start_api()
     Sample(api).file(api.mission(api.project(name="last")["id"], name="forest")["id"], "one.mcap")
     api.sql(_COPY, _FILES)

@@ -1,4 +1,4 @@
-"""Settings from the environment: nothing misspelt is ignored, and secrets may come from files."""
+"""Settings from the environment: misspelt names are errors, and secrets may come from files."""
 
 import re
 import subprocess
@@ -41,7 +41,7 @@ def test_a_misspelt_setting_is_named_with_the_one_that_was_meant(
     assert f"KLEINKRAM_{wrong} is not a setting: did you mean KLEINKRAM_{right}?" in _refusal()
 
 
-def test_what_other_programs_read_and_orchestrators_set_is_no_mistake(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_variables_of_other_programs_and_orchestrators_are_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in {
         "TOKEN": "klein_x",
         "DATA_DIR": "/data",
@@ -65,7 +65,7 @@ def test_every_variable_that_any_of_our_programs_reads_is_known() -> None:
     assert named - set(known_variables()) == set()
 
 
-def test_all_that_is_wrong_is_said_at_once_by_the_names_that_one_sets(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_invalid_settings_are_reported_at_once_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("KLEINKRAM_DATABASE_URL")
     monkeypatch.setenv("KLEINKRAM_TRASH_DAYS", "-1")
     monkeypatch.setenv("KLEINKRAM_TRASHDAYS", "1")

@@ -1,4 +1,4 @@
-"""Log lines: what strangers choose of them is read, and never obeyed."""
+"""Log lines with untrusted text are escaped."""
 
 import json
 import logging
@@ -17,7 +17,7 @@ def test_a_terminal_that_shows_a_line_obeys_nothing_in_it() -> None:
     assert json.loads(line)["path"] == path
 
 
-def test_what_ends_a_process_is_a_log_line_too() -> None:
+def test_the_error_that_ends_a_process_is_logged() -> None:
     program = (
         "from kleinkram.server.logs import set_up_logs; import threading\n"
         "set_up_logs('json')\n"

@@ -1,4 +1,4 @@
-"""The trash through HTTP: what lies there, and how it comes back."""
+"""The trash through HTTP: its list, and restoring."""
 
 import datetime
 import uuid
@@ -33,15 +33,15 @@ def _tree(api: Api, sample: Sample) -> dict[str, Any]:
     }
 
 
-def test_what_is_deleted_lies_there_with_place_size_and_an_end(api: Api, tree: dict[str, Any]) -> None:
+def test_deleted_objects_are_in_the_trash_with_place_size_and_expiry(api: Api, tree: dict[str, Any]) -> None:
     project, mission = tree["project"], tree["mission"]
     place = f"{project['name']}/{mission['name']}"
     api.delete(f"/files/{tree['file']}").ok()
     row = _lying(api, tree["file"])
     assert (row["noun"], row["name"], row["place"]) == ("file", "a.mcap", place)
     assert (row["size_bytes"], row["file_count"], row["deleted_by"]["name"]) == (5, 1, "owner")
-    deleted_at, swept_after = (datetime.datetime.fromisoformat(row[name]) for name in ("deleted_at", "swept_after"))
-    assert swept_after - deleted_at == datetime.timedelta(days=30)
+    deleted_at, purged_after = (datetime.datetime.fromisoformat(row[name]) for name in ("deleted_at", "purged_after"))
+    assert purged_after - deleted_at == datetime.timedelta(days=30)
     api.delete(f"/missions/{mission['id']}").ok()
     row = _lying(api, mission["id"])
     assert (row["noun"], row["name"], row["place"]) == ("mission", mission["name"], project["name"])
@@ -52,7 +52,7 @@ def test_what_is_deleted_lies_there_with_place_size_and_an_end(api: Api, tree: d
     assert (row["size_bytes"], row["file_count"]) == (0, 0)
 
 
-def test_what_went_with_its_holder_is_not_listed_and_comes_back_with_it(api: Api, tree: dict[str, Any]) -> None:
+def test_objects_deleted_with_their_parent_are_not_listed_and_restored_with_it(api: Api, tree: dict[str, Any]) -> None:
     project, mission = tree["project"], tree["mission"]
     before = api.get(f"/projects/{project['id']}").ok()
     api.delete(f"/projects/{project['id']}").ok()
@@ -64,7 +64,7 @@ def test_what_went_with_its_holder_is_not_listed_and_comes_back_with_it(api: Api
 
 
 @pytest.mark.parametrize("noun", ["project", "mission", "file"])
-def test_what_is_restored_is_back_and_noted_once(api: Api, tree: dict[str, Any], noun: str) -> None:
+def test_a_restore_is_complete_and_recorded_once(api: Api, tree: dict[str, Any], noun: str) -> None:
     noun_id = tree[noun] if noun == "file" else tree[noun]["id"]
     api.delete(f"/{noun}s/{noun_id}").ok()
     _restore(api, noun, noun_id).ok(204)
@@ -76,7 +76,7 @@ def test_what_is_restored_is_back_and_noted_once(api: Api, tree: dict[str, Any],
     assert len(api.events(noun_id)) == len(operations)
 
 
-def test_a_name_taken_meanwhile_is_not_given_twice(api: Api, sample: Sample, tree: dict[str, Any]) -> None:
+def test_restoring_under_a_taken_name_is_refused(api: Api, sample: Sample, tree: dict[str, Any]) -> None:
     project, mission = tree["project"], tree["mission"]
     api.delete(f"/files/{tree['file']}").ok()
     sample.file(mission["id"], "A.mcap")
@@ -110,7 +110,7 @@ def test_nothing_comes_back_into_what_is_in_the_trash(api: Api, tree: dict[str, 
     assert api.get(f"/missions/{mission['id']}").ok()["file_count"] == 2
 
 
-def test_what_was_never_deleted_or_never_was_is_not_in_the_trash(api: Api, tree: dict[str, Any]) -> None:
+def test_existing_and_unknown_objects_are_not_in_the_trash(api: Api, tree: dict[str, Any]) -> None:
     _restore(api, "mission", tree["mission"]["id"]).refused(404, "not_found")
     _restore(api, "file", str(uuid.uuid4())).refused(404, "not_found")
     _restore(api, "topic", str(uuid.uuid4())).refused(422, "invalid_request")
@@ -128,7 +128,7 @@ def test_the_trash_is_listed_latest_first_by_noun_and_in_pages(start_api: StartA
     assert [row["id"] for row in rows] == [missions[1], file_id, missions[0]]
     assert [row["id"] for row in api.all("/trash", {"noun": "mission"})] == [missions[1], missions[0]]
     first = rows[0]
-    kept = datetime.datetime.fromisoformat(first["swept_after"]) - datetime.datetime.fromisoformat(first["deleted_at"])
+    kept = datetime.datetime.fromisoformat(first["purged_after"]) - datetime.datetime.fromisoformat(first["deleted_at"])
     assert kept.days == 3
     api.get("/trash", {"noun": "topic"}).refused(422, "invalid_request")
     with api.statements() as statements:

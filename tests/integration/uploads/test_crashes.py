@@ -1,4 +1,4 @@
-"""What a crash leaves at each step of an upload, and how it ends well all the same."""
+"""A crash at each step of an upload, and its recovery."""
 
 import os
 import threading
@@ -71,7 +71,9 @@ def test_a_marked_upload_whose_parts_never_came_opens_again(api: Api, mission_id
 
 
 @pytest.mark.parametrize("size_bytes", [100, _PART + 100])
-def test_who_comes_back_after_the_mark_need_not_wait_for_the_job(api: Api, mission_id: str, size_bytes: int) -> None:
+def test_uploading_again_after_the_mark_need_not_wait_for_garbage_collection(
+    api: Api, mission_id: str, size_bytes: int
+) -> None:
     body = os.urandom(size_bytes)
     upload = begin(api, mission_id, {"run.bin": body})[0]["upload"]
     send(api, upload, body)
@@ -100,7 +102,7 @@ def test_a_token_that_may_not_fill_the_mission_ends_nothing_there(api: Api, miss
     assert complete(theirs, upload, body)["outcome"] == "completed"
 
 
-def test_who_comes_back_after_the_mark_of_half_an_upload_goes_on(api: Api, mission_id: str) -> None:
+def test_a_partial_upload_continues_after_it_was_marked(api: Api, mission_id: str) -> None:
     body = os.urandom(_PART + 100)
     upload = begin(api, mission_id, {"run.bin": body})[0]["upload"]
     send(api, upload, body, only=[1])
@@ -140,7 +142,7 @@ def test_a_multipart_upload_that_nobody_wrote_down_is_found_and_dropped(api: Api
     assert on_site(api, lambda context: context.storage.list_multiparts(key)) == []
 
 
-def test_of_two_clients_that_race_for_a_name_one_wins_and_one_is_told(api: Api, mission_id: str) -> None:
+def test_one_of_two_clients_that_race_for_a_name_gets_a_conflict(api: Api, mission_id: str) -> None:
     bodies = [os.urandom(1000) for _ in range(8)]
     barrier = threading.Barrier(len(bodies))
     outcomes: list[str] = []

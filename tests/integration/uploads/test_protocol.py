@@ -1,4 +1,4 @@
-"""The upload protocol through HTTP, on a real store: what goes well, what is refused, and what is never sent twice."""
+"""The upload protocol through HTTP on a real store: success, refusals, and no byte sent twice."""
 
 import os
 import uuid
@@ -159,7 +159,7 @@ def test_a_wrong_whole_checksum_makes_no_file(api: Api, mission_id: str) -> None
     assert begin(api, mission_id, {"run.bin": body})[0]["decision"] == "send", "the name is free again"
 
 
-def test_what_is_missing_is_named_and_the_upload_goes_on(api: Api, mission_id: str) -> None:
+def test_missing_parts_are_named_and_the_upload_continues(api: Api, mission_id: str) -> None:
     body = os.urandom(2 * _PART + 10)
     started = begin(api, mission_id, {"run.bin": body})[0]["upload"]
     send(api, started, body, only=[1, 3])
@@ -189,7 +189,7 @@ def test_a_client_resumes_by_its_upload_and_learns_what_the_store_holds(api: Api
     assert api.get(f"/uploads/{started['id']}").ok()["parts"] == resumed["parts"]
 
 
-def test_who_says_the_same_twice_gets_what_the_first_began(api: Api, mission_id: str, one: bytes) -> None:
+def test_a_repeated_begin_returns_the_same_upload(api: Api, mission_id: str, one: bytes) -> None:
     wished = str(uuid.uuid4())
     said = [begin(api, mission_id, {"run.bin": one}, upload_id=wished)[0] for _ in range(2)]
     assert [each["upload"]["id"] for each in said] == [wished, wished], "the first answer may have been lost"
@@ -198,7 +198,7 @@ def test_who_says_the_same_twice_gets_what_the_first_began(api: Api, mission_id:
     assert begin(api, mission_id, {"run.bin": one})[0]["problem"]["code"] == "name_leased"
 
 
-def test_what_the_store_opened_and_nobody_wrote_down_is_taken_up(api: Api, mission_id: str) -> None:
+def test_a_multipart_upload_unknown_to_the_database_is_resumed(api: Api, mission_id: str) -> None:
     body, wished = os.urandom(2 * _PART), str(uuid.uuid4())
     begin(api, mission_id, {"run.bin": body}, hashed=False, upload_id=wished)
     (opened,) = api.sql("SELECT multipart_id FROM upload WHERE id = %s", wished)
@@ -207,7 +207,7 @@ def test_what_the_store_opened_and_nobody_wrote_down_is_taken_up(api: Api, missi
     assert api.sql("SELECT multipart_id FROM upload WHERE id = %s", wished) == [opened]
 
 
-def test_another_client_is_told_who_holds_the_name_and_until_when(api: Api, mission_id: str, one: bytes) -> None:
+def test_a_reserved_name_is_reported_with_its_owner_and_expiry(api: Api, mission_id: str, one: bytes) -> None:
     started = begin(api, mission_id, {"run.bin": one})[0]["upload"]
     decision = begin(api, mission_id, {"run.bin": one})[0]
     assert decision["problem"]["code"] == "name_leased"
@@ -225,7 +225,7 @@ def test_a_name_whose_client_died_is_free_after_the_lease(api: Api, mission_id: 
     sign(api, dead, [(1, one)]).refused(410, "upload_gone")
 
 
-def test_an_upload_can_be_given_up(api: Api, mission_id: str, one: bytes) -> None:
+def test_an_upload_can_be_cancelled(api: Api, mission_id: str, one: bytes) -> None:
     started = begin(api, mission_id, {"run.bin": one})[0]["upload"]
     assert [each["id"] for each in api.all(f"/missions/{mission_id}/uploads")] == [started["id"]]
     api.delete(f"/uploads/{started['id']}").ok(204)
@@ -289,7 +289,7 @@ def test_a_small_file_announced_by_both_hashes_is_signed_for_at_once(
     assert complete(api, started, one)["outcome"] == "completed"
 
 
-def test_what_has_more_parts_or_no_checksum_is_not_signed_for_at_once(api: Api, mission_id: str, one: bytes) -> None:
+def test_multipart_uploads_and_unhashed_files_are_not_signed_at_once(api: Api, mission_id: str, one: bytes) -> None:
     large = os.urandom(_PART + 1)
     assert begin(api, mission_id, {"run.bin": one})[0]["part"] is None
     assert begin(api, mission_id, {"large.bin": large}, crc64nvme=crc64(large))[0]["part"] is None
@@ -337,9 +337,7 @@ def test_a_file_and_a_folder_of_one_name_do_not_both_come_in(api: Api, mission_i
     assert outcomes[1]["problem"]["code"] == "path_conflict"
 
 
-def test_of_a_batch_completed_again_only_what_was_deleted_is_gone(
-    api: Api, mission_id: str, one: bytes, two: bytes
-) -> None:
+def test_a_batch_completed_again_misses_only_deleted_files(api: Api, mission_id: str, one: bytes, two: bytes) -> None:
     uploads = [each["upload"] for each in begin(api, mission_id, {"one": one, "two": two})]
     for each, body in zip(uploads, (one, two), strict=True):
         send(api, each, body)

@@ -1,4 +1,4 @@
-"""Linking and completing that meet: whoever comes second sees what the first has done, in either order."""
+"""Concurrent linking and completing: in either order the second sees the effect of the first."""
 
 import os
 from collections.abc import Callable
@@ -60,7 +60,7 @@ def test_a_link_never_takes_the_place_of_what_was_completed(
     assert _read(api, mission_id) == [("run.bin", body)]
 
 
-def test_of_a_link_and_a_begin_for_one_name_the_first_has_it(api: Api, mission_id: str, twin: bytes) -> None:
+def test_the_first_of_a_link_and_an_upload_for_one_name_gets_it(api: Api, mission_id: str, twin: bytes) -> None:
     body = os.urandom(1000)
 
     def link() -> Any:
@@ -76,7 +76,7 @@ def test_of_a_link_and_a_begin_for_one_name_the_first_has_it(api: Api, mission_i
 
 
 @pytest.mark.parametrize("link_first", [True, False])
-def test_a_lost_file_is_mended_once_by_whoever_comes_first(
+def test_a_missing_file_is_repaired_once_by_the_first_upload(
     api: Api, mission_id: str, twin: bytes, link_first: bool
 ) -> None:
     linked = begin(api, mission_id, {"run.bin": twin})[0]["file"]

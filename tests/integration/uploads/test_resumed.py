@@ -1,4 +1,4 @@
-"""Small files that were sent, and not completed: whoever comes back after a kill does not send them once more."""
+"""Small files sent but not completed are not sent again after a kill."""
 
 import os
 import uuid
@@ -18,7 +18,7 @@ from tests.integration.upload_client import begin, complete, send, wait_until
 
 
 @pytest.mark.parametrize("count", [1, 9])
-def test_who_comes_back_is_told_which_small_files_are_there(api: Api, mission_id: str, count: int) -> None:
+def test_resuming_lists_small_files_already_uploaded(api: Api, mission_id: str, count: int) -> None:
     bodies = {f"{number}.txt": os.urandom(10 + number) for number in range(count)}
     first = {each["upload"]["path"]: each["upload"] for each in begin(api, mission_id, bodies)}
     sent = [path for number, path in enumerate(bodies) if number % 3 == 0]

@@ -1,4 +1,4 @@
-"""The app as the API serves it: under each of its addresses, small, kept by browsers, and held to its policy."""
+"""Serving the web interface: paths, sizes, caching and content security policy."""
 
 import gzip
 import re
@@ -41,7 +41,7 @@ def test_the_server_knows_the_places_that_the_app_has() -> None:
     assert sorted(set(paths)) == sorted(PLACES)
 
 
-def test_what_does_not_exist_is_a_page_to_people_and_a_problem_to_programs(api: Api) -> None:
+def test_not_found_is_a_page_for_browsers_and_a_problem_for_programs(api: Api) -> None:
     page = _get(api, "/nothing/of/the/kind", **_LOOKING)
     assert (page.status, page.headers["content-type"]) == (404, "text/html; charset=utf-8")
     for path, headers in (

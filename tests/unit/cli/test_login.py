@@ -1,4 +1,4 @@
-"""Signing in on the command line: what is refused before anybody is asked, and what is shown of what is saved."""
+"""Signing in on the command line: invalid arguments, and the display of saved servers."""
 
 import datetime
 import json
@@ -30,12 +30,12 @@ def test_one_way_at_a_time() -> None:
     assert isinstance(klein("login", LAB, "--device", "--token").exception, InvalidInput)
 
 
-def test_which_server_must_be_known() -> None:
+def test_a_server_must_be_selected() -> None:
     assert isinstance(klein("login").exception, NotConfigured)
 
 
 @pytest.mark.parametrize("url", ["lab", f"{LAB}/s#klein_link_x", "https://ada:secret@lab.example"])
-def test_what_is_no_server_is_refused(url: str) -> None:
+def test_an_address_without_server_is_refused(url: str) -> None:
     assert isinstance(klein("login", url).exception, InvalidInput)
 
 
@@ -53,7 +53,7 @@ def test_a_name_that_another_server_has_is_refused_before_anybody_signs_in() -> 
 @pytest.mark.parametrize(
     ("url", "is_said"), [("http://10.0.0.3:8000", True), ("http://127.0.0.1:8000", False), (LAB, False)]
 )
-def test_that_nothing_is_encrypted_is_said(url: str, is_said: bool) -> None:
+def test_an_unencrypted_connection_is_reported(url: str, is_said: bool) -> None:
     assert ("not encrypted" in klein("login", url).output) == is_said
 
 
@@ -81,13 +81,13 @@ def test_the_list_says_who_one_is_and_until_when() -> None:
 
 
 @pytest.mark.parametrize("arguments", [(), ("some-id", "--all"), ("no-id",)])
-def test_which_browser_to_sign_out_is_said_once(arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_session_to_sign_out_is_named_once(arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("KLEINKRAM_URL", LAB)
     monkeypatch.setenv("KLEINKRAM_TOKEN", "t")
     assert isinstance(klein("session", "revoke", *arguments).exception, InvalidInput)
 
 
-def test_leaving_takes_a_server_to_leave() -> None:
+def test_logging_out_needs_a_server() -> None:
     assert isinstance(klein("logout", "lab", "--all").exception, InvalidInput)
     assert isinstance(klein("logout").exception, NotConfigured)
     assert klein("logout", "--all").exit_code == 0

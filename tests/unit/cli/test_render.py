@@ -1,4 +1,4 @@
-"""What a terminal shows."""
+"""Rendering of text for terminals."""
 
 import pytest
 
@@ -18,11 +18,11 @@ from kleinkram.client.transfer import Outcome
         ("grüße 🤖 文", "grüße 🤖 文"),
     ],
 )
-def test_what_a_terminal_could_obey_is_escaped(hostile: str, shown: str) -> None:
+def test_terminal_control_sequences_are_escaped(hostile: str, shown: str) -> None:
     assert escape(hostile) == shown
 
 
-def test_whatever_is_printed_is_escaped_once(capsys: pytest.CaptureFixture[str]) -> None:
+def test_output_is_escaped_once(capsys: pytest.CaptureFixture[str]) -> None:
     line("a\x1b]52;c;eA==\x07")
     note("Moved " + escape("b\u202e") + " and c\r")
     said = capsys.readouterr()

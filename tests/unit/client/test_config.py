@@ -1,4 +1,4 @@
-"""Which server, and why."""
+"""Which server is used, and why."""
 
 import json
 from pathlib import Path
@@ -70,7 +70,7 @@ def test_the_address_of_a_link_is_a_server_and_a_secret(monkeypatch: pytest.Monk
     assert (find_endpoint().url, find_endpoint().token) == ("https://lab/below", "klein_link_y")
 
 
-def test_without_a_token_one_is_told_what_is_shown(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_missing_token_is_reported_with_instructions(caplog: pytest.LogCaptureFixture) -> None:
     connect("https://elsewhere").close()
     assert "https://elsewhere" in caplog.text
     assert "only what is public" in caplog.text
@@ -98,6 +98,6 @@ def test_a_broken_instance_is_named(local: Path) -> None:
         *("https://ada:secret@lab", "https://lab/s#klein_link_x", "https://lab?token=x"),
     ],
 )
-def test_what_is_no_url_is_refused(url: str) -> None:
+def test_invalid_urls_are_refused(url: str) -> None:
     with pytest.raises(InvalidInput):
         normal_url(url)

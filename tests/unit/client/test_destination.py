@@ -1,4 +1,4 @@
-"""Nothing is written outside the destination, whatever the server says."""
+"""Nothing is written outside the destination, whatever names the server sends."""
 
 from pathlib import Path
 
@@ -39,7 +39,7 @@ def test_two_files_for_one_place_name_both(tmp_path: Path, other: str) -> None:
     assert len(plan_download(files, tmp_path, nested=True).targets) == 2
 
 
-def test_what_keeping_missions_apart_does_not_solve_does_not_name_it(tmp_path: Path) -> None:
+def test_conflicts_within_one_mission_do_not_suggest_separate_folders(tmp_path: Path) -> None:
     files = [file_read("a"), file_read("a/b")]
     with pytest.raises(PathsCollide) as caught:
         plan_download([files[0], files[1].model_copy(update={"mission": files[0].mission})], tmp_path)

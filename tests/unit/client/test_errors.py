@@ -1,4 +1,4 @@
-"""Every failure has a sentence that says what, where and what to do."""
+"""Every error sentence names what failed, where, and what to do."""
 
 from dataclasses import fields
 
@@ -39,12 +39,12 @@ def test_a_wrong_name_is_refused_before_it_is_sent() -> None:
         checked(ProjectCreate, "The project", name="a\nb")
 
 
-def test_a_filter_says_only_what_was_said() -> None:
+def test_a_filter_contains_only_the_passed_arguments() -> None:
     query = query_of(FileFilter(topic=["/a", "/b"], state=[BlobState.lost]), limit=5, cursor=None, count=True)
     assert query == [("topic", "/a"), ("topic", "/b"), ("state", "lost"), ("limit", "5"), ("count", "true")]
 
 
-def test_reasons_are_short_and_hold_no_address() -> None:
+def test_reasons_are_short_and_contain_no_address() -> None:
     error = ConnectionError("outer")
     error.__cause__ = ConnectionRefusedError(111, "Connection refused")
     assert reason_of(error) == "Connection refused"
@@ -69,5 +69,5 @@ def test_reasons_are_short_and_hold_no_address() -> None:
         (503, "SlowDown", StoreAnswer.try_again),
     ],
 )
-def test_what_a_store_means(status: int, code: str, answer: StoreAnswer) -> None:
+def test_errors_of_the_store_are_classified(status: int, code: str, answer: StoreAnswer) -> None:
     assert meaning(status, code) is answer

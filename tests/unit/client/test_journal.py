@@ -1,4 +1,4 @@
-"""What survives a kill -9."""
+"""The journal of a transfer survives kill -9."""
 
 import errno
 import os
@@ -98,7 +98,7 @@ def test_two_never_share_one() -> None:
     reopened().close()
 
 
-def test_what_is_done_or_empty_leaves_nothing() -> None:
+def test_finished_and_empty_journals_leave_no_file() -> None:
     begun(PART)
     journals = Journals()
     reopened(journals).forget()
@@ -128,7 +128,7 @@ def test_small_files_share_a_file_one_after_the_other() -> None:
     assert [*journals_dir().iterdir()] == []
 
 
-def test_what_a_shared_file_says_stays_when_it_is_closed() -> None:
+def test_entries_of_a_shared_journal_remain_after_closing() -> None:
     journals = Journals()
     reopened(journals, other(1)).forget()
     journal, upload_id = reopened(journals, other(2)), uuid.uuid4()
@@ -150,7 +150,7 @@ def test_a_journal_that_is_there_is_read_though_there_are_files_to_spare() -> No
     assert remembered.upload_id == upload_id
 
 
-def test_what_a_killed_process_left_to_spare_is_removed_and_its_journals_are_kept() -> None:
+def test_spare_files_of_a_killed_process_are_removed_and_its_journals_remain() -> None:
     killed = Journals()
     for journal in [reopened(killed, other(number)) for number in range(3)]:
         journal.forget()
@@ -170,7 +170,7 @@ def test_what_a_killed_process_left_to_spare_is_removed_and_its_journals_are_kep
     assert [*journals_dir().iterdir()] == []
 
 
-def test_where_a_file_has_no_second_names_each_journal_has_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_journal_has_its_own_file_where_hard_links_are_unavailable(monkeypatch: pytest.MonkeyPatch) -> None:
     def cannot(*_: object) -> None:
         raise PermissionError(errno.EPERM, "not this file system")
 

@@ -1,4 +1,4 @@
-"""What uploading some paths means."""
+"""The upload plan for a set of paths."""
 
 import os
 import threading
@@ -47,12 +47,12 @@ def test_a_point_means_the_contents_of_this_folder(day: Path, monkeypatch: pytes
     assert [file.path for file in plan_upload(["."]).files] == ["bag/metadata.yaml", "cam.mcap"]
 
 
-def test_a_file_given_twice_is_one(day: Path) -> None:
+def test_a_file_passed_twice_is_uploaded_once(day: Path) -> None:
     assert len(plan_upload([day / "cam.mcap", day / "cam.mcap"]).files) == 1
 
 
 @pytest.mark.parametrize("other", ["cam.mcap", "CAM.mcap"])
-def test_of_files_for_one_path_none_goes_and_all_are_named(day: Path, tmp_path: Path, other: str) -> None:
+def test_files_with_the_same_destination_are_all_refused_and_named(day: Path, tmp_path: Path, other: str) -> None:
     second, third = old_file(tmp_path / "other" / other), old_file(tmp_path / "other" / "third.mcap")
     plan = plan_upload([day / "cam.mcap", second, third])
     assert [file.path for file in plan.files] == ["third.mcap"]
@@ -61,7 +61,7 @@ def test_of_files_for_one_path_none_goes_and_all_are_named(day: Path, tmp_path: 
     assert all(str(path) in str(collision) for path in (day / "cam.mcap", second))
 
 
-def test_names_that_look_the_same_are_told_by_their_code_points(tmp_path: Path) -> None:
+def test_names_that_look_the_same_are_shown_with_code_points(tmp_path: Path) -> None:
     for form in ("NFC", "NFD"):
         old_file(tmp_path / "names" / unicodedata.normalize(form, "caf\u00e9.txt"))
     old_file(tmp_path / "names" / "other.txt")
@@ -71,7 +71,7 @@ def test_names_that_look_the_same_are_told_by_their_code_points(tmp_path: Path) 
     assert all(text in str(collision) for text in ("caf\\xe9.txt", "cafe\\u0301.txt"))
 
 
-def test_what_is_no_file_is_named_and_left_out(day: Path) -> None:
+def test_special_files_are_named_and_skipped(day: Path) -> None:
     os.mkfifo(day / "pipe")
     (day / "loop").symlink_to(day)
     (day / "dead").symlink_to(day / "nothing")
@@ -81,7 +81,7 @@ def test_what_is_no_file_is_named_and_left_out(day: Path) -> None:
     assert any("named pipe" in str(error) for error in plan.left_out if isinstance(error, NotAFile))
 
 
-def test_links_to_files_and_links_given_are_followed(day: Path, tmp_path: Path) -> None:
+def test_links_to_files_and_links_passed_as_arguments_are_followed(day: Path, tmp_path: Path) -> None:
     (day / "link.mcap").symlink_to(day / "cam.mcap")
     (tmp_path / "shortcut").symlink_to(day)
     plan = plan_upload([tmp_path / "shortcut"])
@@ -103,7 +103,7 @@ def test_a_path_that_is_not_there_is_an_error(tmp_path: Path) -> None:
         plan_upload([tmp_path / "nowhere"])
 
 
-def test_active_files_are_left_out_unless_asked(day: Path) -> None:
+def test_files_being_written_are_skipped_by_default(day: Path) -> None:
     old_file(day / "run.mcap.active")
     plan = plan_upload([f"{day}/"])
     assert [type(error) for error in plan.left_out] == [StillRecording]

@@ -1,4 +1,4 @@
-"""Definitions of actions: what can be one, and which values its parameters take."""
+"""Definitions of actions: valid forms, and values of parameters."""
 
 import pytest
 from pydantic import ValidationError
@@ -10,7 +10,7 @@ def definition(**said: object) -> ActionDefinition:
     return ActionDefinition.model_validate({"name": "check-imu", "image": "lab/check:1", **said})
 
 
-def test_amounts_may_be_said_as_people_say_them() -> None:
+def test_amounts_are_parsed_with_units() -> None:
     said = Resources.model_validate({"memory": "4GB", "disk": "1.5 GiB", "time": "30m", "cores": 2})
     assert (said.memory_bytes, said.disk_bytes, said.time_s) == (4 * 10**9, 3 * 2**29, 1800)
     assert Resources.model_validate_json(said.model_dump_json()) == said
@@ -33,7 +33,7 @@ def test_amounts_may_be_said_as_people_say_them() -> None:
         ({"privileged": True}, "Extra inputs"),
     ],
 )
-def test_what_cannot_be_run_is_refused(said: dict[str, object], why: str) -> None:
+def test_invalid_actions_are_refused(said: dict[str, object], why: str) -> None:
     with pytest.raises(ValidationError, match=why):
         definition(**said)
 

@@ -1,4 +1,4 @@
-"""Which addresses are taken, when two are the same, and times at which something ends."""
+"""Email addresses: valid forms and equality; times of expiry."""
 
 import datetime
 
@@ -42,7 +42,7 @@ def test_addresses_are_taken_as_they_are(address: str) -> None:
         "a" * 250 + "@lab.example",
     ],
 )
-def test_what_is_no_address_or_looks_like_another_is_refused(address: str) -> None:
+def test_invalid_and_confusable_addresses_are_refused(address: str) -> None:
     with pytest.raises(ValidationError):
         _ADDRESS.validate_python(address)
 

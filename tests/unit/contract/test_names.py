@@ -28,7 +28,7 @@ def test_a_name_that_cannot_be_says_why(name: str, why: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["Jungfraujoch 1", "día-3", "🤖 run", "テスト", "a" * 128])
-def test_printable_names_are_kept(name: str) -> None:
+def test_printable_names_are_unchanged(name: str) -> None:
     assert check_name(name) == name
 
 
@@ -73,12 +73,12 @@ def test_an_accepted_path_has_no_way_out(text: str) -> None:
     assert not set(path.split("/")) & {"", ".", ".."}
 
 
-def test_labels_hold_no_commas() -> None:
+def test_labels_contain_no_commas() -> None:
     assert check_label("night run") == "night run"
     with pytest.raises(ValueError, match="comma"):
         check_label("a,b")
 
 
-def test_an_id_is_told_from_a_name() -> None:
+def test_an_id_is_distinguished_from_a_name() -> None:
     assert is_id(_UUID)
     assert not is_id("day-1")

@@ -1,4 +1,4 @@
-"""The query language: text and filter say the same, both ways; what cannot be read is named with its place."""
+"""The query language: text and filter convert into each other; errors name the column."""
 
 import datetime
 import re
@@ -112,7 +112,7 @@ def test_a_query_has_one_spelling(text: str, said: str) -> None:
         ("x" * 1025, 1, "1024"),
     ],
 )
-def test_what_cannot_be_read_is_named_with_its_column(text: str, column: int, words: str) -> None:
+def test_unreadable_queries_name_the_column(text: str, column: int, words: str) -> None:
     with pytest.raises(InvalidQuery) as caught:
         parse(text)
     assert caught.value.column == column

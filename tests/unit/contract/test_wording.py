@@ -1,4 +1,4 @@
-"""Users read our words for what fails validation, never pydantic's."""
+"""Validation errors are sentences of ours, not pydantic's."""
 
 import datetime
 import re
@@ -75,14 +75,14 @@ class _Example(BaseModel):
         ([], "the file: it must be a mapping of names to values"),
     ],
 )
-def test_each_kind_of_failure_is_told_in_our_words(given: JsonValue, expected: str) -> None:
+def test_each_kind_of_failure_has_its_own_sentence(given: JsonValue, expected: str) -> None:
     with pytest.raises(ValidationError) as failure:
         _Example.model_validate(given)
     assert first_problem(failure.value, "the file").startswith(expected)
     assert not _PYDANTIC.search(first_problem(failure.value, "the file"))
 
 
-def test_what_has_no_words_of_its_own_is_not_told_in_others() -> None:
+def test_unknown_errors_are_described_by_their_type_only() -> None:
     with pytest.raises(ValidationError) as failure:
         TypeAdapter(frozenset[int]).validate_python(7)
     assert in_plain_words(failure.value) == "it is not usable"
@@ -93,6 +93,6 @@ def test_no_other_module_passes_on_the_messages_of_pydantic() -> None:
     passing = [
         str(path.relative_to(sources))
         for path in sources.rglob("*.py")
-        if re.search(r"""\[["']msg["']\]""", path.read_text(encoding="utf-8")) and path.name != "wording.py"
+        if re.search(r"""\[["']msg["']\]""", path.read_text(encoding="utf-8")) and path.name != "problems.py"
     ]
     assert not passing

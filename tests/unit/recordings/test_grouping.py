@@ -1,4 +1,4 @@
-"""Which files make one recording."""
+"""Grouping of files into recordings."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_a_metadata_file_beside_many_recordings_is_not_theirs() -> None:
     assert [kind for _, kind, _ in shape(["metadata.yaml", "a.mcap", "b.mcap"])] == [SINGLE, SINGLE]
 
 
-def test_a_stranger_in_a_rosbag2_folder_stays_outside() -> None:
+def test_a_file_of_another_stem_in_a_rosbag2_folder_is_its_own_recording() -> None:
     assert shape(["run/metadata.yaml", "run/run_0.mcap", "run/other.mcap", "run/old.bag"]) == [
         ("run", ROSBAG2, ("run/run_0.mcap",)),
         ("run/old.bag", SINGLE, ("run/old.bag",)),
@@ -126,7 +126,7 @@ def test_metadata_of_real_recordings(entry: Entry, recordings_dir: Path) -> None
         "&a [*a]",
     ],
 )
-def test_what_is_no_metadata(text: str) -> None:
+def test_invalid_metadata_is_refused(text: str) -> None:
     assert parse_rosbag2_metadata(text) is None
 
 
@@ -137,7 +137,7 @@ def test_incomplete_metadata_is_read_as_far_as_possible() -> None:
     assert (actual.files, actual.message_count, actual.storage) == (("a.db3",), None, None)
 
 
-def test_what_metadata_say_decides_which_files_and_in_which_order() -> None:
+def test_the_metadata_decides_the_files_and_their_order() -> None:
     stated = Rosbag2Metadata(files=("run/b.db3", "a.db3"))
     paths = ["run/metadata.yaml", "run/a.db3", "run/b.db3", "run/a_1.db3", "run/other.bag"]
     assert group(paths, {"run/metadata.yaml": stated}) == [

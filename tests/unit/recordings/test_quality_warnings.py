@@ -1,4 +1,4 @@
-"""What is said of topics that are odd, and what is left unsaid of healthy ones."""
+"""Quality warnings about unusual topics, and none about healthy ones."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_a_clock_that_was_set_back(stamps: list[int], named: str) -> None:
     assert [problem.code for problem in both.problems] == ["clock-jump"]
 
 
-def test_what_is_written_late_is_no_jump() -> None:
+def test_late_writes_are_no_clock_jump() -> None:
     late = [stamp for start in range(0, 100, 9) for stamp in (*range(start + 1, start + 9), start)]
     assert summarise(stamped(late)).problems == ()
 

@@ -1,4 +1,4 @@
-"""The rule by which known holes in dependencies fail the check."""
+"""Known vulnerabilities in dependencies fail the check."""
 
 import datetime
 
@@ -40,13 +40,13 @@ def test_our_own_entries_are_readable() -> None:
     read_accepted((audit._HERE / "accepted.txt").read_text(encoding="utf-8"))
 
 
-def test_what_a_service_does_not_know_was_not_audited() -> None:
+def test_packages_unknown_to_the_service_are_reported_as_not_audited() -> None:
     report = Report.model_validate({"dependencies": [{"name": "a", "skip_reason": "not found"}, {"name": "b"}]})
     assert unaudited(report) == ["a"]
 
 
 @pytest.mark.parametrize(("required", "code"), [("", 0), ("1", 1)])
-def test_where_no_service_answers_that_is_said_and_fails_only_where_it_must_not_be(
+def test_an_unreachable_service_is_reported_and_fails_only_where_required(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], required: str, code: int
 ) -> None:
     monkeypatch.setenv("KLEINKRAM_REQUIRE_AUDIT", required)

@@ -1,4 +1,4 @@
-"""The cache keeps what runs use, lets go of what was not used for longest, and believes no other bytes."""
+"""The input cache: keeps inputs in use, evicts the least recently used, and verifies bytes."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def stored(cache: InputCache, *files: bytes) -> list[bool]:
     return [(cache._directory / f"{input_file(data).sha256}.file").exists() for data in files]
 
 
-def test_what_is_here_is_not_fetched_again(tmp_path: Path) -> None:
+def test_cached_inputs_are_not_downloaded_again(tmp_path: Path) -> None:
     cache = InputCache(tmp_path / "cache", 1000)
     data = b"bytes of a drive"
     cache.get(input_file(data), giving(data), wait)
@@ -85,7 +85,7 @@ def test_other_bytes_are_fetched_once_more(tmp_path: Path) -> None:
     assert cache.missing([other]) == [other]
 
 
-def test_what_an_interrupted_fetch_left_counts(tmp_path: Path) -> None:
+def test_partial_downloads_count_towards_the_cache_size(tmp_path: Path) -> None:
     cache = InputCache(tmp_path / "cache", 1000)
     data = b"bytes of a drive"
 

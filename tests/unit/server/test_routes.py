@@ -1,4 +1,4 @@
-"""No route without a guard: what is not in the table of operations does not start."""
+"""Every route is in the table of operations, or the server does not start."""
 
 import pytest
 from fastapi import APIRouter
@@ -81,7 +81,7 @@ def test_a_route_that_does_not_ask_who_comes_does_not_start() -> None:
         require_guards([router])
 
 
-def test_whatever_is_no_route_of_ours_does_not_start() -> None:
+def test_unknown_route_types_prevent_the_start() -> None:
     router = APIRouter()
     router.routes.append(Mount("/mounted", routes=[]))
     with pytest.raises(RuntimeError, match=r"/mounted has no row"):

@@ -1,4 +1,4 @@
-"""The YAML to fill in: whatever the last mission said, it parses and says the same."""
+"""The YAML template of metadata parses and repeats the values of the last mission."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -24,7 +24,7 @@ _VALUE = st.recursive(
 
 
 @given(st.dictionaries(_TEXT, _VALUE, max_size=5), _TEXT, _TEXT)
-def test_what_was_said_is_said_again(metadata: Metadata, project: str, mission: str) -> None:
+def test_the_template_repeats_the_values_of_the_mission(metadata: Metadata, project: str, mission: str) -> None:
     text = write_template(MetadataFields(), {}, metadata, project=project, source=mission)
     assert read_metadata(text).value == {}, "nothing is said before somebody says it"
     _, _, others = text.partition("# Not declared by the project")

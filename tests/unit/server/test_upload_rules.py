@@ -149,7 +149,7 @@ def test_an_upload_of_another_person_is_not_resumed() -> None:
         (["Zu\u0308rich", "ZÜRICH/x"], {1: "Zu\u0308rich"}),
     ],
 )
-def test_of_conflicting_paths_the_earlier_wins(paths: list[str], refused: dict[int, str]) -> None:
+def test_the_earlier_of_two_conflicting_paths_wins(paths: list[str], refused: dict[int, str]) -> None:
     assert conflicts_among(paths) == refused
 
 

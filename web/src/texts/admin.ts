@@ -2,7 +2,7 @@
 import { counted } from "@/components/format";
 
 const states: Readonly<Record<string, string>> = {
-  stored: "Stored", verified: "Verified", lost: "Lost", corrupt: "Corrupt", markedForDeletion: "Marked for deletion", todo: "Queued", doing: "Running", failed: "Failed",
+  stored: "Stored", verified: "Verified", lost: "Lost", corrupt: "Corrupt", marked_for_deletion: "Marked for deletion", todo: "Queued", doing: "Running", failed: "Failed",
 };
 
 export const texts = {

@@ -18,7 +18,7 @@ const operations: Readonly<Record<string, string>> = {
   "file.leave": "moved out",
   "file.link": "linked",
   "file.look": "viewed",
-  "file.mend": "repaired",
+  "file.repair": "repaired",
   "file.verify": "requested verification of",
   "file.put_back": "created in a run",
   "file.restore": "restored",

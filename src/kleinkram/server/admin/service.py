@@ -41,7 +41,7 @@ from kleinkram.server.runners.eligibility import (
 )
 from kleinkram.server.settings import Settings, is_secret
 from kleinkram.server.tables import blob, file, mission, project, run, upload
-from kleinkram.server.tables.upload import UNDER_WAY
+from kleinkram.server.tables.blobs import UNDER_WAY
 
 _QUEUE = text(
     "SELECT j.task_name AS kind, j.status::text AS state, count(*) AS count,"
@@ -79,7 +79,7 @@ _UPLOAD_BYTES = func.coalesce(func.sum(upload.c.size_bytes), 0).label("size_byte
 
 async def get_storage(db: Connection, settings: Settings) -> AdminStorage:
     """Return what is in the store, by state."""
-    blobs = select(_NUMBER, _BLOB_BYTES).where(blob.c.doomed_at.is_(None))
+    blobs = select(_NUMBER, _BLOB_BYTES).where(blob.c.marked_for_deletion_at.is_(None))
     of_blob = exists().where(file.c.blob_id == blob.c.id)
     is_live = of_blob.where(
         file.c.deleted_at.is_(None),
@@ -89,7 +89,7 @@ async def get_storage(db: Connection, settings: Settings) -> AdminStorage:
         project.c.deleted_at.is_(None),
     )
     by_state = blobs.add_columns(blob.c.state).group_by(blob.c.state).order_by(blob.c.state)
-    garbage = select(_NUMBER, _BLOB_BYTES).where(blob.c.doomed_at.is_not(None))
+    garbage = select(_NUMBER, _BLOB_BYTES).where(blob.c.marked_for_deletion_at.is_not(None))
     uploads = select(_NUMBER, _UPLOAD_BYTES).where(upload.c.state.in_(UNDER_WAY))
     return AdminStorage(
         store=await store_use(db, settings),
@@ -100,7 +100,7 @@ async def get_storage(db: Connection, settings: Settings) -> AdminStorage:
         ],
         trash=await _amount(db, "trash", blobs.where(of_blob, ~is_live)),
         uploads=await _amount(db, "under_way", uploads),
-        doomed=await _amount(db, "doomed", garbage),
+        marked_for_deletion=await _amount(db, "marked_for_deletion", garbage),
     )
 
 

@@ -1,7 +1,7 @@
 """Garbage collection: finds blobs that nothing refers to, marks them, and later deletes their objects and rows.
 
-A marked blob (`doomed_at`) can never be linked again. A backup that copies objects pauses deletion by a lock in the
-database, which ends with its process, its connection, or minutes of silence.
+A marked blob can never be linked again. A backup that copies objects pauses deletion by a lock in the database, which
+ends with its process, its connection, or minutes of silence.
 """
 
 import datetime
@@ -51,7 +51,7 @@ async def mark_unreferenced(db: Connection, *, limit: int) -> int:
     is_garbage = ~queries.is_referenced()
     candidates = (
         select(blob.c.id)
-        .where(blob.c.doomed_at.is_(None), is_garbage, await _is_in_share(db))
+        .where(blob.c.marked_for_deletion_at.is_(None), is_garbage, await _is_in_share(db))
         .order_by(blob.c.id)
         .limit(limit)
         .with_for_update(skip_locked=True)
@@ -59,7 +59,7 @@ async def mark_unreferenced(db: Connection, *, limit: int) -> int:
     ids = (await db.execute(candidates)).scalars().all()
     if not ids:
         return 0
-    mark = update(blob).where(blob.c.id.in_(ids), is_garbage).values(doomed_at=func.now())
+    mark = update(blob).where(blob.c.id.in_(ids), is_garbage).values(marked_for_deletion_at=func.now())
     return (await db.execute(mark)).rowcount
 
 
@@ -81,11 +81,11 @@ async def objects_to_delete(db: Connection, *, store_id: str, grace_s: float, li
     """Return this store's blobs that were marked longer ago than the grace period."""
     before = func.now() - datetime.timedelta(seconds=grace_s)
     # Checked once more although nothing can link to a marked blob: deletion cannot be undone.
-    is_due = (blob.c.store_id == store_id) & (blob.c.doomed_at < before) & ~queries.is_referenced()
-    statement = select(blob.c.id, blob.c.key).where(is_due).order_by(blob.c.doomed_at).limit(limit)
+    is_due = (blob.c.store_id == store_id) & (blob.c.marked_for_deletion_at < before) & ~queries.is_referenced()
+    statement = select(blob.c.id, blob.c.key).where(is_due).order_by(blob.c.marked_for_deletion_at).limit(limit)
     return [ObjectToDelete._make(row) for row in await db.execute(statement)]
 
 
 async def delete_row(db: Connection, blob_id: uuid.UUID) -> None:
     """Delete the row of a marked blob whose object is gone."""
-    await db.execute(delete(blob).where(blob.c.id == blob_id, blob.c.doomed_at.is_not(None)))
+    await db.execute(delete(blob).where(blob.c.id == blob_id, blob.c.marked_for_deletion_at.is_not(None)))

@@ -10,7 +10,7 @@ from sqlalchemy import ARRAY, ColumnElement, Select, Text, exists, func, literal
 from kleinkram.contract.files import BlobState, ContentState
 from kleinkram.server.db import among
 from kleinkram.server.tables import blob, file, log_chunk, run, run_artifact, run_input, upload
-from kleinkram.server.tables.run import ACTIVE
+from kleinkram.server.tables.runs import ACTIVE
 
 SMALL_BYTES = 100_000
 """Up to this size, a blob is read whole, once, for its summary and its verification."""
@@ -54,7 +54,7 @@ def blobs_with_path(blob_ids: Iterable[uuid.UUID]) -> Select[Any]:
     path = select(file.c.path).where(file.c.blob_id == blob.c.id).order_by(file.c.created_at, file.c.id).limit(1)
     columns = (blob.c[name] for name in BlobRow._fields[:-1])
     statement = select(*columns, path.scalar_subquery().label("path"))
-    return statement.where(among(blob.c.id, blob_ids), blob.c.doomed_at.is_(None))
+    return statement.where(among(blob.c.id, blob_ids), blob.c.marked_for_deletion_at.is_(None))
 
 
 LOG_SUFFIXES = ("-wal", "-journal")
@@ -85,7 +85,7 @@ def sqlite_logs(blob_id: uuid.UUID) -> Select[Any]:
             log.c.path.in_([database.c.path + log_suffix for log_suffix in LOG_SUFFIXES]),
             log.c.deleted_at.is_(None),
             log_blob.c.size_bytes > 0,
-            log_blob.c.doomed_at.is_(None),
+            log_blob.c.marked_for_deletion_at.is_(None),
         )
     )
 
@@ -153,20 +153,20 @@ def counts_by_state() -> Select[Any]:
     total = func.coalesce(func.sum(blob.c.size_bytes), 0).label("size_bytes")
     is_sound = blob.c.state.in_((BlobState.stored.value, BlobState.verified.value))
     statement = select(blob.c.state, func.count().label("number"), total)
-    statement = statement.where(blob.c.doomed_at.is_(None), or_(is_sound, is_referenced()))
+    statement = statement.where(blob.c.marked_for_deletion_at.is_(None), or_(is_sound, is_referenced()))
     return statement.group_by(blob.c.state).order_by(blob.c.state)
 
 
 def oldest_verification() -> Select[Any]:
     """Return the oldest `verified_at` of all blobs."""
-    verified = (blob.c.state == BlobState.verified.value, blob.c.doomed_at.is_(None))
+    verified = (blob.c.state == BlobState.verified.value, blob.c.marked_for_deletion_at.is_(None))
     return select(func.min(blob.c.verified_at)).where(*verified)
 
 
 def verified_before(at: ColumnElement[datetime.datetime]) -> Select[Any]:
     """Select the ids of blobs that were verified before a time, the oldest first."""
     old = (blob.c.state == BlobState.verified.value, blob.c.verified_at < at)
-    return select(blob.c.id).where(blob.c.doomed_at.is_(None), *old).order_by(blob.c.verified_at)
+    return select(blob.c.id).where(blob.c.marked_for_deletion_at.is_(None), *old).order_by(blob.c.verified_at)
 
 
 def expected_between(
@@ -179,7 +179,7 @@ def expected_between(
     collation; an index does the same.
     """
     expected = select(blob.c.id, blob.c.key, blob.c.size_bytes, blob.c.state)
-    expected = expected.where(blob.c.store_id == store_id, blob.c.doomed_at.is_(None))
+    expected = expected.where(blob.c.store_id == store_id, blob.c.marked_for_deletion_at.is_(None))
     expected = expected.where(blob.c.created_at < since_before, blob.c.key.op("~>~", is_comparison=True)(after))
     if until is not None:
         expected = expected.where(blob.c.key.op("~<=~", is_comparison=True)(until))

@@ -51,7 +51,9 @@ async def examine_forgotten(db: Connection, *, store_id: str, limit: int) -> Non
     ):
         statement = (
             select(blob.c.id)
-            .where(blob.c.doomed_at.is_(None), is_due, blob.c.store_id == store_id, ~has_job(job, blob.c.id))
+            .where(
+                blob.c.marked_for_deletion_at.is_(None), is_due, blob.c.store_id == store_id, ~has_job(job, blob.c.id)
+            )
             .order_by(blob.c.created_at)
             .limit(limit)
         )
@@ -142,7 +144,7 @@ async def record_damage(db: Connection, blob_id: uuid.UUID, *, state: BlobState,
     """
     before = (await _lock_damaged(db, [blob_id])).get(blob_id)
     values = {"state": state.value, "state_reason": reason, "damaged_at": func.coalesce(blob.c.damaged_at, func.now())}
-    mark = update(blob).where(blob.c.id == blob_id, blob.c.doomed_at.is_(None)).values(**values)
+    mark = update(blob).where(blob.c.id == blob_id, blob.c.marked_for_deletion_at.is_(None)).values(**values)
     if (await db.execute(mark)).rowcount == 0 or before == state.value:
         return False
     await _audit_files(db, blob_id, "file.damage", {}, {"state": state.value, "reason": reason})

@@ -28,18 +28,20 @@ from sqlalchemy import (
 
 from kleinkram.contract.access import Right
 from kleinkram.contract.files import FileFilter, FileRead, FileSort
+from kleinkram.contract.missions import MissionFilter
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import (
     joined_files,
     visible_files,
     visible_missions,
 )
-from kleinkram.server.db import among, by_name
+from kleinkram.server.db import among, among_given, by_name
 from kleinkram.server.files.topics import topic_rows
 from kleinkram.server.filters.files import filter_files, filter_files_in_order
+from kleinkram.server.filters.missions import filter_missions
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
 from kleinkram.server.missions.amounts import file_amounts
-from kleinkram.server.paging import Order
+from kleinkram.server.pagination import Listing, Order
 from kleinkram.server.tables import blob, file, mission, person, project, run, run_artifact, run_input, topic
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
@@ -150,9 +152,17 @@ def own_fresh_file(actor: Actor, file_id: uuid.UUID) -> Select[Any]:
 
 
 def matching_files(actor: Actor, matching: FileFilter, plan: SearchPlan = NO_PLAN) -> Select[Any]:
-    """Return the visible files that match: to be counted, or read with `rows_of_found`."""
+    """Return the visible files that match."""
     narrow = filter_files_in_order if plan.is_common else filter_files
     return narrow(actor, visible_files(actor), matching, plan)
+
+
+def file_listing(actor: Actor, matching: FileFilter, *, plan: SearchPlan, sort: FileSort) -> Listing:
+    """Return the visible files that match, in an order."""
+    matched = matching_files(actor, matching, plan)
+    if plan.matched is not None:
+        matched = matched.where(among_given(file.c.id, "matched_first_ids"))
+    return Listing(matched, file_order(sort, by_index=not plan.is_selective), rows_of_found)
 
 
 @functools.cache
@@ -175,22 +185,21 @@ def file_order(sort: FileSort, *, by_index: bool = True) -> Order:
     return Order([columns[key], file.c.id], descending, name=f"files by {key}")
 
 
-def count_all(actor: Actor) -> Select[Any]:
+def count_all(actor: Actor, *, plan: SearchPlan) -> Select[Any]:
     """Return the number of all visible files, as their missions know it."""
     number = func.coalesce(func.sum(file_amounts(actor)[0]), 0)
     return visible_missions(actor).with_only_columns(number, maintain_column_froms=True)
 
 
 def first_missions(
-    actor: Actor, project_id: uuid.UUID | None, *, after: Sequence[str] | None, descending: bool, limit: int
+    actor: Actor, matching: MissionFilter, *, plan: SearchPlan, is_first: bool, descending: bool, limit: int
 ) -> Select[Any]:
-    """Return the ids of the first visible missions by name of project and mission, from those named `after` on."""
+    """Return the ids of the first visible missions by name of project and mission, from `after_0`, `after_1` on."""
     named = (project.c.name, mission.c.name)
-    stmt = visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True)
-    if project_id is not None:
-        stmt = stmt.where(project.c.id == project_id)
-    if after is not None:
-        place, row = tuple_(*map(literal, after)), tuple_(*named)
+    stmt = filter_missions(actor, visible_missions(actor), matching, plan)
+    stmt = stmt.with_only_columns(mission.c.id, maintain_column_froms=True)
+    if not is_first:
+        place, row = tuple_(*(bindparam(f"after_{at}", type_=Text()) for at in range(2))), tuple_(*named)
         stmt = stmt.where(row <= place if descending else row >= place)
     in_order = [name.desc() if descending else name for name in (*named, mission.c.id)]
     return stmt.order_by(*in_order).limit(limit)

@@ -21,6 +21,7 @@ from kleinkram.contract.files import (
     TopicRead,
 )
 from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.missions import MissionFilter
 from kleinkram.contract.names import name_key
 from kleinkram.contract.projects import Deleted
 from kleinkram.server.access.actor import Actor
@@ -28,18 +29,18 @@ from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.blobs.service import verify_again
 from kleinkram.server.context import AppContext
-from kleinkram.server.db import Connection, among
+from kleinkram.server.db import Connection
 from kleinkram.server.files import queries
 from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.files.topics import TOPIC_ORDER, to_topics
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
+from kleinkram.server.filters.prepared import prepare
 from kleinkram.server.http.headers import require_match
 from kleinkram.server.missions import service as missions
-from kleinkram.server.paging import PageRequest, Rows, execute_after, fetch_page, values_after
+from kleinkram.server.pagination import PageRequest, Rows, execute_after, fetch_listing, fetch_page, values_after
 from kleinkram.server.quotas import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.shares.service import count_downloads
-from kleinkram.server.tables import file
 
 _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
 _BY_PATH = {FileSort.path, FileSort.path_desc}
@@ -92,7 +93,7 @@ async def list_files(
         InvalidCursor: the cursor is not of this list.
     """
     if page.count and matching == FileFilter():
-        total = int((await db.execute(queries.count_all(actor))).scalar_one())
+        total = int((await db.execute(*prepare(queries.count_all, actor))).scalar_one())
         listed = await list_files(db, actor, matching=matching, sort=sort, page=replace(page, count=False))
         return listed.model_copy(update={"total": total})
     if plan is NO_PLAN and matching.mission_id is None:
@@ -101,11 +102,8 @@ async def list_files(
     if sort in _BY_PATH and not page.count and matching.mission_id is None and not plan.is_selective:
         rows = await _page_of_first_missions(db, actor, matching, sort, page)
     if rows is None:
-        matched = queries.matching_files(actor, matching, plan)
-        if plan.matched is not None:
-            matched = matched.where(among(file.c.id, plan.matched.first_ids))
-        order = queries.file_order(sort, by_index=not plan.is_selective)
-        rows = await fetch_page(db, matched, order, page, described=queries.rows_of_found)
+        listing, values = prepare(queries.file_listing, actor, matching, plan=plan, sort=sort)
+        rows = await fetch_listing(db, listing, page, values)
     return Page(items=queries.to_files(rows.items), next=rows.next, total=rows.total)
 
 
@@ -118,12 +116,18 @@ async def _page_of_first_missions(
     """
     order = queries.file_order(sort)
     after = values_after(page, order)
-    first = queries.first_missions(
-        actor, matching.project_id, after=after and after[:2], descending=order.descending, limit=_FIRST_MISSIONS
+    first, values = prepare(
+        queries.first_missions,
+        actor,
+        MissionFilter(project_id=matching.project_id),
+        is_first=after is None,
+        descending=order.descending,
+        limit=_FIRST_MISSIONS,
     )
-    mission_ids = [row.id for row in await execute_after(db, first, after)]
-    inside = queries.matching_files(actor, matching).where(among(file.c.mission_id, mission_ids))
-    rows = await fetch_page(db, inside, order, page, described=queries.rows_of_found)
+    mission_ids = [row.id for row in await execute_after(db, first, after, values)]
+    plan = replace(NO_PLAN, mission_ids=mission_ids)
+    listing, values = prepare(queries.file_listing, actor, matching, plan=plan, sort=sort)
+    rows = await fetch_listing(db, listing, page, values)
     return rows if rows.next is not None or len(mission_ids) < _FIRST_MISSIONS else None
 
 
@@ -166,7 +170,7 @@ async def update_file(
         values["labels"] = labels
     if (mission_id, path) != (old.mission_id, old.path):
         if mission_id != old.mission_id and (project_id := await project_of(db, mission_id)) != old.project_id:
-            await require_room(db, actor, project_id=project_id, asked=Amount(1, old.size_bytes))
+            await require_room(db, actor, project_id=project_id, requested=Amount(1, old.size_bytes))
         await _check_move(db, actor, old, mission_id=mission_id, path=path)
         values |= {"mission_id": mission_id, "path": path, "path_key": name_key(path)}
     if not values:

@@ -1,8 +1,9 @@
 """What filters of missions and projects mean in SQL: conditions on selects that began with `visible_*`."""
 
+from dataclasses import replace
 from typing import TypeVar
 
-from sqlalchemy import ColumnElement, Select, and_, func, literal, or_, select, true, union_all
+from sqlalchemy import ColumnElement, Select, and_, bindparam, func, or_, select, true, union_all
 
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.missions import MissionFilter
@@ -47,13 +48,15 @@ def filter_projects(actor: Actor, stmt: Select[Row], *, name: str | None, text: 
     return stmt.where(*conditions)
 
 
-def filter_missions(actor: Actor, stmt: Select[Row], matching: MissionFilter) -> Select[Row]:
+def filter_missions(
+    actor: Actor, stmt: Select[Row], matching: MissionFilter, plan: SearchPlan = NO_PLAN
+) -> Select[Row]:
     """Return the missions of a select that match.
 
     Raises:
         InvalidQuery: a `where` cannot be used.
     """
-    return stmt.where(*_conditions(actor, matching, NO_PLAN))
+    return stmt.where(*_conditions(actor, matching, plan))
 
 
 def filter_missions_by_files(
@@ -71,7 +74,7 @@ def filter_missions_by_files(
         by_files = _has_matching_file(actor, matching, plan)
         return stmt.where(by_files if own is None else or_(by_files, and_(true(), *own)))
     if plan.matched is not None:
-        found = select(func.unnest(literal(plan.matched.mission_ids, Written("UUID"))))
+        found = select(func.unnest(bindparam("matched_mission_ids", type_=Written("UUID"))))
     else:
         files = filter_files(actor, visible_files(actor), matching, plan)
         found = files.with_only_columns(file.c.mission_id, maintain_column_froms=True).correlate(None)
@@ -85,8 +88,12 @@ def filter_missions_by_files(
 def _has_matching_file(actor: Actor, matching: FileFilter, plan: SearchPlan) -> ColumnElement[bool]:
     # The mission around it is visible, so that only its files are checked.
     inside = select(true()).select_from(file).outerjoin(blob, blob.c.id == file.c.blob_id)
-    live = (file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None), shown_files(actor))
-    return row_exists(filter_files_in_order(actor, inside.where(*live), matching, plan).correlate(mission, project))
+    inside = inside.where(file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None), shown_files(actor))
+    if plan.has_time is False:
+        # Not as the index of times has it: PostgreSQL would read it for each mission (10 ms instead of 0.1 ms).
+        inside, plan = inside.where(file.c.start_ns.is_(None)), replace(plan, has_time=None)
+    matched = filter_files_in_order(actor, inside, matching, plan, of_one_mission=True)
+    return row_exists(matched.correlate(mission, project))
 
 
 def _conditions(actor: Actor, matching: MissionFilter, plan: SearchPlan) -> Conditions:
@@ -109,7 +116,7 @@ def _conditions(actor: Actor, matching: MissionFilter, plan: SearchPlan) -> Cond
 def _own_conditions(actor: Actor, matching: FileFilter, plan: SearchPlan) -> Conditions:
     """Return the conditions on missions of a filter of which no field is about files."""
     fields = {name: getattr(matching, name) for name in _MISSION_FIELDS if name in MissionFilter.model_fields}
-    conditions = _conditions(actor, MissionFilter(**fields, name=matching.mission), plan)
+    conditions = _conditions(actor, MissionFilter.model_construct(**fields, name=matching.mission), plan)
     if matching.mission_id is not None:
         conditions.append(mission.c.id == matching.mission_id)
     return conditions + [fails(_own_conditions(actor, parse_term(term), NO_PLAN)) for term in matching.without]

@@ -1,28 +1,81 @@
-"""The plan of a search: what is learnt of a filter before it runs. It decides how rows are read, not who sees them."""
+"""The plan of a search: what is known of a filter before it runs. It decides how rows are read, never who sees them.
 
+What differs between two searches of the same shape (words, names, ids) is bound by name: `SearchPlan.values`.
+"""
+
+import re
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
+
+from sqlalchemy import String, bindparam
+from sqlalchemy.sql.elements import BindParameter
+
+from kleinkram.contract.names import name_key
+from kleinkram.server.filters.patterns import containing
 
 # Ids are random: the rows with the lowest ids are a sample, and the last of these tells how many rows there are.
 ID_COUNT = 2**128
+# Characters that JSON writes differently.
+_ESCAPED_IN_JSON = re.compile(r'["\\\x00-\x1f\x7f]')
 
 
 @dataclass(frozen=True)
-class WordMatches:
-    """The projects, topics and message types whose names contain a word; None where there are too many to list."""
+class SearchWord:
+    """A word of a filter, with the projects, topics and message types whose names contain it.
 
+    A list is None where it is unknown or too long. `is_in_sample` tells of a sample of paths. Words with a `number` are
+    bound by name, others by value.
+    """
+
+    text: str
+    number: int | None = None
     project_ids: Sequence[uuid.UUID] | None = None
     topics: Sequence[str] | None = None
     message_types: Sequence[str] | None = None
+    is_in_sample: bool = False
+
+    @property
+    def pattern(self) -> str | BindParameter[str]:
+        """The LIKE pattern of texts that contain the word."""
+        return containing(self.text) if self.number is None else bindparam(self.name_of("pattern"), type_=String())
+
+    @property
+    def key_pattern(self) -> str | BindParameter[str]:
+        """The LIKE pattern of name keys that contain the word."""
+        key = containing(name_key(self.text))
+        return key if self.number is None else bindparam(self.name_of("key_pattern"), type_=String())
+
+    @property
+    def is_escaped_in_json(self) -> bool:
+        """Whether JSON writes the word differently."""
+        return _ESCAPED_IN_JSON.search(self.text) is not None
+
+    def name_of(self, value: str) -> str:
+        """Return the name of the bind parameter that holds a value of the word."""
+        return f"word_{self.number}_{value}"
+
+    def values(self) -> dict[str, object]:
+        """Return the values of its bind parameters."""
+        values = {name: [*names] for name, names in self._lists() if names}
+        patterns = {"pattern": containing(self.text), "key_pattern": containing(name_key(self.text))}
+        return {self.name_of(name): value for name, value in (patterns | values).items()}
+
+    def shape(self) -> Hashable:
+        """Return what distinguishes statements: which lists are known, and which of those are empty."""
+        lists = tuple(None if names is None else bool(names) for _, names in self._lists())
+        return self.number, self.is_escaped_in_json, lists
+
+    def _lists(self) -> tuple[tuple[str, Sequence[object] | None], ...]:
+        return ("project_ids", self.project_ids), ("topics", self.topics), ("message_types", self.message_types)
 
 
 @dataclass(frozen=True)
 class MatchedFiles:
-    """All files that a search finds, where there are few, with their missions and blobs.
+    """All files that a search finds, where there are at most some thousands, with their missions and blobs.
 
-    Ids are kept as PostgreSQL writes arrays (`db.Written`), so that none of them is read here. `first_ids` are those
-    of the first page, in its order.
+    Ids stay as PostgreSQL writes arrays (`db.Written`), so that none of them is parsed here. `first_ids` are those of
+    the first page, in its order.
     """
 
     file_count: int
@@ -37,17 +90,19 @@ class SearchPlan:
     """How a filter is best evaluated.
 
     Attributes:
-        words: by word of the filter's text, where it occurs.
+        words: the words of the filter's text, with where they occur.
         leading_word: the rarest word, by whose indexes files are looked up.
         is_common: so many files match that a list is read in its order until the page is full.
         matched: the files themselves, once they are known.
-        mission_ids: all missions that the actor sees, where these are few.
+        mission_ids: all missions that the actor sees, where these are at most some dozens.
+        finds_nothing: a word occurs nowhere.
         has_time: only files with a recording time are to be found, or only those without.
     """
 
-    words: Mapping[str, WordMatches] = field(default_factory=dict)
+    words: Mapping[str, SearchWord] = field(default_factory=dict)
     leading_word: str | None = None
     is_common: bool = False
+    finds_nothing: bool = False
     matched: MatchedFiles | None = None
     has_time: bool | None = None
     mission_ids: Sequence[uuid.UUID] | None = None
@@ -55,11 +110,27 @@ class SearchPlan:
     @property
     def is_selective(self) -> bool:
         """Whether so few files match that they are looked up and sorted, instead of read in the list's order."""
-        return any(each is not None for each in (self.leading_word, self.matched, self.mission_ids))
+        return self.leading_word is not None or self.matched is not None or self.mission_ids is not None
 
-    def matches_of(self, word: str) -> WordMatches:
-        """Return where a word occurs, as far as that is known."""
-        return self.words.get(word, WordMatches())
+    def word(self, text: str) -> SearchWord:
+        """Return a word with what is known of it."""
+        return self.words.get(text) or SearchWord(text)
+
+    def values(self) -> dict[str, object]:
+        """Return the values of the bind parameters of statements of this plan."""
+        values = {name: value for word in self.words.values() for name, value in word.values().items()}
+        if self.mission_ids is not None:
+            values["visible_mission_ids"] = [*self.mission_ids]
+        if self.matched is not None:
+            for name in ("file_ids", "mission_ids", "blob_ids", "first_ids"):
+                values[f"matched_{name}"] = getattr(self.matched, name)
+        return values
+
+    def shape(self) -> Hashable:
+        """Return what distinguishes the statements of plans, apart from the values that are bound by name."""
+        words = tuple(word.shape() for word in self.words.values())
+        leading = self.leading_word and self.word(self.leading_word).number
+        return words, leading, self.is_common, self.matched is None, self.has_time, self.mission_ids is None
 
 
 NO_PLAN = SearchPlan()

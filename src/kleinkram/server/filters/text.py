@@ -5,8 +5,9 @@ for a search, and then compared by value.
 """
 
 import re
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
+from functools import cache
+from typing import Any, NamedTuple
 
 from sqlalchemy import (
     CTE,
@@ -34,9 +35,9 @@ from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.query import phrases
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
-from kleinkram.server.db import Connection, among
-from kleinkram.server.filters.patterns import holds_word, key_holds_word
-from kleinkram.server.filters.plan import SearchPlan, WordMatches
+from kleinkram.server.db import Connection, among_given
+from kleinkram.server.filters.patterns import ESCAPE
+from kleinkram.server.filters.plan import SearchPlan, SearchWord
 from kleinkram.server.tables import (
     MOST_KEPT_TOPICS,
     file,
@@ -55,12 +56,12 @@ NO_TIME = -(2**63)
 MAX_WORDS = 20
 # So many projects, topics and types that contain a word are listed by value.
 _MAX_NAMES = 500
+# A word that is in one of so many paths is not looked for elsewhere, to see whether it occurs at all.
+_SAMPLED_PATHS = 300
 # Message types that are searched for a word; those after them in order are found by `type:` alone.
 _MAX_MESSAGE_TYPES = 5_000
 # A word without three letters or digits in a row has no trigram to be looked up by.
 _TRIGRAM = re.compile(r"[^\W_]{3}")
-# Characters that JSON writes differently.
-_ESCAPED_IN_JSON = re.compile(r'["\\\x00-\x1f\x7f]')
 
 
 def words_of(text: str | None) -> list[str]:
@@ -82,20 +83,25 @@ def has_index(word: str) -> bool:
 
 
 def file_contains(
-    actor: Actor, plan: SearchPlan, word: str, of_mission: "WordInMission | None" = None
+    actor: Actor, plan: SearchPlan, text: str, in_mission: "WordInMission | None" = None
 ) -> ColumnElement[bool]:
     """Return the condition that a file contains a word: its path, labels, topics, mission or project.
 
-    `of_mission` holds what was evaluated once for all files of the mission.
+    `in_mission` holds what was evaluated once for all files of the mission.
     """
-    matches = plan.matches_of(word)
-    in_mission = _mission_contains(actor, word, matches) if of_mission is None else [of_mission.contains]
-    in_file, in_topics = _path_or_label_contains(word), _topic_contains(word, matches, topic)
-    if word == plan.leading_word:
-        return file.c.id.in_(_look_up(in_file, in_mission, in_topics, plan_conditions(plan)))
-    has_topic = or_(false(), *(blob_has_topic(each) for each in in_topics))
+    word = plan.word(text)
+    in_file = _path_or_label_contains(word)
+    mission_conditions = _mission_conditions(actor, word) if in_mission is None else [in_mission.contains]
+    in_topics = _topic_conditions(word, topic)
+    if text == plan.leading_word:
+        return file.c.id.in_(_look_up(in_file, mission_conditions, in_topics, plan_conditions(plan)))
+    has_topic = or_(false(), *(blob_has_topic(condition) for condition in in_topics))
     # The cheapest condition first.
-    return or_(*in_file, *in_mission, has_topic if of_mission is None else and_(of_mission.may_have_topic, has_topic))
+    return or_(
+        *in_file,
+        *mission_conditions,
+        has_topic if in_mission is None else and_(in_mission.may_have_topic, has_topic),
+    )
 
 
 class WordInMission(NamedTuple):
@@ -105,10 +111,10 @@ class WordInMission(NamedTuple):
     may_have_topic: ColumnElement[bool]
 
 
-def word_in_mission(actor: Actor, plan: SearchPlan, word: str) -> WordInMission:
+def word_in_mission(actor: Actor, plan: SearchPlan, text: str) -> WordInMission:
     """Return both conditions on `mission`."""
-    its_topics = or_(false(), *_topic_contains(word, plan.matches_of(word), mission_topic))
-    return WordInMission(mission_contains(actor, plan, word), mission_may_have_topic(its_topics))
+    its_topics = or_(false(), *_topic_conditions(plan.word(text), mission_topic))
+    return WordInMission(mission_contains(actor, plan, text), mission_may_have_topic(its_topics))
 
 
 def mission_may_have_topic(*conditions: ColumnElement[bool]) -> ColumnElement[bool]:
@@ -126,7 +132,7 @@ def mission_may_have_topic(*conditions: ColumnElement[bool]) -> ColumnElement[bo
 
 def plan_conditions(plan: SearchPlan) -> Conditions:
     """Return the conditions on files that a plan adds to its filter."""
-    conditions = [] if plan.mission_ids is None else [among(file.c.mission_id, plan.mission_ids)]
+    conditions = [] if plan.mission_ids is None else [among_given(file.c.mission_id, "visible_mission_ids")]
     if plan.has_time is None:
         return conditions
     if plan.has_time:
@@ -136,9 +142,9 @@ def plan_conditions(plan: SearchPlan) -> Conditions:
     return [*conditions, func.coalesce(file.c.start_ns, no_time) == no_time]
 
 
-def mission_contains(actor: Actor, plan: SearchPlan, word: str) -> ColumnElement[bool]:
+def mission_contains(actor: Actor, plan: SearchPlan, text: str) -> ColumnElement[bool]:
     """Return the condition that a mission itself contains a word: its name or project's, its notes or metadata."""
-    return or_(false(), *_mission_contains(actor, word, plan.matches_of(word)))
+    return or_(false(), *_mission_conditions(actor, plan.word(text)))
 
 
 def path_condition(condition: ColumnElement[bool]) -> ColumnElement[bool]:
@@ -165,20 +171,32 @@ def row_exists(found: Select[tuple[bool]]) -> ColumnElement[bool]:
     return func.coalesce(found.limit(1).scalar_subquery(), false())
 
 
-async def look_up_words(db: Connection, words: Sequence[str]) -> dict[str, WordMatches]:
-    """Return where each word occurs among the names that are few. It says nothing of rights."""
-    unique = [*dict.fromkeys(words)]
+async def look_up_words(db: Connection, words: Sequence[str]) -> dict[str, SearchWord]:
+    """Return each word with where it occurs among the names that are few. It says nothing of rights."""
+    unique = [SearchWord(word, number) for number, word in enumerate(dict.fromkeys(words))]
     if not unique:
         return {}
-    columns = []
-    for word in unique:
-        projects = select(project.c.id).where(key_holds_word(project.c.name_key, word))
-        topics = select(topic_name.c.name).where(holds_word(topic_name.c.name, word))
-        types = select(_MESSAGE_TYPES.c.message_type).where(holds_word(_MESSAGE_TYPES.c.message_type, word))
-        columns += [func.array(each.limit(_MAX_NAMES + 1).scalar_subquery()) for each in (projects, topics, types)]
-    row = (await db.execute(select(*columns))).one()
-    listed = [None if len(values) > _MAX_NAMES else values for values in row]
-    return {word: WordMatches(*listed[3 * at : 3 * at + 3]) for at, word in enumerate(unique)}
+    values = {name: value for word in unique for name, value in word.values().items()}
+    row = (await db.execute(_names_of_words(len(unique), _MAX_NAMES + 1), values)).one()
+    matches = {}
+    for at, word in enumerate(unique):
+        *names, is_in_sample = row[4 * at : 4 * at + 4]
+        projects, topics, types = (None if len(listed) > _MAX_NAMES else listed for listed in names)
+        matches[word.text] = SearchWord(word.text, at, projects, topics, types, is_in_sample)
+    return matches
+
+
+@cache
+def _names_of_words(count: int, limit: int) -> Select[tuple[Sequence[Any], ...]]:
+    columns: list[ColumnElement[Any]] = []
+    for word in (SearchWord("", number) for number in range(count)):
+        projects = select(project.c.id).where(key_contains(project.c.name_key, word))
+        topics = select(topic_name.c.name).where(contains(topic_name.c.name, word))
+        types = select(_MESSAGE_TYPES.c.message_type).where(contains(_MESSAGE_TYPES.c.message_type, word))
+        columns += [func.array(names.limit(limit).scalar_subquery()) for names in (projects, topics, types)]
+        paths = select(file.c.path_key).order_by(file.c.id).limit(_SAMPLED_PATHS).subquery()
+        columns.append(select(true()).where(key_contains(paths.c.path_key, word)).exists())
+    return select(*columns)
 
 
 def _look_up(
@@ -193,50 +211,97 @@ def _look_up(
     return union_all(*(each.where(*of_all).correlate(None) for each in found))
 
 
-def _path_or_label_contains(word: str) -> Conditions:
-    # Most files have no label: to see that is quicker than to join none.
-    has_label = and_(func.cardinality(file.c.labels) > 0, holds_word(func.joined(file.c.labels), word))
-    return [path_condition(key_holds_word(file.c.path_key, word)), has_label]
+async def occur_somewhere(db: Connection, words: Iterable[SearchWord]) -> bool:
+    """Return False if one of the words occurs in no file or mission, whoever asks. It says nothing of rights.
+
+    Only words are looked for that are in no name of a project, topic or type, in none of some sampled paths, and that
+    the indexes can look up.
+    """
+    rare = [
+        word.text
+        for word in words
+        if not (word.is_in_sample or word.is_escaped_in_json or word.project_ids or word.topics or word.message_types)
+        and None not in (word.project_ids, word.topics, word.message_types)
+        and has_index(word.text)
+    ]
+    if not rare:
+        return True
+    values = {name: value for at, text in enumerate(rare) for name, value in SearchWord(text, at).values().items()}
+    return all((await db.execute(_occurrences(len(rare)), values)).one())
 
 
-def _mission_contains(actor: Actor, word: str, matches: WordMatches) -> Conditions:
+@cache
+def _occurrences(count: int) -> Select[tuple[bool, ...]]:
+    columns = []
+    for number in range(count):
+        word = SearchWord("", number, project_ids=[])
+        # Planned as if all rows were read, but read lazily: with a limit of its own, PostgreSQL would rather read the
+        # table until a row matches, and read all of it where none does.
+        files = select(file.c.id).where(or_(*_path_or_label_contains(word))).cte(f"files_{number}")
+        missions = select(mission.c.id).where(or_(*_whole_mission_conditions(word))).cte(f"missions_{number}")
+        ids = (select(rows.prefix_with("MATERIALIZED").c.id) for rows in (files, missions))
+        columns.append(or_(*(one.limit(1).scalar_subquery().is_not(None) for one in ids)))
+    return select(*columns)
+
+
+def contains(column: ColumnElement[str], word: SearchWord) -> ColumnElement[bool]:
+    """Return the condition that a text contains a word, in any case."""
+    return column.ilike(word.pattern, escape=ESCAPE)
+
+
+def key_contains(column: ColumnElement[str], word: SearchWord) -> ColumnElement[bool]:
+    """Return the condition that a column of name keys contains a word, in any case and Unicode form."""
+    return column.like(word.key_pattern, escape=ESCAPE)
+
+
+def _mission_conditions(actor: Actor, word: SearchWord) -> Conditions:
     # Conditions on the mission's own columns only, so that their indexes can be combined.
-    if matches.project_ids is None:
-        named = select(project.c.id).where(key_holds_word(project.c.name_key, word)).correlate(None)
+    if word.project_ids is None:
+        named = select(project.c.id).where(key_contains(project.c.name_key, word)).correlate(None)
         in_project: Conditions = [mission.c.project_id == any_(func.array(named.scalar_subquery()))]
     else:
-        in_project = [among(mission.c.project_id, matches.project_ids)] if matches.project_ids else []
-    in_name = key_holds_word(mission.c.name_key, word)
+        in_project = [among_given(mission.c.project_id, word.name_of("project_ids"))] if word.project_ids else []
     if not sees_whole_missions(actor):
-        return [in_name, *in_project]
-    return [in_name, holds_word(mission.c.notes, word), _metadata_contains(word), *in_project]
+        return [key_contains(mission.c.name_key, word), *in_project]
+    return [*_whole_mission_conditions(word), *in_project]
 
 
-def _metadata_contains(word: str) -> ColumnElement[bool]:
+def _whole_mission_conditions(word: SearchWord) -> Conditions:
+    in_name = key_contains(mission.c.name_key, word)
+    return [in_name, contains(mission.c.notes, word), _metadata_contains(word)]
+
+
+def _path_or_label_contains(word: SearchWord) -> Conditions:
+    # Most files have no label: to see that is quicker than to join none.
+    has_label = and_(func.cardinality(file.c.labels) > 0, contains(func.joined(file.c.labels), word))
+    return [path_condition(key_contains(file.c.path_key, word)), has_label]
+
+
+def _metadata_contains(word: SearchWord) -> ColumnElement[bool]:
     values = func.jsonb_path_query(mission.c.metadata, cast("strict $.**", JSONPATH))
-    each = values.table_valued("value").render_derived(name="each_value")
-    as_text = each.c.value.op("#>>", return_type=Text())(bindparam(None, [], ARRAY(Text)))
-    scalar = func.jsonb_typeof(each.c.value).not_in(["object", "array"])
-    in_values: ColumnElement[bool] = select(each.c.value).where(holds_word(as_text, word), scalar).exists()
-    if _ESCAPED_IN_JSON.search(word):
+    entry = values.table_valued("value").render_derived(name="metadata_value")
+    as_text = entry.c.value.op("#>>", return_type=Text())(bindparam(None, [], ARRAY(Text)))
+    scalar = func.jsonb_typeof(entry.c.value).not_in(["object", "array"])
+    in_values: ColumnElement[bool] = select(entry.c.value).where(contains(as_text, word), scalar).exists()
+    if word.is_escaped_in_json:
         return in_values
     # The whole as text has an index, and is quickly searched; but it contains the names of fields too.
-    return and_(holds_word(cast(mission.c.metadata, Text), word), in_values)
+    return and_(contains(cast(mission.c.metadata, Text), word), in_values)
 
 
-def _topic_contains(word: str, matches: WordMatches, table: Table) -> Conditions:
+def _topic_conditions(word: SearchWord, table: Table) -> Conditions:
+    every_type = _MESSAGE_TYPES.c.message_type
     return [
-        *_one_of(table.c.name, word, matches.topics, topic_name.c.name),
-        *_one_of(table.c.message_type, word, matches.message_types, _MESSAGE_TYPES.c.message_type),
+        *_is_one_of(table.c.name, word, "topics", topic_name.c.name),
+        *_is_one_of(table.c.message_type, word, "message_types", every_type),
     ]
 
 
-def _one_of(
-    column: ColumnElement[str], word: str, values: Sequence[str] | None, every: ColumnElement[str]
-) -> Conditions:
-    if values is not None:
-        return [among(column, values)] if values else []
-    named = select(every).where(holds_word(every, word)).correlate(None)
+def _is_one_of(column: ColumnElement[str], word: SearchWord, name: str, every: ColumnElement[str]) -> Conditions:
+    names = getattr(word, name)
+    if names is not None:
+        return [among_given(column, word.name_of(name))] if names else []
+    named = select(every).where(contains(every, word)).correlate(None)
     return [column == any_(func.array(named.scalar_subquery()))]
 
 

@@ -30,7 +30,7 @@ from kleinkram.server.runners.eligibility import Needs, has_single_person, known
 from kleinkram.server.runs.queries import visible_runs
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import action_version, blob, file, mission, project, run, scrub, upload
-from kleinkram.server.tables.upload import UNDER_WAY
+from kleinkram.server.tables.blobs import UNDER_WAY
 from kleinkram.server.uploads.queries import own_uploads
 
 _MAX_MISSIONS, _MAX_ITEMS = 10, 20
@@ -107,7 +107,7 @@ async def get_storage(db: Connection, actor: Actor, settings: Settings) -> HomeS
 
 async def store_use(db: Connection, settings: Settings) -> StoreUse:
     """Return the bytes in the store, each counted once, and the free bytes if its disk is on this machine."""
-    used = select(func.coalesce(func.sum(blob.c.size_bytes), 0)).where(blob.c.doomed_at.is_(None))
+    used = select(func.coalesce(func.sum(blob.c.size_bytes), 0)).where(blob.c.marked_for_deletion_at.is_(None))
     free, total = _disk(settings) or (None, None)
     return StoreUse(used_bytes=int((await db.execute(used)).scalar_one()), free_bytes=free, disk_bytes=total)
 
@@ -148,16 +148,16 @@ async def _attention(db: Connection, actor: Actor) -> list[Attention]:
         count(Need.runs_failed, row)
     for row in await db.execute(_unsatisfied_missions(actor)):
         count(Need.metadata_missing, row)
-    found = [Attention(need=need, count=number, mission=where) for (need, where), number in counts.items()]
+    items = [Attention(need=need, count=number, mission=where) for (need, where), number in counts.items()]
     order = list(Need)
-    return sorted(found, key=lambda attention: order.index(attention.need))
+    return sorted(items, key=lambda attention: order.index(attention.need))
 
 
 async def _server_attention(db: Connection, settings: Settings) -> list[Attention]:
     ended = select(scrub.c.stopped).where(scrub.c.store_id == settings.store_id, scrub.c.ended_at.is_not(None))
     last = ended.order_by(scrub.c.created_at.desc()).limit(1).subquery()
     failed_jobs = select(func.count()).select_from(text("procrastinate_jobs")).where(text("status = 'failed'"))
-    unverified = (blob.c.state == BlobState.stored.value) & blob.c.doomed_at.is_(None)
+    unverified = (blob.c.state == BlobState.stored.value) & blob.c.marked_for_deletion_at.is_(None)
     is_overdue = unverified & (blob.c.created_at < func.now() - _VERIFICATION_DUE_AFTER)
     overdue = select(func.count()).select_from(blob).where(is_overdue)
     counts = {

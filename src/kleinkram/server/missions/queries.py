@@ -40,7 +40,7 @@ from kleinkram.server.filters.metadata import metadata_key
 from kleinkram.server.filters.missions import filter_missions, filter_missions_by_files
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
 from kleinkram.server.missions.amounts import amounts
-from kleinkram.server.paging import Order
+from kleinkram.server.pagination import Listing, Order
 from kleinkram.server.tables import blob, file, mission, person, project
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
@@ -129,18 +129,22 @@ def fields_of_mission(mission_id: uuid.UUID) -> Select[Any]:
     return one.where(mission.c.id == mission_id, project.c.deleted_at.is_(None)).with_for_update(read=True, of=project)
 
 
-def matching_missions(
-    actor: Actor, matching: MissionFilter, found: FileFilter | None = None, plan: SearchPlan = NO_PLAN
-) -> Select[Any]:
-    """Return the visible missions that match, among those that a filter of files finds, where there is one.
+def mission_listing(
+    actor: Actor,
+    matching: MissionFilter,
+    by_files: FileFilter | None = None,
+    *,
+    plan: SearchPlan = NO_PLAN,
+    sort: MissionOrder,
+) -> Listing:
+    """Return the visible missions that match, among those that a filter of files finds, where there is one."""
+    matched = filter_missions(actor, visible_missions(actor), matching, plan)
+    if by_files is not None:
+        matched = filter_missions_by_files(actor, matched, by_files, plan)
+    return Listing(matched, mission_order(actor, sort), functools.partial(rows_of_found, actor))
 
-    To be counted, or read with `rows_of_found`.
-    """
-    narrowed = filter_missions(actor, visible_missions(actor), matching)
-    return narrowed if found is None else filter_missions_by_files(actor, narrowed, found, plan)
 
-
-def sampled_missions(actor: Actor, found: FileFilter, plan: SearchPlan, *, size: int) -> Select[Any]:
+def sampled_missions(actor: Actor, found: FileFilter, *, plan: SearchPlan, size: int) -> Select[Any]:
     """Return how many of the missions sampled by id match (`hits`), of how many (`sampled`), and the `last_id`."""
     sample = select(mission.c.id).order_by(mission.c.id).limit(size).cte("sample").prefix_with("MATERIALIZED")
     within = visible_missions(actor).where(mission.c.id.in_(select(sample.c.id)))
@@ -186,6 +190,11 @@ def _order_by_metadata(sort: str, *, is_seen: bool) -> Order:
     has_none = value.is_(None) if not descending else value.is_not(None)
     columns = [case((has_none, 1), else_=0), func.coalesce(value, bindparam(None, "", JSONB)), mission.c.id]
     return Order(columns, descending, name="meta." + json.dumps(path))
+
+
+def visible_ids(actor: Actor, *, plan: SearchPlan, limit: int) -> Select[Any]:
+    """Return the ids of the first visible missions, in no order."""
+    return visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True).limit(limit)
 
 
 def last_mission(actor: Actor, project_id: uuid.UUID) -> Select[Any]:

@@ -5,7 +5,6 @@ mission holds begins with `lock_mission`, and only then reads what the change de
 """
 
 import asyncio
-import functools
 import uuid
 from collections.abc import Collection, Sequence
 from dataclasses import replace
@@ -30,16 +29,17 @@ from kleinkram.contract.names import name_key
 from kleinkram.contract.projects import Deleted
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission, require_project
-from kleinkram.server.access.visible import sees_whole_missions, visible_missions
+from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.filters.plan import ID_COUNT, NO_PLAN, SearchPlan, rounded
+from kleinkram.server.filters.prepared import prepare
 from kleinkram.server.http.headers import require_match
 from kleinkram.server.missions import queries
 from kleinkram.server.missions.amounts import NOTHING
 from kleinkram.server.missions.metadata import Judge, read_metadata, satisfying
 from kleinkram.server.missions.template import carried_over, defaults, write_template
-from kleinkram.server.paging import PageRequest, fetch_page
+from kleinkram.server.pagination import PageRequest, fetch_listing
 from kleinkram.server.quotas import require_room_for_mission
 from kleinkram.server.tables import mission
 from kleinkram.server.yaml_text import Document
@@ -116,9 +116,9 @@ async def list_missions(
         InvalidQuery: a `where` cannot be used.
         InvalidCursor: the cursor is not of this list.
     """
-    matched = queries.matching_missions(actor, matching, found, plan)
-    described = functools.partial(queries.rows_of_found, actor)
-    rows = await fetch_page(db, matched, queries.mission_order(actor, sort), page, described=described)
+    filters = [matching] if found is None else [matching, found]
+    listing, values = prepare(queries.mission_listing, actor, *filters, plan=plan, sort=sort)
+    rows = await fetch_listing(db, listing, page, values)
     return Page(items=queries.to_missions(rows.items), next=rows.next, total=rows.total)
 
 
@@ -131,8 +131,7 @@ async def find_visible_mission_ids(db: Connection, actor: Actor) -> Sequence[uui
     """
     if actor.is_admin:
         return None
-    ids = visible_missions(actor).with_only_columns(mission.c.id, maintain_column_froms=True).limit(MAX_VISIBLE_IDS + 1)
-    mission_ids = (await db.execute(ids)).scalars().all()
+    mission_ids = (await db.execute(*prepare(queries.visible_ids, actor, limit=MAX_VISIBLE_IDS + 1))).scalars().all()
     return None if len(mission_ids) > MAX_VISIBLE_IDS else mission_ids
 
 
@@ -144,7 +143,8 @@ async def estimate_matching(db: Connection, actor: Actor, found: FileFilter, pla
     Raises:
         InvalidQuery: a `where` cannot be used.
     """
-    row = (await db.execute(queries.sampled_missions(actor, found, plan, size=SAMPLED_MISSIONS))).one()
+    statement = prepare(queries.sampled_missions, actor, found, plan=plan, size=SAMPLED_MISSIONS)
+    row = (await db.execute(*statement)).one()
     if row.sampled < SAMPLED_MISSIONS:
         return int(row.hits)
     return rounded(row.hits * ID_COUNT // max(row.last_id.int, 1)) or None

@@ -12,7 +12,7 @@ from sqlalchemy import Row
 
 from kleinkram.contract.names import file_name
 from kleinkram.recordings import Rosbag2Metadata, SummaryFailed, metadata_request_bytes
-from kleinkram.recordings.recording_groups import METADATA_NAME
+from kleinkram.recordings.formats.rosbag2.metadata import METADATA_NAME
 from kleinkram.server.blobs.reader_processes import ReaderProcesses
 from kleinkram.server.context import AppContext
 

@@ -9,7 +9,7 @@ from kleinkram.server.jobs.attempts import app_context
 from kleinkram.server.jobs.queue import Job, queue
 from kleinkram.server.runs.lifecycle import cancel_orphans, requeue_lost_runs
 from kleinkram.server.tables import log_chunk, run
-from kleinkram.server.tables.run import ACTIVE
+from kleinkram.server.tables.runs import ACTIVE
 
 _BATCH = 500
 

@@ -20,8 +20,8 @@ from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection
 from kleinkram.server.runs import service
 from kleinkram.server.tables import mission, project, run, run_artifact, runner, token, upload
-from kleinkram.server.tables.run import HELD
-from kleinkram.server.tables.upload import UNDER_WAY
+from kleinkram.server.tables.blobs import UNDER_WAY
+from kleinkram.server.tables.runs import HELD
 
 # How often a run is queued again after its runner was lost.
 MOST_LOST = 2

@@ -14,7 +14,7 @@ from kleinkram.server.db import Connection
 from kleinkram.server.events.hub import EventFilter, Hub
 from kleinkram.server.runs import service
 from kleinkram.server.tables import blob, log_chunk, run
-from kleinkram.server.tables.run import ACTIVE
+from kleinkram.server.tables.runs import ACTIVE
 
 _CHUNK_BYTES = 2**20
 _CHECK_EVERY_S = 5.0

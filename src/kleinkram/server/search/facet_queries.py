@@ -68,7 +68,7 @@ def variants(actor: Actor, matching: FileFilter) -> list[FileFilter]:
 
 
 def facet_rows(
-    actor: Actor, matching: FileFilter, plan: SearchPlan, *, most: int, common: Sequence[bool]
+    actor: Actor, matching: FileFilter, *, plan: SearchPlan, most: int, common: Sequence[bool]
 ) -> CompoundSelect[Any]:
     """Return rows of `facet`, `value`, `kind`, `file_count`, `value_count` for every facet of a filter.
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import psycopg
-from sqlalchemy import CompoundSelect, Row, func
+from sqlalchemy import CompoundSelect, Row, text
 from sqlalchemy.exc import DBAPIError
 
 from kleinkram.contract.files import FileFilter
@@ -13,16 +13,18 @@ from kleinkram.contract.search import Facet, FacetsRead, FacetValue
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
+from kleinkram.server.filters.prepared import prepare
 from kleinkram.server.search import chosen_values
 from kleinkram.server.search.facet_queries import PLAIN_FACETS, facet_rows, parameters, variants
 from kleinkram.server.search.planner import plan_search
-from kleinkram.server.search.queries import enlarge_work_memory
+from kleinkram.server.search.queries import ENLARGE_WORK_MEMORY
 
 # Files that are looked at, and for how long; fewer where that takes too long.
 _ATTEMPTS = ((2_000, 5_000), (200, 2_000))
+_SET_TIMEOUT = text("SELECT set_config('statement_timeout', :milliseconds, true)")
 
 
-async def get_facets(db: Connection, actor: Actor, *, text: str) -> FacetsRead:
+async def get_facets(db: Connection, actor: Actor, *, query: str) -> FacetsRead:
     """Return the facets of a query, counted over files that this actor may see and no others.
 
     Where even a few files take too long to find there are none, and the answer is not whole.
@@ -30,13 +32,15 @@ async def get_facets(db: Connection, actor: Actor, *, text: str) -> FacetsRead:
     Raises:
         InvalidQuery: the query cannot be read; says which word, at which column.
     """
-    matching = parse(text)
+    matching = parse(query)
     filters = variants(actor, matching)
     plan, sample = await plan_search(db, actor, *filters)
-    common = [sample.is_common(number) for number in range(len(filters))]
+    if plan.finds_nothing:
+        return _to_facets(actor, matching, [], file_count=0, is_whole=True)
+    common = tuple(sample.is_common(number) for number in range(len(filters)))
     for most, milliseconds in _ATTEMPTS:
-        stmt = facet_rows(actor, matching, plan, most=most, common=common)
-        rows = await _within(db, stmt, parameters(matching), milliseconds=milliseconds)
+        stmt, values = prepare(facet_rows, actor, matching, plan=plan, most=most, common=common)
+        rows = await _within(db, stmt, values | parameters(matching), milliseconds=milliseconds)
         if rows is not None:
             file_count = next(row.file_count for row in rows if not row.facet)
             is_whole = file_count < most and not common[0]
@@ -50,8 +54,8 @@ async def _within(
     """Return the rows of a statement, or None where it takes too long."""
     try:
         async with db.begin_nested():
-            timeout = func.set_config("statement_timeout", str(milliseconds), True)
-            await db.execute(enlarge_work_memory().add_columns(timeout))
+            await db.execute(ENLARGE_WORK_MEMORY)
+            await db.execute(_SET_TIMEOUT, {"milliseconds": str(milliseconds)})
             return (await db.execute(stmt, values)).all()
     except DBAPIError as error:
         if isinstance(error.orig, psycopg.errors.QueryCanceled):

@@ -4,10 +4,11 @@ Ids are random, so the files with the lowest ids are a sample. Common filters ar
 order, with estimated totals; rare ones by looking all their files up once. Rights are checked by every statement.
 """
 
+import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from sqlalchemy import ARRAY, CTE, ColumnElement, Select, Text, and_, cast, func, select, true
+from sqlalchemy import ARRAY, CTE, ColumnElement, Select, Text, and_, cast, func, select, text, true
 
 from kleinkram.contract.files import FileFilter, FileSort
 from kleinkram.server.access.actor import Actor
@@ -16,9 +17,10 @@ from kleinkram.server.db import Connection
 from kleinkram.server.files.queries import file_order, matching_files
 from kleinkram.server.filters.files import file_conditions
 from kleinkram.server.filters.plan import ID_COUNT, MatchedFiles, SearchPlan, rounded
-from kleinkram.server.filters.text import file_contains, has_index, look_up_words, words_of
+from kleinkram.server.filters.prepared import prepare
+from kleinkram.server.filters.text import file_contains, has_index, look_up_words, occur_somewhere, words_of
 from kleinkram.server.missions.service import find_visible_mission_ids
-from kleinkram.server.paging import in_order
+from kleinkram.server.pagination import in_order
 from kleinkram.server.tables import file
 
 # Files sampled, and how many of them make a filter common: with those, an estimate is off by a third.
@@ -27,6 +29,12 @@ SAMPLED_FILES, COMMON = 500, 10
 _COMMON_TOGETHER = 3
 # So many files of a rare filter are looked up at once.
 _MAX_MATCHED = 50_000
+# Until the transaction ends. PostgreSQL expects rights to cost the more the more rows it reads one by one, and would
+# rather read all missions to join 500 files with (two million files, somebody with many grants: 244 instead of 12 ms).
+_AVOID_HASH_JOINS, _ALLOW_HASH_JOINS = (
+    text(f"SELECT set_config('enable_hashjoin', '{value}', true), set_config('enable_mergejoin', '{value}', true)")
+    for value in ("off", "on")
+)
 
 
 @dataclass(frozen=True)
@@ -70,15 +78,17 @@ async def plan_search(
         InvalidQuery: a `where` cannot be used, or there are too many words.
     """
     words = [*dict.fromkeys(words_of(filters[0].text))]
+    plan = SearchPlan(await look_up_words(db, words))
+    no_sample = Sample([0] * len(filters), 0, 0, "{}", COMMON)
+    sampled = prepare(_sampled, actor, *filters, plan=plan)
+    if not await occur_somewhere(db, plan.words.values()):
+        return replace(plan, finds_nothing=True), no_sample
     visible_ids = await find_visible_mission_ids(db, actor)
     if visible_ids is not None:
-        return SearchPlan(mission_ids=visible_ids), Sample([0] * len(filters), 0, 0, "{}", COMMON)
-    plan = SearchPlan(await look_up_words(db, words))
-    await db.execute(allow_hash_joins(False))
-    conditions = [and_(true(), *file_conditions(actor, each, plan)) for each in filters]
-    if len(words) > 1:
-        conditions += [file_contains(actor, plan, word) for word in words]
-    row = (await db.execute(_sampled(actor, conditions))).one()
+        return replace(plan, mission_ids=visible_ids), no_sample
+    if not actor.is_admin:
+        await db.execute(_AVOID_HASH_JOINS)
+    row = (await db.execute(*sampled)).one()
     hits = row[: len(filters)]
     # The hits of a single word are at least those of the filter.
     word_hits = dict(zip(words, row[len(filters) :] if len(words) > 1 else hits, strict=False))
@@ -90,34 +100,32 @@ async def plan_search(
         # Files without a time come last, so that reading in order would pass nearly all others first: only those
         # without are read where an index tells that no other matches (two words at two million files: 1.8 s otherwise).
         timed = replace(plan, leading_word=rarest, has_time=True)
-        if rarest is not None and await _finds_none(db, actor, filters[0], timed):
+        one_match = prepare(_one_match, actor, filters[0], plan=timed)
+        if rarest is not None and (await db.execute(*one_match)).first() is None:
             plan = replace(plan, has_time=False)
         else:
             sample = replace(sample, common=SAMPLED_FILES + 1)
     if sample.is_common():
         return replace(plan, is_common=True), sample
-    await db.execute(allow_hash_joins(True))
+    if not actor.is_admin:
+        await db.execute(_ALLOW_HASH_JOINS)
     return replace(plan, leading_word=rarest), sample
 
 
-def allow_hash_joins(allowed: bool) -> Select[tuple[object, ...]]:
-    """Return the statement that lets PostgreSQL join as it likes, or row by row, until the transaction ends.
+def _one_match(actor: Actor, matching: FileFilter, *, plan: SearchPlan) -> Select[tuple[uuid.UUID]]:
+    ids = matching_files(actor, matching, plan).with_only_columns(file.c.id, maintain_column_froms=True)
+    every = ids.cte("timed").prefix_with("MATERIALIZED")
+    return select(every.c.id).limit(1)
 
-    It expects rights to cost the more the more rows it reads one by one, and would rather read all missions to join
-    500 files with (a sample of two million files for somebody with many grants: 244 instead of 12 ms).
+
+def _sampled(actor: Actor, *filters: FileFilter, plan: SearchPlan) -> Select[tuple[object, ...]]:
+    """Return in how many sampled files each filter holds, and each word of the first where it has several.
+
+    Then `size`, `last_id` and the `blob_ids` of the first.
     """
-    kinds = ("enable_hashjoin", "enable_mergejoin")
-    return select(*(func.set_config(kind, "on" if allowed else "off", True) for kind in kinds))
-
-
-async def _finds_none(db: Connection, actor: Actor, matching: FileFilter, plan: SearchPlan) -> bool:
-    found = matching_files(actor, matching, plan).with_only_columns(file.c.id, maintain_column_froms=True)
-    every = found.cte("timed").prefix_with("MATERIALIZED")
-    return (await db.execute(select(every.c.id).limit(1))).first() is None
-
-
-def _sampled(actor: Actor, conditions: Sequence[ColumnElement[bool]]) -> Select[tuple[object, ...]]:
-    """Return in how many sampled files each condition holds, then `size`, `last_id` and `blob_ids` of the first."""
+    conditions = [and_(true(), *file_conditions(actor, matching, plan)) for matching in filters]
+    words = [*dict.fromkeys(words_of(filters[0].text))]
+    conditions += [file_contains(actor, plan, word) for word in words] if len(words) > 1 else []
     sample = sampled_files()
     columns = [condition.label(f"holds_{number}") for number, condition in enumerate(conditions)]
     visible = visible_files(actor).where(file.c.id.in_(select(sample.c.id)))
@@ -125,13 +133,15 @@ def _sampled(actor: Actor, conditions: Sequence[ColumnElement[bool]]) -> Select[
     tried = visible.with_only_columns(*columns, file.c.blob_id, file.c.start_ns, maintain_column_froms=True).limit(
         SAMPLED_FILES
     )
-    each = tried.subquery()
+    evaluated = tried.subquery()
     return select(
-        *(func.count().filter(each.c[column.name]) for column in columns),
+        *(func.count().filter(evaluated.c[column.name]) for column in columns),
         select(func.count()).select_from(sample).scalar_subquery().label("size"),
         select(sample.c.id).order_by(sample.c.id.desc()).limit(1).scalar_subquery().label("last_id"),
-        func.count().filter(each.c.holds_0, each.c.start_ns.is_not(None)).label("timed"),
-        cast(func.array_agg(each.c.blob_id, type_=ARRAY(Text)).filter(each.c.holds_0), Text).label("blob_ids"),
+        func.count().filter(evaluated.c.holds_0, evaluated.c.start_ns.is_not(None)).label("timed"),
+        cast(func.array_agg(evaluated.c.blob_id, type_=ARRAY(Text)).filter(evaluated.c.holds_0), Text).label(
+            "blob_ids"
+        ),
     )
 
 
@@ -143,18 +153,18 @@ async def find_matched(
     Raises:
         InvalidQuery: a `where` cannot be used.
     """
-    row = (await db.execute(_matched(actor, matching, plan, sort, limit + 1))).one()
+    row = (await db.execute(*prepare(_matched, actor, matching, plan=plan, sort=sort, limit=limit + 1))).one()
     return plan if row.file_count > _MAX_MATCHED else replace(plan, matched=MatchedFiles(**row._mapping))
 
 
 def _matched(
-    actor: Actor, matching: FileFilter, plan: SearchPlan, sort: FileSort, limit: int
+    actor: Actor, matching: FileFilter, *, plan: SearchPlan, sort: FileSort, limit: int
 ) -> Select[tuple[object, ...]]:
     order = file_order(sort, by_index=False)
     keys = [column.label(f"key_{number}") for number, column in enumerate(order.columns)]
-    found = matching_files(actor, matching, plan)
-    found = found.with_only_columns(file.c.mission_id, file.c.blob_id, *keys, maintain_column_froms=True)
-    every = found.cte("matched").prefix_with("MATERIALIZED")
+    matched = matching_files(actor, matching, plan)
+    matched = matched.with_only_columns(file.c.mission_id, file.c.blob_id, *keys, maintain_column_froms=True)
+    every = matched.cte("matched").prefix_with("MATERIALIZED")
     # The limit stands outside: with a limit of its own, PostgreSQL would plan to meet that many soon.
     some = select(every).limit(_MAX_MATCHED + 1).cte("some").prefix_with("MATERIALIZED")
     file_id = some.c[keys[-1].name]

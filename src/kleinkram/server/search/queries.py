@@ -12,6 +12,7 @@ from sqlalchemy import (
     Select,
     Text,
     and_,
+    bindparam,
     case,
     cast,
     distinct,
@@ -19,6 +20,7 @@ from sqlalchemy import (
     literal,
     null,
     select,
+    text,
     true,
 )
 
@@ -31,12 +33,10 @@ from kleinkram.server.db import Written
 from kleinkram.server.files.topics import topic_rows
 from kleinkram.server.filters.files import filter_files, filter_topics
 from kleinkram.server.filters.metadata import metadata_text
-from kleinkram.server.filters.patterns import holds_word
 from kleinkram.server.filters.plan import SearchPlan, rounded
-from kleinkram.server.filters.text import words_of
+from kleinkram.server.filters.text import contains, words_of
 from kleinkram.server.tables import blob, file, mission, project, recording, topic
 
-_WORK_MEMORY = "32MB"
 _METADATA = re.compile(r"metadata\.([^.]+(?:\.[^.]+)*)")
 _NUMBERS = ("missions", "files", "recordings", "size_bytes", "duration_ns", "messages")
 
@@ -46,30 +46,24 @@ def matching_topics(actor: Actor, matching: FileFilter) -> Select[Any]:
     return filter_topics(topic_rows(filter_files(actor, visible_files(actor), matching)), matching)
 
 
-def enlarge_work_memory() -> Select[Any]:
-    """Return the statement that gives a transaction enough memory to count many topics."""
-    return select(func.set_config("work_mem", _WORK_MEMORY, True))
+# Enough memory to count many topics, until the transaction ends.
+ENLARGE_WORK_MEMORY = text("SELECT set_config('work_mem', '32MB', true)")
+# Has lists read in the order of an index until the transaction ends.
+AVOID_SORTING = text("SELECT set_config('enable_sort', 'off', true)")
 
 
-def avoid_sorting() -> Select[Any]:
-    """Return the statement that has lists read in the order of an index until the transaction ends."""
-    return select(func.set_config("enable_sort", "off", True))
-
-
-def topics_found(
-    actor: Actor, matching: FileFilter, plan: SearchPlan, blob_ids: str | None, *, limit: int
-) -> Select[Any]:
+def topics_found(actor: Actor, matching: FileFilter, *, plan: SearchPlan, by_blobs: bool, limit: int) -> Select[Any]:
     """Return the first topics of the files that match, each name and type once, with the `total` of them all.
 
-    With `blob_ids`, of those blobs, which this very request has found among the files that match.
+    With `by_blobs`, of the `topic_blob_ids`, which this very request has found among the files that match.
 
     Those whose names contain the most words of the filter come first, then those of the most files.
     """
-    if blob_ids is None:
+    if by_blobs:
+        files = select(func.unnest(bindparam("topic_blob_ids", type_=Written("UUID"))).label("blob_id"))
+    else:
         files = filter_files(actor, visible_files(actor), matching, plan)
         files = files.with_only_columns(file.c.blob_id, maintain_column_froms=True)
-    else:
-        files = select(func.unnest(literal(blob_ids, Written("UUID"))).label("blob_id"))
     found = files.cte("found").prefix_with("MATERIALIZED")
     # A blob names each topic once, so that there is a row for each of its files. OFFSET 0 keeps PostgreSQL from
     # reading all topics there are instead of those of each blob.
@@ -83,10 +77,11 @@ def topics_found(
         func.sum(each.c.count).label("message_count"),
         func.count().over().label("total"),
     )
-    text = name.concat(func.coalesce(literal(" ").concat(message_type), ""))
-    words = sum((case((holds_word(text, word), 1), else_=0) for word in words_of(matching.text)), literal(0, Integer))
+    label = name.concat(func.coalesce(literal(" ").concat(message_type), ""))
+    words = map(plan.word, words_of(matching.text))
+    word_count = sum((case((contains(label, word), 1), else_=0) for word in words), literal(0, Integer))
     grouped = select(*columns).join_from(found, each, true()).group_by(name, message_type)
-    return grouped.order_by(words.desc(), file_count.desc(), name, message_type).limit(limit)
+    return grouped.order_by(word_count.desc(), file_count.desc(), name, message_type).limit(limit)
 
 
 def to_topic_found(row: Row[Any], times: float) -> TopicFound:

@@ -12,7 +12,7 @@ from kleinkram.contract.overviews import StatsRead
 from kleinkram.contract.query import whole
 from kleinkram.contract.search import FacetsRead, FileQuery, QueryText, SearchRead
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
-from kleinkram.server.paging import PageRequest
+from kleinkram.server.pagination import PageRequest
 from kleinkram.server.search import facets, service
 
 router = APIRouter(prefix="/api/v1", tags=["search"])
@@ -51,7 +51,7 @@ async def search(asked: Annotated[SearchQuery, Query()], db: Transaction, actor:
 @router.get("/search/facets", operation_id="get_facets")
 async def get_facets(db: Transaction, actor: CurrentActor, query: Annotated[QueryText, Query()] = "") -> FacetsRead:
     """Return how the files that a query finds divide, and the text of the query with each value chosen."""
-    return await facets.get_facets(db, actor, text=query)
+    return await facets.get_facets(db, actor, query=query)
 
 
 @router.get("/topics", operation_id="list_topics")

@@ -1,10 +1,7 @@
 """What is asked across missions and files."""
 
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
-
-from sqlalchemy import Row
+from typing import NamedTuple
 
 from kleinkram.contract.base import Page
 from kleinkram.contract.errors import InvalidQuery
@@ -19,8 +16,9 @@ from kleinkram.server.db import Connection
 from kleinkram.server.files import service as files
 from kleinkram.server.files.topics import TOPIC_ORDER, to_topics
 from kleinkram.server.filters.plan import SearchPlan
+from kleinkram.server.filters.prepared import prepare
 from kleinkram.server.missions import service as missions
-from kleinkram.server.paging import PageRequest, fetch_page
+from kleinkram.server.pagination import PageRequest, fetch_page
 from kleinkram.server.search import queries
 from kleinkram.server.search.planner import Sample, find_matched, plan_search
 
@@ -45,7 +43,9 @@ async def search(db: Connection, actor: Actor, *, text: str, sort: FileSort, lim
     """
     matching = parse(text)
     plan, sample = await plan_search(db, actor, matching, sort=sort)
-    if plan.is_common:
+    if plan.finds_nothing:
+        found = _Found(Page(items=[], total=0), Page(items=[], total=0), Page(items=[], total=0))
+    elif plan.is_common:
         found = await _search_common(db, actor, matching, sort, limit, plan, sample)
     else:
         found = await _search_rare(db, actor, matching, sort, limit, plan)
@@ -76,19 +76,19 @@ async def _search_rare(
     files_found = await files.list_files(db, actor, matching=matching, sort=sort, page=page, plan=plan)
     if known is not None:
         files_found = files_found.model_copy(update={"total": known.file_count})
-    topics = queries.topics_found(actor, matching, plan, known.blob_ids if known else None, limit=limit)
-    return _Found(missions_found, files_found, _topics_of((await db.execute(topics)).all()))
+    topics = await _topics(db, actor, matching, plan, known.blob_ids if known else None, limit=limit)
+    return _Found(missions_found, files_found, topics)
 
 
 async def _search_common(
     db: Connection, actor: Actor, matching: FileFilter, sort: FileSort, limit: int, plan: SearchPlan, sample: Sample
 ) -> _Found:
     """Read the first of very many from lists in their order; totals and topics come from the sample."""
-    topics = queries.topics_found(actor, matching, plan, sample.blob_ids, limit=limit)
-    rows = (await db.execute(topics)).all()
+    files_per_sampled = sample.file_count / sample.size
+    topics = await _topics(db, actor, matching, plan, sample.blob_ids, limit=limit, files_per_row=files_per_sampled)
     total = await missions.estimate_matching(db, actor, matching, plan)
     # A sort would need all rows that match, of which PostgreSQL expects too few.
-    await db.execute(queries.avoid_sorting())
+    await db.execute(queries.AVOID_SORTING)
     # Where no sampled mission matches, missions are found by their files: one by one, nearly all would be looked into.
     missions_found = await missions.list_missions(
         db,
@@ -103,11 +103,23 @@ async def _search_common(
         missions_found = missions_found.model_copy(update={"total": total})
     files_found = await files.list_files(db, actor, matching=matching, sort=sort, page=PageRequest(limit), plan=plan)
     files_found = files_found.model_copy(update={"total": sample.estimate()})
-    return _Found(missions_found, files_found, _topics_of(rows, sample.file_count / sample.size))
+    return _Found(missions_found, files_found, topics)
 
 
-def _topics_of(rows: Sequence[Row[Any]], files_per_sampled: float = 1) -> Page[TopicFound]:
-    items = [queries.to_topic_found(row, files_per_sampled) for row in rows]
+async def _topics(
+    db: Connection,
+    actor: Actor,
+    matching: FileFilter,
+    plan: SearchPlan,
+    blob_ids: str | None,
+    *,
+    limit: int,
+    files_per_row: float = 1,
+) -> Page[TopicFound]:
+    by_blobs = blob_ids is not None
+    stmt, values = prepare(queries.topics_found, actor, matching, plan=plan, by_blobs=by_blobs, limit=limit)
+    rows = (await db.execute(stmt, values | {"topic_blob_ids": blob_ids})).all()
+    items = [queries.to_topic_found(row, files_per_row) for row in rows]
     return Page(items=items, total=rows[0].total if rows else 0)
 
 
@@ -139,7 +151,7 @@ async def get_stats(db: Connection, actor: Actor, *, by: str, matching: FileFilt
         reason = f"no mission has such a field; say project, mission, topic, type, month, format or a field: {names}"
         raise InvalidQuery(expression=by.removeprefix("metadata."), reason=reason)
     by_topic = by in {"topic", "type"}
-    await db.execute(queries.enlarge_work_memory())
+    await db.execute(queries.ENLARGE_WORK_MEMORY)
     grouped = queries.statistics(actor, matching, group=group, by_topic=by_topic, whole=False)
     rows = [queries.to_stats(row) for row in await db.execute(grouped.limit(MAX_GROUPS + 1))]
     if len(rows) > MAX_GROUPS:

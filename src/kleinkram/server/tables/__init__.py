@@ -1,21 +1,43 @@
-"""The data model: one module a noun. Constraints and indexes stand here; what the database can hold, it holds."""
+"""The data model: tables with their constraints and indexes. What the database can enforce, it enforces."""
 
-from kleinkram.server.tables.access_group import access_grant, access_group, affiliation, affiliation_domain, membership
-from kleinkram.server.tables.action import action, action_version
-from kleinkram.server.tables.audit_event import audit_event
 from kleinkram.server.tables.base import metadata
-from kleinkram.server.tables.blob import blob, topic, topic_name
-from kleinkram.server.tables.file import file, recording
-from kleinkram.server.tables.job_error import job_error
-from kleinkram.server.tables.mission import mission
-from kleinkram.server.tables.mission_topic import MOST_KEPT_TOPICS, mission_topic, mission_topics
-from kleinkram.server.tables.person import person, person_email, session, token, token_limit
-from kleinkram.server.tables.project import project
-from kleinkram.server.tables.run import log_chunk, run, run_artifact, run_finding, run_input, run_metric
-from kleinkram.server.tables.runner import runner
-from kleinkram.server.tables.scrub import scrub
-from kleinkram.server.tables.share import share, share_file
-from kleinkram.server.tables.signing_in import (
+from kleinkram.server.tables.blobs import blob, scrub, store_probe, topic, topic_name, upload
+from kleinkram.server.tables.missions import (
+    MOST_KEPT_TOPICS,
+    file,
+    mission,
+    mission_topic,
+    mission_topics,
+    project,
+    recording,
+)
+from kleinkram.server.tables.operations import audit_event, job_error, worker_process
+from kleinkram.server.tables.people import (
+    access_grant,
+    access_group,
+    affiliation,
+    affiliation_domain,
+    membership,
+    person,
+    person_email,
+    session,
+    share,
+    share_file,
+    token,
+    token_limit,
+)
+from kleinkram.server.tables.runs import (
+    action,
+    action_version,
+    log_chunk,
+    run,
+    run_artifact,
+    run_finding,
+    run_input,
+    run_metric,
+    runner,
+)
+from kleinkram.server.tables.sign_in import (
     identity,
     login_request,
     oidc_login,
@@ -25,9 +47,6 @@ from kleinkram.server.tables.signing_in import (
     recovery_code,
     totp,
 )
-from kleinkram.server.tables.store_probe import store_probe
-from kleinkram.server.tables.upload import upload
-from kleinkram.server.tables.worker_process import worker_process
 
 __all__ = [
     "MOST_KEPT_TOPICS",

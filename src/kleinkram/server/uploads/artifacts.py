@@ -16,14 +16,14 @@ from kleinkram.contract.errors import (
 from kleinkram.contract.files import ContentState
 from kleinkram.contract.problems import to_problem
 from kleinkram.contract.runners import LOG_PATH
-from kleinkram.contract.uploads import Present, Refused, Send, StoredPart, UploadDecision, UploadFile, UploadState
+from kleinkram.contract.uploads import Present, Send, StoredPart, UploadDecision, UploadFile, UploadRefused, UploadState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.jobs.queue import Job, Urgency, enqueue
 from kleinkram.server.tables import blob, run, run_artifact, upload
-from kleinkram.server.tables.run import HELD
-from kleinkram.server.tables.upload import UNDER_WAY
+from kleinkram.server.tables.blobs import UNDER_WAY
+from kleinkram.server.tables.runs import HELD
 from kleinkram.server.uploads import queries
 from kleinkram.server.uploads.parts import Failures, lease_columns, list_multiparts
 from kleinkram.server.uploads.queries import UploadRow
@@ -132,7 +132,7 @@ def _to_wire(
         sent_sha256=requested.sha256 or "",
         existing_file_id=None,
     )
-    return Refused(path=requested.path, problem=to_problem(error, actor.request_id))
+    return UploadRefused(path=requested.path, problem=to_problem(error, actor.request_id))
 
 
 async def make_artifacts(db: Connection, run_id: uuid.UUID, uploads: Sequence[UploadRow]) -> Failures:

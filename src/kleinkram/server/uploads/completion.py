@@ -211,7 +211,7 @@ async def _create_or_repair(
     project_id = await project_of(db, mission_id)
     events = [
         Event(
-            "file.mend" if row.id in repaired else "file.upload",
+            "file.repair" if row.id in repaired else "file.upload",
             "file",
             file_ids[row.id],
             row.path,

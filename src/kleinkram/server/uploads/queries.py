@@ -14,8 +14,8 @@ from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.visible import visible_files, visible_missions
 from kleinkram.server.db import Connection, among
 from kleinkram.server.tables import blob, file, mission, run, upload
-from kleinkram.server.tables.run import HELD
-from kleinkram.server.tables.upload import UNDER_WAY
+from kleinkram.server.tables.blobs import UNDER_WAY
+from kleinkram.server.tables.runs import HELD
 
 
 class FileContent(NamedTuple):
@@ -204,7 +204,7 @@ def _is_trusted(actor: Actor) -> ColumnElement[bool]:
     # A hash that somebody else merely claims must not give access to their bytes, nor put ours under their name.
     verified = blob.c.state == BlobState.verified.value
     own = (blob.c.state == BlobState.stored.value) & (blob.c.uploaded_by_id == actor.person_id)
-    return blob.c.doomed_at.is_(None) & (verified | own)
+    return blob.c.marked_for_deletion_at.is_(None) & (verified | own)
 
 
 def _is_read(actor: Actor) -> ColumnElement[bool]:

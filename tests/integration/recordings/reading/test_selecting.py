@@ -1,4 +1,4 @@
-"""Which messages: topics, globs, spans of time; and what is read of the file for them."""
+"""Selecting messages by topic, pattern and time, and the bytes read for it."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_an_unknown_topic_is_named_with_those_there_are() -> None:
 
 
 @pytest.mark.parametrize("make", MAKERS)
-def test_what_the_index_says(make: Make) -> None:
+def test_properties_come_from_the_index(make: Make) -> None:
     watched = Watched(make(drive()))
     recording = Recording.open(watched)
     assert {topic.name: topic.count for topic in recording.topics} == {
@@ -134,6 +134,6 @@ def test_a_folder_of_several_recordings_names_them(tmp_path: Path) -> None:
         Recording.open(tmp_path)
 
 
-def test_what_does_not_exist() -> None:
+def test_selecting_what_does_not_exist_is_refused() -> None:
     with pytest.raises(FileNotFoundError, match="no such file or folder"):
         Recording.open("/nowhere/at/all.mcap")

@@ -1,4 +1,4 @@
-"""Reading damaged recordings: every message that a scan counts is read, and what is said of the rest is true."""
+"""Reading damaged recordings: every message that a scan counts is read, and the reported loss is correct."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def damaged(name: str, how: str, place: float, length: int) -> bytes:
 @example("bz2.bag", "zeros", 0.9625780948983345, 1)  # the index lists a chunk where none stands
 @example("bz2.bag", "bit", CHUNK_COUNT, 8)  # the bag's header says one chunk less than the index lists
 @settings(max_examples=250, deadline=None)
-def test_what_a_scan_counts_is_read(name: str, how: str, place: float, length: int) -> None:
+def test_as_many_messages_are_read_as_a_scan_counts(name: str, how: str, place: float, length: int) -> None:
     assert_all_read(damaged(name, how, place, length), name)
 
 

@@ -82,7 +82,7 @@ CREATE TABLE blob (
     damaged_at timestamptz,
     uploaded_by_id uuid NOT NULL CONSTRAINT fk_blob_uploaded_by_id_person REFERENCES person (id),
     created_at timestamptz NOT NULL DEFAULT now(),
-    doomed_at timestamptz,
+    marked_for_deletion_at timestamptz,
     content text NOT NULL DEFAULT 'pending',
     content_reason text,
     format text,
@@ -107,12 +107,12 @@ CREATE TABLE blob (
     CONSTRAINT ck_blob_state CHECK (state IN ('stored', 'verified', 'lost', 'corrupt'))
 );
 CREATE INDEX ix_blob_ailing ON blob (id) WHERE state IN ('corrupt', 'lost') OR content IN ('broken', 'recovered', 'error');
-CREATE INDEX ix_blob_doomed ON blob (doomed_at) WHERE doomed_at IS NOT NULL;
+CREATE INDEX ix_blob_marked_for_deletion ON blob (marked_for_deletion_at) WHERE marked_for_deletion_at IS NOT NULL;
 CREATE INDEX ix_blob_duration ON blob ((end_ns::numeric - start_ns::numeric));
 CREATE INDEX ix_blob_key ON blob (store_id, key text_pattern_ops);
-CREATE INDEX ix_blob_verified_at ON blob (verified_at) WHERE state = 'verified' AND doomed_at IS NULL;
-CREATE INDEX ix_blob_size_sha256 ON blob (size_bytes, sha256) WHERE doomed_at IS NULL;
-CREATE INDEX ix_blob_unverified ON blob (created_at) WHERE state = 'stored' AND doomed_at IS NULL;
+CREATE INDEX ix_blob_verified_at ON blob (verified_at) WHERE state = 'verified' AND marked_for_deletion_at IS NULL;
+CREATE INDEX ix_blob_size_sha256 ON blob (size_bytes, sha256) WHERE marked_for_deletion_at IS NULL;
+CREATE INDEX ix_blob_unverified ON blob (created_at) WHERE state = 'stored' AND marked_for_deletion_at IS NULL;
 
 CREATE TABLE identity (
     id uuid CONSTRAINT pk_identity PRIMARY KEY,
