@@ -1,4 +1,4 @@
-"""An engine of containers for tests: a Docker of their own, with folders, socket and registry that nobody else has."""
+"""A container engine for tests: a Docker of their own, with folders, socket and registry that nobody else has."""
 
 from __future__ import annotations
 

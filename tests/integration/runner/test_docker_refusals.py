@@ -1,4 +1,4 @@
-"""An engine of containers that does not remove one: a runner starts and ends its runs nevertheless."""
+"""A container engine that does not remove one: a runner starts and ends its runs nevertheless."""
 
 from __future__ import annotations
 
