@@ -23,9 +23,9 @@ pytestmark = pytest.mark.slow
 CONNECT_SCRIPT = """
 import http.client, os, urllib.parse
 url = urllib.parse.urlsplit(os.environ["KLEINKRAM_URL"])
-knocked = http.client.HTTPConnection(url.netloc, timeout=5)
-knocked.request("GET", "/api/v1/service", headers={"Authorization": "Bearer " + os.environ["KLEINKRAM_TOKEN"]})
-print(knocked.getresponse().status, open("/in/drive.txt").read())
+connection = http.client.HTTPConnection(url.netloc, timeout=5)
+connection.request("GET", "/api/v1/service", headers={"Authorization": "Bearer " + os.environ["KLEINKRAM_TOKEN"]})
+print(connection.getresponse().status, open("/in/drive.txt").read())
 open("/out/x", "w").write("x")
 """
 LASTING = "import time\nfor n in range(60): print(n, flush=True); time.sleep(0.1)"
