@@ -255,7 +255,7 @@ def test_the_time_limit_includes_time_without_a_runner(bench: Bench, engine: Doc
 def test_the_next_runner_opens_the_port_forwards_again(bench: Bench) -> None:
     with socket.create_server(("127.0.0.1", 0)) as api:
         answers(api, b"api:")
-        text = CONNECT + "import time\nwhile True: print(connect('lab.example', 443), flush=True); time.sleep(0.05)"
+        text = CONNECT + "import time\nwhile True: print(dial('lab.example', 443), flush=True); time.sleep(0.05)"
         job = bench.job(text, network=Network.api, port_forwards=[PortForward("lab.example", 443, *api.getsockname())])
         bench.executor.submit(job)
         until_logged_by(bench, text, "api:\n")

@@ -371,7 +371,7 @@ def answers(server: socket.socket, words: bytes) -> None:
 
 CONNECT = """
 import socket
-def connect(host, port, data=b''):
+def dial(host, port, data=b''):
     try:
         with socket.create_connection((host, port), 5) as there:
             there.sendall(data); there.shutdown(socket.SHUT_WR)
@@ -398,9 +398,9 @@ def test_with_port_forwards_only_the_api_and_the_store_answer(isolated: Bench) -
         refused += [("store.lab.example", 80), ("192.168.77.7", 443), ("127.0.0.1", 443), ("192.0.2.1", 443)]
         job = isolated.job(
             CONNECT
-            + f"for host, port in {[(entry.host, entry.port) for entry in forwards]}: print(connect(host, port, b'hi'))\n"
-            f"print({{connect(host, port) for host, port in {refused}}})\n"
-            "print(len(connect('store.lab.example', 443, bytes(3_000_000))))",
+            + f"for host, port in {[(entry.host, entry.port) for entry in forwards]}: print(dial(host, port, b'hi'))\n"
+            f"print({{dial(host, port) for host, port in {refused}}})\n"
+            "print(len(dial('store.lab.example', 443, bytes(3_000_000))))",
             network=Network.api,
             port_forwards=forwards,
         )
@@ -416,7 +416,7 @@ def test_the_target_of_a_port_forward_may_be_unavailable(isolated: Bench) -> Non
     with socket.create_server(("127.0.0.1", 0)) as gone:
         port = gone.getsockname()[1]
     forward = PortForward("kleinkram.lab.example", 443, "127.0.0.1", port)
-    text = CONNECT + "print(connect('kleinkram.lab.example', 443) in ('', 'none'))"
+    text = CONNECT + "print(dial('kleinkram.lab.example', 443) in ('', 'none'))"
     job = isolated.job(text, network=Network.api, port_forwards=[forward])
     isolated.executor.submit(job)
     assert isolated.end_of(job).reason is EndReason.done
