@@ -1,4 +1,4 @@
-"""Ports for what tests start: each worker has its own, and none is one that a server would choose by itself."""
+"""Ports for services of tests: each worker has its own range, outside the default ports."""
 
 import itertools
 import os

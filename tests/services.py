@@ -1,4 +1,4 @@
-"""A private PostgreSQL and a private S3 store for a test session: real ones, started once, gone at its end.
+"""A private PostgreSQL and a private S3 store for a test session.
 
 Use with `pytest_plugins = ["tests.services"]`, or `-p tests.services`. Both die with pytest, however it dies.
 """

@@ -1,4 +1,4 @@
-"""Podman as people meet it: the demo with its server and runner, and an action that is built and tried out."""
+"""Podman instead of Docker: the demo with its server and runner, and an action that is built and tested."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""Parts of Kleinkram are killed while a run lasts: it ends once, with all that it wrote and left."""
+"""Server, runner or engine are killed during a run: the run ends once, with its complete log and all artifacts."""
 
 import json
 from collections.abc import Iterator

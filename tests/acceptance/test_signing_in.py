@@ -1,4 +1,4 @@
-"""Signing in from a terminal to a real `klein up`: by the browser, by a code, by a token; and out again."""
+"""Sign in to a real `klein up` from a terminal by browser, device code or token, and sign out."""
 
 import json
 import uuid

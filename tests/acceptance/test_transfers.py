@@ -1,4 +1,4 @@
-"""Transfers that are cut, raced, refused and resumed, as people see them."""
+"""Transfers that are interrupted, concurrent, refused or resumed."""
 
 import os
 import signal

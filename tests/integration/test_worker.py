@@ -1,4 +1,4 @@
-"""The worker process through restarts of PostgreSQL: it goes on by itself, and nothing that it was doing is lost."""
+"""The worker continues after restarts of PostgreSQL, and no job is lost."""
 
 import contextlib
 import json

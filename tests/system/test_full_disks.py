@@ -125,7 +125,7 @@ def _fill_a_table(cluster: Cluster) -> None:
 def _make_missions(client: Client) -> None:
     project_id = client.projects.get("p").id
     for number in range(200):
-        client.missions.create(f"m{number}", project_id=project_id, notes=secrets.token_hex(4000))
+        client.missions.create(f"m{number}", project=project_id, notes=secrets.token_hex(4000))
 
 
 def _administrator(cluster: Cluster) -> "psycopg.Connection[tuple[object, ...]]":

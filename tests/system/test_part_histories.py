@@ -1,4 +1,4 @@
-"""Parts sent twice, late, at once or with other bytes before, joined by several at once: the file is there.
+"""Parts sent twice, late, concurrently or with other bytes before: the file is correct.
 
 What the store is asked to drop can be read until it has cleared up its volumes, so this is looked at after that.
 """

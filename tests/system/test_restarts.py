@@ -56,7 +56,7 @@ def test_twenty_clients_read_and_upload_while_the_api_and_the_database_restart(
     files = [_write(tmp_path / f"{number}.bin") for number in range(_FILES)]
     with _connected(cluster) as owner:
         project_id = owner.projects.get("p").id
-        missions = [owner.missions.create(f"client {number}", project_id=project_id) for number in range(_CLIENTS)]
+        missions = [owner.missions.create(f"client {number}", project=project_id) for number in range(_CLIENTS)]
     begun = threading.Event()
 
     def work(number: int) -> None:

@@ -1,4 +1,4 @@
-"""An hour of many people on ten years of data: API and worker take no more memory at its end than before."""
+"""One hour of many people on ten years of data: the memory of API and worker does not grow."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""The store in trouble while bytes move: away for half a minute, and full. Clients wait or say so; nothing is lost."""
+"""The store is unreachable for half a minute, or full, during transfers: clients wait or report it."""
 
 import contextlib
 import filecmp

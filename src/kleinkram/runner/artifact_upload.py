@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from kleinkram.client._retry import Backoff
+from kleinkram.client._http import Backoff
 from kleinkram.client.errors import ServerUnreachable, StoreTroubled, StoreUnreachable
 from kleinkram.client.transfer.plan import LocalFile, identity_of
-from kleinkram.client.transfer.report import SilentObserver, TransferResult
+from kleinkram.client.transfer.report import TransferResult, Watcher
 from kleinkram.client.transfer.threads import RateLimit
 from kleinkram.client.transfer.upload import Uploader
 from kleinkram.contract.errors import (
@@ -191,7 +191,7 @@ class ResultUpload:
             self._context.url,
             run_id,
             pace=RateLimit(None),
-            watcher=SilentObserver(),
+            watcher=Watcher(),
             ended=results.append,
             journals=self._job.directory / _JOURNALS,
         )

@@ -11,8 +11,8 @@ from urllib.parse import urlsplit
 
 import urllib3
 
-from kleinkram.client._retry import Backoff
-from kleinkram.client.runners import Runners
+from kleinkram.client._http import Backoff
+from kleinkram.client.runs import Runners
 from kleinkram.client.transfer.store import PATIENCE_S, StoreAnswer, StoreClient
 from kleinkram.contract.actions import Network
 from kleinkram.contract.errors import FileUnavailable, InvalidRequest, KleinkramError, NotFound, RunGone

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from kleinkram.client.runners import Runners
+from kleinkram.client.runs import Runners
 from kleinkram.client.transfer.store import StoreAnswer, StoreClient
 from kleinkram.contract.errors import KleinkramError, RunGone
 from kleinkram.contract.runners import LogChunkConfirm, LogChunkCreate, RunAssignment

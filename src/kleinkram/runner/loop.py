@@ -15,10 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import kleinkram
-from kleinkram.client._http import Api
-from kleinkram.client._retry import Backoff
+from kleinkram.client._http import Api, Backoff
 from kleinkram.client.config import Endpoint, EndpointSource
-from kleinkram.client.runners import Runners
+from kleinkram.client.runs import Runners
 from kleinkram.client.server import Service
 from kleinkram.client.transfer.store import StoreClient
 from kleinkram.contract.actions import Resources

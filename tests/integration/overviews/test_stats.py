@@ -1,4 +1,4 @@
-"""What a project amounts to, by month and by metadata fields, in few buckets."""
+"""Statistics of a project by month and by metadata fields, in a bounded number of buckets."""
 
 import uuid
 from typing import Any
@@ -109,6 +109,6 @@ def test_everything_visible_together(api: Api, sample: Sample, project_id: str) 
     assert api.get("/overview").ok()["total"]["missions"] >= 1
     assert api.get("/overview", {"project_id": str(uuid.uuid4())}).ok()["total"]["missions"] == 0
     with connect(api.url, api.token) as client:
-        found = client.stats.overview("robot", project_id=uuid.UUID(project_id))
+        found = client.stats.overview("robot", project=uuid.UUID(project_id))
         assert [bucket.value for bucket in found.buckets] == ["spot"]
         assert client.stats.overview().total.missions >= 1

@@ -1,4 +1,4 @@
-"""Recordings of several files: the server says of them what `klein inspect` says of the same folder."""
+"""Recordings of several files: the server agrees with `klein inspect` on the same folder."""
 
 import uuid
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from sqlalchemy import event
 from kleinkram.recordings import Depth
 from kleinkram.recordings.inspect import Inspection, InspectionKind, inspect_paths
 from kleinkram.server.context import AppContext
-from kleinkram.server.jobs.courtesy import Courtesy
+from kleinkram.server.jobs.back_pressure import BackPressure
 from kleinkram.server.recordings import deriving, understanding
 from kleinkram.server.recordings.deriving import Derived
 from kleinkram.server.recordings.rests import Rests
@@ -137,9 +137,9 @@ def test_a_mission_that_took_long_rests_and_is_not_forgotten(api: Api, mission_i
 
 
 async def _drain_courteously(context: AppContext, rests: Rests) -> None:
-    courtesy = Courtesy(context.database, context.settings)
-    courtesy.end()
-    await drain(context, courtesy, rests)
+    back_pressure = BackPressure(context.database, context.settings)
+    back_pressure.end()
+    await drain(context, back_pressure, rests)
 
 
 def test_a_mission_rests_as_long_as_it_took_some_times_over() -> None:

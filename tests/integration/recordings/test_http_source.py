@@ -1,4 +1,4 @@
-"""Reading by HTTP ranges, from a server that sometimes behaves badly."""
+"""Reading by HTTP ranges from a server that sometimes fails."""
 
 from __future__ import annotations
 

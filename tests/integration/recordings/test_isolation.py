@@ -1,4 +1,4 @@
-"""The child process: gives the same summary, is stopped at its bounds, and its end is understood."""
+"""The reader process returns the same summary, is stopped at its limits, and its end is classified."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files beside recordings: recognised by content, and the facts that are cheap."""
+"""Files other than recordings are recognised by content, with cheap facts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings that are compressed as a whole: whole, cut, damaged, and larger than they look."""
+"""Recordings compressed as a whole: intact, truncated, damaged, and larger than they claim."""
 
 from __future__ import annotations
 

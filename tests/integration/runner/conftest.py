@@ -1,4 +1,4 @@
-"""Runs on this machine, by every executor that there is."""
+"""Runs on this machine with each executor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A container engine for tests: a Docker of their own, with folders, socket and registry that nobody else has."""
+"""A Docker daemon for tests, with folders, socket and registry of its own."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A Podman of the tests' own: its service behind a socket, in a mount namespace that hides this machine's from it.
+"""A Podman service for tests, in a mount namespace that hides the machine's own.
 
 What Podman keeps below `/run` and `/dev/shm`, and all that it mounts, is gone with the namespace. Debian's programs,
 Debian's settings: but for where things are, and a network without rules in this machine's firewall.

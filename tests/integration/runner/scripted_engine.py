@@ -1,4 +1,4 @@
-"""Engines that are played: whatever answers requests in place of one."""
+"""A scripted container engine: it answers requests as a test defines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an engine is told of a run, and which images it is asked for: without an engine."""
+"""The container descriptions sent to an engine, and the images requested, without an engine."""
 
 from __future__ import annotations
 

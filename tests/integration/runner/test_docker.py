@@ -1,4 +1,4 @@
-"""Containers: what no other executor has: images, an engine that may go away, leftovers."""
+"""Docker only: images, an unavailable daemon, leftover containers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A container engine that does not remove one: a runner starts and ends its runs nevertheless."""
+"""An engine that does not remove a container: the runner still starts and ends its runs."""
 
 from __future__ import annotations
 

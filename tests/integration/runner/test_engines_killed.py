@@ -1,4 +1,4 @@
-"""Engines that are killed under their containers: Docker, whose daemon holds them, and Podman, which has none."""
+"""Engines are killed while containers run: Docker with its daemon, and Podman without one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every executor promises: a run gets its folders and nothing else, is held to its bounds, and its end is told."""
+"""Guarantees of every executor: its folders only, enforced limits, and a reported end."""
 
 from __future__ import annotations
 

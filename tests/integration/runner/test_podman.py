@@ -1,4 +1,4 @@
-"""Where Podman differs from Docker, as the page on security of runs says."""
+"""Differences between Podman and Docker, as the page on the security of runs describes them."""
 
 from __future__ import annotations
 

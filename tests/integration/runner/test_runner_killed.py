@@ -1,4 +1,4 @@
-"""A runner that is killed while it starts a run, or removes one: the next goes on with it, and never with two."""
+"""A runner is killed while it starts or removes a container: the next one continues with exactly one."""
 
 from __future__ import annotations
 

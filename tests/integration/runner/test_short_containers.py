@@ -1,4 +1,4 @@
-"""Containers whose first process is ending, or has ended, when the executor looks at it."""
+"""Containers whose first process has ended before the executor inspects them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A runner with a container engine: from the claim to the end, killed in between."""
+"""A runner with a container engine: from the claim to the end, with kills in between."""
 
 from __future__ import annotations
 

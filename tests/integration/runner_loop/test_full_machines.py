@@ -1,4 +1,4 @@
-"""What a machine without room, or without another process, does to a runner: it says so, and goes on."""
+"""A machine without disk space or process slots: the runner reports it and continues."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run's log as people see it while it lasts: in order, whole, and without secrets."""
+"""The live log of a run: in order, complete, and without secrets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Instances of `klein up` with real PostgreSQL and S3 and a stand-in server, ended and looked after by tests."""
+"""Instances of `klein up` with real PostgreSQL and S3 and a fake server."""
 
 import json
 import os

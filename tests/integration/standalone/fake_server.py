@@ -1,4 +1,4 @@
-"""A stand-in for `python -m kleinkram.server` that starts in 50 ms: what is tested here is the supervisor alone.
+"""A fake `python -m kleinkram.server` that starts in 50 ms, for tests of the supervisor.
 
 `migrate` records its environment, `api` answers health checks, `worker` waits and starts a child of its own.
 """

@@ -1,4 +1,4 @@
-"""`klein doctor`, and data directories that must not be touched."""
+"""`klein doctor`, and data directories that must not be changed."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""Other machines, ports, TLS. Another address of this machine stands for another machine."""
+"""Other machines, ports and TLS, with another loopback address as the other machine."""
 
 import http.client
 import os

@@ -1,4 +1,4 @@
-"""A name that a dead client holds: whoever wants it waits until the lease ends, and no longer."""
+"""A name reserved by a dead client is free when its lease ends."""
 
 import os
 import uuid
@@ -10,7 +10,7 @@ import pytest
 
 from kleinkram.client import Client, connect
 from kleinkram.client.transfer import Outcome, TransferResult, plan_upload, upload
-from kleinkram.client.transfer.report import SilentObserver
+from kleinkram.client.transfer.report import Watcher
 from kleinkram.contract.errors import NameLeased
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
@@ -20,7 +20,7 @@ _PART = 5 * 1024 * 1024
 _LEASE_S = 8.0
 
 
-class _Listening(SilentObserver):
+class _Listening(Watcher):
     """Keeps what a person would read meanwhile."""
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Uploading from a real browser: what goes up is what is there, whatever happens on the way."""
+"""Uploads from a real browser are complete, whatever happens during the transfer."""
 
 import hashlib
 import random

@@ -1,4 +1,4 @@
-"""Bins of messages, against counting each message by itself."""
+"""Message counts per bin agree with counting each message."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which files make one recording."""
+"""Grouping of files into recordings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that claim what is not so: the answer is a summary, soon, and in little memory."""
+"""Files with false claims are summarised quickly and in little memory."""
 
 from __future__ import annotations
 

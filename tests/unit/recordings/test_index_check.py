@@ -1,4 +1,4 @@
-"""Files whose index is wrong about their chunks: it is named, and messages are found all the same."""
+"""Files with a wrong chunk index: it is reported, and all messages are found."""
 
 from __future__ import annotations
 

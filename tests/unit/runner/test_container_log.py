@@ -1,4 +1,4 @@
-"""The copy of a container's log: exact where it was interrupted, cut at its limit, and on a full disk."""
+"""The copy of a container's log: exact after interruptions, truncated at its limit, and on a full disk."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""No secret leaves a log, however the log is cut; and nothing else does."""
+"""Secrets are redacted from logs however the log is split, and nothing else is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run left is read as a stranger's word: links lead nowhere, and what is broken is told."""
+"""Untrusted results of a run: links are not followed, and invalid files are reported."""
 
 import os
 import tracemalloc

@@ -1,4 +1,4 @@
-"""Tables: the fast way and the plain way give the same rows, whatever shapes the messages have."""
+"""Tables: the fast path and the plain path return the same rows for messages of any shape."""
 
 from __future__ import annotations
 

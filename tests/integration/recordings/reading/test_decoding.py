@@ -1,4 +1,4 @@
-"""Values and tables out of recordings, and messages that cannot be decoded."""
+"""Values and tables of recordings, and messages that cannot be decoded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that lie or are damaged: reading them ends, in bounded memory, with messages and problems, never an error."""
+"""Hostile and damaged files: reading ends in bounded memory, with messages and problems."""
 
 from __future__ import annotations
 
