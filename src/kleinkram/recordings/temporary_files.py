@@ -47,7 +47,7 @@ def temporary_copy(
 ) -> Iterator[Path]:
     """Write what `read` returns to a temporary file, which is removed afterwards; `beside`: at this path and suffix."""
     folder = Path(tempfile.gettempdir())
-    _sweep(folder)
+    _remove_abandoned(folder)
     if beside is None:
         descriptor, name = tempfile.mkstemp(prefix=_PREFIX, dir=folder)
     else:
@@ -91,13 +91,13 @@ def too_large(most_bytes: int, free: int) -> TooLarge:
     return TooLarge(f"a copy of it would have more than {most_bytes} bytes; fetch the file and inspect it locally")
 
 
-def _sweep(folder: Path) -> None:
+def _remove_abandoned(folder: Path) -> None:
     """Remove copies of dead readers: those without a lock."""
     for path in folder.glob(f"{_PREFIX}*"):
         try:
             descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
         except OSError:
-            continue  # gone by now, or somebody else's
+            continue  # gone by now, or of another user
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if os.fstat(descriptor).st_mtime < time.time() - _NEW_S:

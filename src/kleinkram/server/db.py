@@ -44,7 +44,7 @@ from kleinkram.server.settings import Settings, async_dsn
 # Longer than any statement of the API on a large database; workers may need longer.
 STATEMENT_TIMEOUT_S = 30
 _POOL_TIMEOUT_S = 20
-_DISK_FULL = "its disk is full: whoever runs the server has to make room on it"
+_DISK_FULL = "its disk is full: free space on the server"
 # The first parameter of services: an open transaction that they must not end.
 Connection = AsyncConnection
 

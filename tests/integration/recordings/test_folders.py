@@ -44,7 +44,7 @@ def _problems(problems: Any) -> list[tuple[str, str, str]]:
 
 
 @pytest.mark.slow
-def test_every_real_recording_of_several_files_says_the_same(corpus: Corpus) -> None:
+def test_every_real_recording_of_several_files_has_equal_summaries(corpus: Corpus) -> None:
     named = {item["name"]: item for item in corpus.api.all(f"/missions/{corpus.mission_id}/recordings")}
     here = {item.path: item for item in inspect_paths([corpus.folder], depth=Depth.scan)}
     several = {

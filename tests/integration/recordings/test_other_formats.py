@@ -221,7 +221,7 @@ def test_stamps_of_a_trajectory_may_be_in_any_unit(
     assert summary.start_ns == (start_ns if unit != "us" else start_ns // 1000 * 1000)
 
 
-def test_a_first_stamp_of_zero_does_not_tell_the_unit() -> None:
+def test_a_first_stamp_of_zero_does_not_set_the_unit() -> None:
     lines = [f"{stamp} 1 2 3 0 0 0 1\n" for stamp in (0, 1_403_636_579_500_000_000, 1_403_636_580_500_000_000)]
     summary = summarise_text("".join(lines), "a.tum")
     assert (summary.start_ns, summary.end_ns) == (0, 1_403_636_580_500_000_000)
@@ -244,7 +244,7 @@ def test_poses_of_euroc(columns: int, header: str) -> None:
     assert summary.problems == ()
 
 
-def test_opening_a_trajectory_says_what_to_use(tmp_path: Path) -> None:
+def test_opening_a_trajectory_names_the_tools_to_use(tmp_path: Path) -> None:
     path = tmp_path / "a.tum"
     path.write_text("1 0 0 0 0 0 0 1\n" * 9)
     with pytest.raises(NotARecording, match=r"trajectory.*klein inspect"):
