@@ -13,9 +13,10 @@ from kleinkram.recordings import Depth
 from kleinkram.recordings.inspect import Inspection, InspectionKind, inspect_paths
 from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.courtesy import Courtesy
-from kleinkram.server.recordings import deriving, understanding
-from kleinkram.server.recordings.deriving import Derived
-from kleinkram.server.recordings.rests import Rests
+from kleinkram.server.recordings import derive
+from kleinkram.server.recordings import jobs as recording_jobs
+from kleinkram.server.recordings.derive import Derived
+from kleinkram.server.recordings.jobs import Rests
 from tests.integration.api_server import Api
 from tests.integration.corpus import Corpus
 from tests.integration.jobs import drain, on_site, run_jobs
@@ -79,11 +80,11 @@ def test_deriving_takes_as_many_queries_for_many_recordings_as_for_one(api: Api,
     topic = {"name": "/imu", "message_type": "sensor_msgs/msg/Imu", "count": 5}
     counts: list[int] = []
 
-    async def derive(context: AppContext) -> list[Derived]:
+    async def derive_counted(context: AppContext) -> list[Derived]:
         seen: list[str] = []
         event.listen(context.database.engine.sync_engine, "before_cursor_execute", lambda *named: seen.append(named[2]))
         async with context.database.begin() as db:
-            actual = await deriving.derive(db, await deriving.live_files(db, uuid.UUID(mission_id)), {})
+            actual = await derive.derive(db, await derive.live_files(db, uuid.UUID(mission_id)), {})
         counts.append(len(seen))
         return actual
 
@@ -91,7 +92,7 @@ def test_deriving_takes_as_many_queries_for_many_recordings_as_for_one(api: Api,
         for part in range(2):
             name = f"run{number}_{part}.mcap"
             sample.file(mission_id, name, topics=[topic], message_count=5, start_ns=part, end_ns=part + 1)
-        actual = on_site(api, derive)
+        actual = on_site(api, derive_counted)
         assert [item.values["message_count"] for item in actual] == [10] * number
     assert counts == [2, 2, 2]
 
@@ -187,7 +188,7 @@ def test_a_metadata_is_read_by_a_child_alone(api: Api, mission_id: str, monkeypa
 def test_metadata_that_takes_too_long_to_read_is_reported(
     api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(understanding, "_LIMIT_S", 0.001)
+    monkeypatch.setattr(recording_jobs, "_LIMIT_S", 0.001)
     upload_all(api, mission_id, {"run/metadata.yaml": _METADATA + b"# slow", "run/run_0.mcap": b"\x89MCAP0\r\n"})
     run_jobs(api)
     (recording,) = api.all(f"/missions/{mission_id}/recordings")

@@ -1,4 +1,4 @@
-"""What is asked of files. Functions return selects; they touch no connection."""
+"""Statements and rows of files and their topics. Functions return selects; they touch no connection."""
 
 import datetime
 import functools
@@ -27,22 +27,41 @@ from sqlalchemy import (
 )
 
 from kleinkram.contract.access import Right
-from kleinkram.contract.files import FileFilter, FileRead, FileSort
+from kleinkram.contract.files import Density, FileFilter, FileRead, FileSort, TopicRead
 from kleinkram.contract.missions import MissionFilter
+from kleinkram.recordings.density import unpack
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import (
-    joined_files,
-    visible_files,
-    visible_missions,
-)
+from kleinkram.server.access.visible import joined_files, visible_files, visible_missions
 from kleinkram.server.db import among, among_given, by_name
-from kleinkram.server.files.topics import topic_rows
 from kleinkram.server.filters.files import filter_files, filter_files_in_order
 from kleinkram.server.filters.missions import filter_missions
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
 from kleinkram.server.missions.amounts import file_amounts
 from kleinkram.server.paging import Listing, Order
 from kleinkram.server.tables import blob, file, mission, person, project, run, run_artifact, run_input, topic
+
+
+def topic_rows(stmt: Select[Any]) -> Select[Any]:
+    """Return the topics of the files of a select that began with `visible_files`, as `to_topics` reads them."""
+    columns = [column for column in topic.c if column.name not in {"id", "blob_id", "density"}]
+    narrowed = stmt.with_only_columns(file.c.id.label("file_id"), *columns, maintain_column_froms=True)
+    return narrowed.join(topic, topic.c.blob_id == file.c.blob_id)
+
+
+TOPIC_ORDER = Order([topic.c.name, topic.c.id, file.c.id])
+
+
+def to_topics(rows: Sequence[Row[Any]]) -> list[TopicRead]:
+    """Return the topics that rows of `topic_rows` stand for, with their density where the rows have that too."""
+    return [_to_topic(said) for said in by_name(rows)]
+
+
+def _to_topic(said: dict[str, Any]) -> TopicRead:
+    if said.get("density") is not None:
+        known = unpack(said["density"])
+        said["density"] = Density(start_ns=known.start_ns, bin_ns=known.bin_ns, counts=[*known.counts])
+    return TopicRead.model_validate(said)
+
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
 _WALKS = {FileSort.start_desc, FileSort.created, FileSort.created_desc}

@@ -17,7 +17,7 @@ from kleinkram.contract.files import (
 from kleinkram.contract.projects import Deleted
 from kleinkram.contract.query import whole
 from kleinkram.contract.search import FileQuery, FilesLabelled, LabelChange
-from kleinkram.server.files import labels, service
+from kleinkram.server.files import service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
 from kleinkram.server.http.headers import IfMatch
 from kleinkram.server.paging import PageRequest
@@ -51,7 +51,7 @@ async def download_files(wanted: DownloadRequest, context: CurrentContext, actor
 @router.post("/files/labels", operation_id="label_files")
 async def label_files(change: LabelChange, db: Transaction, actor: CurrentActor) -> FilesLabelled:
     """Put labels on many files and take labels off them; says for each file how it went."""
-    return FilesLabelled(items=await labels.label_files(db, actor, change=change))
+    return FilesLabelled(items=await service.label_files(db, actor, change=change))
 
 
 @router.get("/files/{file_id}", operation_id="get_file")

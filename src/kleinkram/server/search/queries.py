@@ -30,7 +30,7 @@ from kleinkram.contract.search import TopicFound
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import shown_recordings, visible_files, visible_missions, visible_projects
 from kleinkram.server.db import Written
-from kleinkram.server.files.topics import topic_rows
+from kleinkram.server.files.queries import topic_rows
 from kleinkram.server.filters.files import filter_files, filter_topics
 from kleinkram.server.filters.metadata import metadata_text
 from kleinkram.server.filters.plan import SearchPlan, rounded

@@ -14,7 +14,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
 from kleinkram.server.files import service as files
-from kleinkram.server.files.topics import TOPIC_ORDER, to_topics
+from kleinkram.server.files.queries import TOPIC_ORDER, to_topics
 from kleinkram.server.filters.plan import SearchPlan
 from kleinkram.server.filters.prepared import prepare
 from kleinkram.server.missions import service as missions

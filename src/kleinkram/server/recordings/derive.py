@@ -1,4 +1,4 @@
-"""From the files of a mission to its recordings: which belong together, what is missing, what they span."""
+"""Derives the recordings of a mission from its files, and the mission's span and numbers from these."""
 
 import uuid
 from collections import defaultdict
