@@ -69,7 +69,7 @@ def _scrub_results(last: ScrubRead) -> list[tuple[str, object]]:
         ("compared", f"{last.compared} objects, {size(last.compared_bytes)}"),
         ("newly lost", last.lost),
         ("newly corrupt", last.corrupt),
-        ("there again", last.found),
+        ("there again", last.recovered),
         ("of nobody", last.unknown),
     ]
 

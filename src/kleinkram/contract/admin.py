@@ -115,8 +115,8 @@ class ScrubRequest(Response):
 class ScrubRead(Response):
     """One comparison of what the store lists with what the database knows of it.
 
-    `lost` and `corrupt` are blobs that it newly found so, `found` lost ones whose objects are there again and are being
-    verified, `unknown` objects that nothing here speaks of. `stopped` says why it marked nothing, or not to the end.
+    `lost` and `corrupt` are blobs newly found so, `recovered` lost ones whose objects are there again and are being
+    verified, `unknown` objects that the database does not know. `stopped` says why it marked nothing, or not to the end.
     Until it has `ended_at`, all this is of what it has compared so far.
     """
 
@@ -130,7 +130,7 @@ class ScrubRead(Response):
     compared_bytes: int
     lost: int
     corrupt: int
-    found: int
+    recovered: int
     unknown: int
 
 

@@ -39,7 +39,7 @@ def _scrub(api: Api, **wanted: Any) -> Any:
 def _counts(last: Any) -> tuple[int, int, int]:
     assert last["stopped"] is None
     assert last["ended_at"] is not None
-    return last["lost"], last["corrupt"], last["found"]
+    return last["lost"], last["corrupt"], last["recovered"]
 
 
 def _put(api: Api, key: str, body: bytes) -> None:

@@ -177,7 +177,7 @@ def test_stored_topics_exclude_a_mission_only_where_current_and_complete(
         full.sql("UPDATE mission_topic SET name = '/gps', message_type = 'Fix' WHERE mission_id = %s", mission_id)
         assert not is_found()
         with monkeypatch.context() as patch:
-            _set_limit(patch, text_filters, "MOST_KEPT_TOPICS", 1)
+            _set_limit(patch, text_filters, "MAX_STORED_TOPICS", 1)
             assert is_found()
         full.sql("UPDATE mission SET files_revision = 1 WHERE id = %s", mission_id)
         assert is_found()

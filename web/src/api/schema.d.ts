@@ -5844,8 +5844,8 @@ export interface components {
          * ScrubRead
          * @description One comparison of what the store lists with what the database knows of it.
          *
-         *     `lost` and `corrupt` are blobs that it newly found so, `found` lost ones whose objects are there again and are being
-         *     verified, `unknown` objects that nothing here speaks of. `stopped` says why it marked nothing, or not to the end.
+         *     `lost` and `corrupt` are blobs newly found so, `recovered` lost ones whose objects are there again and are being
+         *     verified, `unknown` objects that the database does not know. `stopped` says why it marked nothing, or not to the end.
          *     Until it has `ended_at`, all this is of what it has compared so far.
          */
         ScrubRead: {
@@ -5862,8 +5862,6 @@ export interface components {
             created_at: string;
             /** Ended At */
             ended_at: string | null;
-            /** Found */
-            found: number;
             /**
              * Id
              * Format: uuid
@@ -5871,6 +5869,8 @@ export interface components {
             id: string;
             /** Lost */
             lost: number;
+            /** Recovered */
+            recovered: number;
             /**
              * Seen At
              * Format: date-time

@@ -53,14 +53,14 @@ TOPIC_ORDER = Order([topic.c.name, topic.c.id, file.c.id])
 
 def to_topics(rows: Sequence[Row[Any]]) -> list[TopicRead]:
     """Return the topics that rows of `topic_rows` stand for, with their density where the rows have that too."""
-    return [_to_topic(said) for said in by_name(rows)]
+    return [_to_topic(values) for values in by_name(rows)]
 
 
-def _to_topic(said: dict[str, Any]) -> TopicRead:
-    if said.get("density") is not None:
-        known = unpack(said["density"])
-        said["density"] = Density(start_ns=known.start_ns, bin_ns=known.bin_ns, counts=[*known.counts])
-    return TopicRead.model_validate(said)
+def _to_topic(values: dict[str, Any]) -> TopicRead:
+    if values.get("density") is not None:
+        known = unpack(values["density"])
+        values["density"] = Density(start_ns=known.start_ns, bin_ns=known.bin_ns, counts=[*known.counts])
+    return TopicRead.model_validate(values)
 
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
@@ -129,7 +129,7 @@ def _rows_of_all() -> Select[Any]:
 
 def to_files(rows: Sequence[Row[Any]]) -> list[FileRead]:
     """Return the files that rows of `file_rows` stand for."""
-    return [_to_file(said) for said in by_name(rows)]
+    return [_to_file(values) for values in by_name(rows)]
 
 
 def to_file(row: Row[Any]) -> FileRead:
@@ -137,13 +137,13 @@ def to_file(row: Row[Any]) -> FileRead:
     return to_files([row])[0]
 
 
-def _to_file(said: dict[str, Any]) -> FileRead:
-    in_project = {"id": said["project_id"], "name": said["project_name"]}
-    said["mission"] = {"id": said["mission_id"], "name": said["mission_name"], "project": in_project}
-    said["uploaded_by"] = {"id": said["uploaded_by_id"], "name": said["uploaded_by_name"]}
+def _to_file(values: dict[str, Any]) -> FileRead:
+    in_project = {"id": values["project_id"], "name": values["project_name"]}
+    values["mission"] = {"id": values["mission_id"], "name": values["mission_name"], "project": in_project}
+    values["uploaded_by"] = {"id": values["uploaded_by_id"], "name": values["uploaded_by_name"]}
     for name in ("sha256", "md5", "crc64nvme"):
-        said[name] = _hex(said[name])
-    return FileRead.model_validate(said)
+        values[name] = _hex(values[name])
+    return FileRead.model_validate(values)
 
 
 def _hex(digest: bytes | None) -> str | None:
@@ -257,8 +257,8 @@ def set_labels() -> Update:
 
 def files_at(mission_id: uuid.UUID, keys: Collection[str], *, except_id: uuid.UUID | None = None) -> Select[Any]:
     """Return `path_key` and `path` of a mission's files under the given keys."""
-    found = _in_mission(mission_id, except_id).with_only_columns(file.c.path_key, file.c.path)
-    return found.where(among(file.c.path_key, keys))
+    files = _in_mission(mission_id, except_id).with_only_columns(file.c.path_key, file.c.path)
+    return files.where(among(file.c.path_key, keys))
 
 
 def files_below(mission_id: uuid.UUID, keys: Sequence[str], *, except_id: uuid.UUID | None = None) -> Select[Any]:

@@ -42,9 +42,9 @@ async def list_files(query: Annotated[FileListQuery, Query()], db: Reading, acto
 
 
 @router.post("/files/download", operation_id="download_files")
-async def download_files(wanted: DownloadRequest, context: CurrentContext, actor: CurrentActor) -> DownloadLinks:
+async def download_files(request: DownloadRequest, context: CurrentContext, actor: CurrentActor) -> DownloadLinks:
     """Return where to read the bytes of files; who asked is noted, and for what."""
-    links = await service.link_files(context, actor, file_ids=wanted.file_ids, purpose=wanted.purpose)
+    links = await service.link_files(context, actor, file_ids=request.file_ids, purpose=request.purpose)
     return DownloadLinks(items=links)
 
 

@@ -202,8 +202,8 @@ async def delete_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, dry_r
         before: Metadata = {"path": row.path, "mission": row.mission_name}
         await record(db, actor, _event("file.delete", row, before, takes=takes))
     runs, made = await _come_of_it(db, actor, file_id)
-    said = {"size_bytes": row.size_bytes, "dry_run": dry_run, "read_by_runs": runs, "made_from_it": made}
-    return Deleted(missions=0, files=1, **said)
+    summary = {"size_bytes": row.size_bytes, "dry_run": dry_run, "read_by_runs": runs, "made_from_it": made}
+    return Deleted(missions=0, files=1, **summary)
 
 
 async def _come_of_it(db: Connection, actor: Actor, file_id: uuid.UUID) -> tuple[int, list[str]]:
@@ -246,11 +246,11 @@ async def verify_file(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> Fi
 
 
 async def _rows(db: Connection, actor: Actor, file_ids: Sequence[uuid.UUID]) -> list[Row[Any]]:
-    found = {row.id: row for row in await rows_by_id(db, actor, file_ids)}
+    rows = {row.id: row for row in await rows_by_id(db, actor, file_ids)}
     for file_id in file_ids:
-        if file_id not in found:
+        if file_id not in rows:
             raise NotFound(noun="file", ref=str(file_id))
-    return [found[file_id] for file_id in file_ids]
+    return [rows[file_id] for file_id in file_ids]
 
 
 async def _row(db: Connection, actor: Actor, file_id: uuid.UUID) -> Row[Any]:
@@ -261,10 +261,10 @@ async def _locked_row(db: Connection, actor: Actor, file_id: uuid.UUID, *also: u
     """Return a file as it stays until the transaction ends: its mission is locked, and the missions `also` with it."""
     row = await _row(db, actor, file_id)
     while True:
-        held = {row.mission_id, *also}
-        await missions.lock_missions(db, held)
+        locked = {row.mission_id, *also}
+        await missions.lock_missions(db, locked)
         row = await _row(db, actor, file_id)
-        if row.mission_id in held:
+        if row.mission_id in locked:
             return row
         # Moved while it was waited for. What is held already is held out of order now; should that meet another who
         # does the same the other way round, the database ends one of the two, who is told to try again.
@@ -272,8 +272,8 @@ async def _locked_row(db: Connection, actor: Actor, file_id: uuid.UUID, *also: u
 
 async def _check_move(db: Connection, actor: Actor, old: Row[Any], *, mission_id: uuid.UUID, path: str) -> None:
     await check_path_free(db, mission_id, path, except_id=old.id)
-    for each in sorted({old.mission_id, mission_id}):
-        await regroup(db, each)
+    for affected_id in sorted({old.mission_id, mission_id}):
+        await regroup(db, affected_id)
 
 
 def _event(

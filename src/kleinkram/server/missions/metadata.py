@@ -42,11 +42,11 @@ class Near:
 
     def hint(self) -> str:
         """Return the candidate that is closest, as a question; nothing where none is close, or the text is long."""
-        short = [each for each in self.candidates if len(each) <= _HINT_CHARACTERS]
+        short = [candidate for candidate in self.candidates if len(candidate) <= _HINT_CHARACTERS]
         if len(self.written) > _HINT_CHARACTERS:
             return ""
-        found = difflib.get_close_matches(self.written, short[:_HINT_CANDIDATES], n=1)
-        return f"; did you mean {found[0]!r}?" if found else ""
+        closest = difflib.get_close_matches(self.written, short[:_HINT_CANDIDATES], n=1)
+        return f"; did you mean {closest[0]!r}?" if closest else ""
 
 
 class Wrong(ValueError):
@@ -82,14 +82,14 @@ class Judge:
 
     def judge(self, document: Document) -> Judgement:
         """Return what to store of a document whose value is a mapping, and every problem in it, by place."""
-        given = document.value if isinstance(document.value, dict) else {}
+        values = document.value if isinstance(document.value, dict) else {}
         metadata: Metadata = {}
         problems: list[FieldProblem] = []
-        for key, value in given.items():
+        for key, value in values.items():
             if problem := self._keep(metadata, key, value, document, hinting=len(problems) < _HINTS):
                 problems.append(problem)
         problems.sort(key=lambda problem: (problem.line or 0, problem.column or 0))
-        self._complete(given, metadata, problems)
+        self._complete(values, metadata, problems)
         return Judgement(metadata, problems)
 
     def accept(self, name: str, value: JsonValue) -> JsonValue:
@@ -213,11 +213,11 @@ def _kind(value: JsonValue) -> str:
     return "empty" if value is None else _KINDS.get(type(value), "a mapping")
 
 
-def _text(value: JsonValue, wanted: str) -> str:
+def _text(value: JsonValue, expected: str) -> str:
     if isinstance(value, str):
         return value
     hint = "; put it in quotes" if isinstance(value, bool | int | float) else ""
-    raise Wrong(f"is {_kind(value)}, but {wanted} is wanted{hint}")
+    raise Wrong(f"is {_kind(value)}, but {expected} is wanted{hint}")
 
 
 def _string(pattern: str | None) -> Acceptor:
@@ -242,15 +242,15 @@ def _number(value: JsonValue, unit: str | None) -> JsonValue:
         raise Wrong(f"is {_kind(value)}, but a number is wanted")
     if not isinstance(value, str):
         return _finite(value, ())
-    found = _WITH_UNIT.fullmatch(value.strip())
-    if found is None:
+    match = _WITH_UNIT.fullmatch(value.strip())
+    if match is None:
         raise Wrong(f"is the text {value!r}, but a number is wanted")
-    given = unicodedata.normalize("NFC", found[2].strip())
+    unit_in_text = unicodedata.normalize("NFC", match[2].strip())
     if unit is None:
-        raise Wrong(f"is given in {given!r}, but this field has no unit")
-    if given != unicodedata.normalize("NFC", unit):
-        raise Wrong(f"is given in {given!r}, but this field is in {unit!r}")
-    number = found[1]
+        raise Wrong(f"is given in {unit_in_text!r}, but this field has no unit")
+    if unit_in_text != unicodedata.normalize("NFC", unit):
+        raise Wrong(f"is given in {unit_in_text!r}, but this field is in {unit!r}")
+    number = match[1]
     return _finite(int(number) if number.lstrip("+-").isdigit() else float(number), ())
 
 
@@ -343,19 +343,19 @@ def carried_over(fields: MetadataFields, last: Metadata) -> Metadata:
     begun = defaults(fields)
     declared = {field.name: field for field in fields.fields}
     known = {name.casefold() for name in declared}
-    found: Metadata = {}
+    carried: Metadata = {}
     for name, value in last.items():
         field = declared.get(name)
         if value is None or _differs(name, value) or (field is not None and field.type is FieldType.date):
             continue
         if field is not None:
             try:
-                found[name] = judge.accept(name, value)
+                carried[name] = judge.accept(name, value)
             except Wrong:
                 continue
         elif fields.undeclared is Undeclared.accept and name.casefold() not in known:
-            found[name] = value
-    return {name: value for name, value in found.items() if begun.get(name) != value}
+            carried[name] = value
+    return {name: value for name, value in carried.items() if begun.get(name) != value}
 
 
 def _differs(name: str, value: JsonValue) -> bool:
@@ -410,7 +410,7 @@ def _yaml(value: JsonValue) -> str:
 
 def _quoted(text: str) -> str:
     quoted = json.dumps(text, ensure_ascii=False)
-    return "".join(each if each.isprintable() else f"\\U{ord(each):08X}" for each in quoted)
+    return "".join(character if character.isprintable() else f"\\U{ord(character):08X}" for character in quoted)
 
 
 def _comment(text: str) -> str:

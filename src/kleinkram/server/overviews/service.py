@@ -65,25 +65,25 @@ async def get_overview(
         InvalidQuery: nothing has such a field, it has too many values, or its values are not shown to this actor.
     """
     group = by if by == _MONTH or by.startswith("metadata.") else f"metadata.{by}"
-    found = await search.get_stats(db, actor, by=group, matching=FileFilter(project_id=project_id))
-    if field is None and by != _MONTH and found.rows and all(row.group is None for row in found.rows):
+    stats = await search.get_stats(db, actor, by=group, matching=FileFilter(project_id=project_id))
+    if field is None and by != _MONTH and stats.rows and all(row.group is None for row in stats.rows):
         raise InvalidQuery(expression=by, reason="no mission has such a field; say month, or the name of a field")
-    told = [row for row in found.rows if row.group is not None]
-    buckets, other = _bucketed(told, field, most) if by != _MONTH else (_each(told), None)
+    with_value = [row for row in stats.rows if row.group is not None]
+    buckets, other = _bucketed(with_value, field, most) if by != _MONTH else (_one_bucket_each(with_value), None)
     topics = None
     if sees_whole_missions(actor):
         topics = (await db.execute(queries.topic_count(actor, project_id))).scalar_one()
     return Overview(
         by=by,
         unit=field.unit if field else None,
-        buckets=[*buckets, *(Bucket(value=None, stats=row) for row in found.rows if row.group is None)],
+        buckets=[*buckets, *(Bucket(value=None, stats=row) for row in stats.rows if row.group is None)],
         other=other,
-        total=found.total,
+        total=stats.total,
         topics=topics,
     )
 
 
-def _each(rows: Iterable[StatsRow]) -> list[Bucket]:
+def _one_bucket_each(rows: Iterable[StatsRow]) -> list[Bucket]:
     return [Bucket(value=row.group, stats=row) for row in rows]
 
 
@@ -93,10 +93,10 @@ def _bucketed(rows: Sequence[StatsRow], field: MetadataField | None, most: int) 
     is_number = field.type is FieldType.number if field else len(numbers) == len(rows)
     if not is_number:
         ranked = sorted(rows, key=lambda row: (-row.duration_ns, -row.size_bytes, row.group or ""))
-        return _each(ranked[:most]), add_up(ranked[most:]) if ranked[most:] else None
+        return _one_bucket_each(ranked[:most]), add_up(ranked[most:]) if ranked[most:] else None
     counted = sorted((row for row in rows if row.group in numbers), key=lambda row: numbers[row.group])
     strange = [row for row in rows if row.group not in numbers]
-    ranges = _each(counted) if len(counted) <= most else _ranges(counted, numbers, most)
+    ranges = _one_bucket_each(counted) if len(counted) <= most else _ranges(counted, numbers, most)
     return ranges, add_up(strange) if strange else None
 
 
@@ -107,8 +107,8 @@ def _ranges(rows: Sequence[StatsRow], numbers: dict[str | None, float], most: in
     for row, value in zip(rows, values, strict=True):
         inside.setdefault(math.floor(value / step), []).append(row)
     return [
-        Bucket(value=None, low=_edge(place * step), high=_edge((place + 1) * step), stats=add_up(held))
-        for place, held in inside.items()
+        Bucket(value=None, low=_edge(place * step), high=_edge((place + 1) * step), stats=add_up(rows_inside))
+        for place, rows_inside in inside.items()
     ]
 
 

@@ -22,12 +22,12 @@ from kleinkram.server.db import Connection
 from kleinkram.server.missions import service as missions
 from kleinkram.server.overviews import queries
 from kleinkram.server.paging import PageRequest, fetch_page
-from kleinkram.server.tables import MOST_KEPT_TOPICS, mission_topic
+from kleinkram.server.tables import MAX_STORED_TOPICS, mission_topic
 
 _ADDED_AT_ONCE = 64
 
 
-class Key(NamedTuple):
+class TopicKey(NamedTuple):
     """What topics are merged by."""
 
     name: str
@@ -38,7 +38,7 @@ class Key(NamedTuple):
 class Merged:
     """One topic with one type in all recordings of a mission, as `MissionTopic` says; `places` are flat ranges."""
 
-    key: Key
+    key: TopicKey
     count: int | None
     file_count: int
     recording_count: int
@@ -56,7 +56,7 @@ async def merge(rows: AsyncIterator[Row[Any]], recording_ids: Sequence[uuid.UUID
     places = {recording_id: place for place, recording_id in enumerate(recording_ids)}
     one: _One | None = None
     async for row in rows:
-        key = Key(row.name, row.message_type)
+        key = TopicKey(row.name, row.message_type)
         if one is None or one.key != key:
             if one is not None:
                 yield one.merged(places)
@@ -69,7 +69,7 @@ async def merge(rows: AsyncIterator[Row[Any]], recording_ids: Sequence[uuid.UUID
 class _One:
     """A topic on the way."""
 
-    def __init__(self, key: Key) -> None:
+    def __init__(self, key: TopicKey) -> None:
         self.key = key
         self._files = 0
         self._count: int | None = 0
@@ -165,7 +165,7 @@ _MAX_BIGINT = 2**63 - 1
 
 
 @dataclass(frozen=True)
-class _Found:
+class _MissionTopicData:
     """What is known of a mission's topics: its span, its recordings, and topics of which some may be left for later."""
 
     span: tuple[int | None, int | None]
@@ -190,16 +190,18 @@ async def list_mission_topics(
     if state is None:
         raise NotFound(noun="mission", ref=str(mission_id))
     if sees_whole_missions(actor) and state.revision is not None:
-        found = await _kept(db, state, mission_id, page)
+        topics = await _derived(db, state, mission_id, page)
     else:
-        found = await _added_up(db, actor, state, mission_id)
-    axis = _axis(found, bins)
+        topics = await _added_up(db, actor, state, mission_id)
+    axis = _axis(topics, bins)
     return MissionTopics(
         axis=axis,
-        recordings=found.recordings,
-        items=[_topic(each, found.types.get(each.key.name, []), axis if bins else None) for each in found.topics],
-        next=found.next,
-        is_current=found.is_current,
+        recordings=topics.recordings,
+        items=[
+            _topic(merged, topics.types.get(merged.key.name, []), axis if bins else None) for merged in topics.topics
+        ],
+        next=topics.next,
+        is_current=topics.is_current,
     )
 
 
@@ -226,12 +228,12 @@ async def keep_topics(db: Connection, mission_id: uuid.UUID) -> None:
 
 
 async def _merged(db: Connection, statement: Select[Any], recording_ids: Sequence[uuid.UUID]) -> list[Merged]:
-    found: list[Merged] = []
-    async for each in merge(_streamed(db, statement), recording_ids):
-        found.append(each)
-        if len(found) == MOST_KEPT_TOPICS:
+    topics: list[Merged] = []
+    async for merged in merge(_streamed(db, statement), recording_ids):
+        topics.append(merged)
+        if len(topics) == MAX_STORED_TOPICS:
             break
-    return found
+    return topics
 
 
 async def _streamed(db: Connection, statement: Select[Any]) -> AsyncIterator[Row[Any]]:
@@ -244,10 +246,10 @@ async def _streamed(db: Connection, statement: Select[Any]) -> AsyncIterator[Row
         await result.close()
 
 
-async def _kept(db: Connection, state: Row[Any], mission_id: uuid.UUID, page: PageRequest) -> _Found:
-    rows = await fetch_page(db, queries.kept_topics(mission_id), queries.KEPT_ORDER, page)
+async def _derived(db: Connection, state: Row[Any], mission_id: uuid.UUID, page: PageRequest) -> _MissionTopicData:
+    rows = await fetch_page(db, queries.derived_topics(mission_id), queries.DERIVED_TOPIC_ORDER, page)
     recordings = (await db.execute(queries.recordings_by_id(mission_id))).all()
-    return _Found(
+    return _MissionTopicData(
         span=(state.start_ns, state.end_ns),
         bin_ns=state.bin_ns,
         recordings=[RecordingRef(id=row.id, name=row.name or "") for row in recordings],
@@ -258,16 +260,16 @@ async def _kept(db: Connection, state: Row[Any], mission_id: uuid.UUID, page: Pa
     )
 
 
-async def _added_up(db: Connection, actor: Actor, state: Row[Any], mission_id: uuid.UUID) -> _Found:
+async def _added_up(db: Connection, actor: Actor, state: Row[Any], mission_id: uuid.UUID) -> _MissionTopicData:
     recordings = (await db.execute(queries.recordings_in_time(mission_id, actor))).all()
     statement = queries.topics_of_files(mission_id, state.start_ns, state.end_ns, actor)
     topics = await _merged(db, statement, [row.id for row in recordings])
     types: dict[str, list[str | None]] = {}
-    for each in topics:
-        types.setdefault(each.key.name, []).append(each.key.message_type)
-    return _Found(
+    for merged in topics:
+        types.setdefault(merged.key.name, []).append(merged.key.message_type)
+    return _MissionTopicData(
         span=(state.start_ns, state.end_ns),
-        bin_ns=max((each.density.bin_ns for each in topics if each.density), default=1),
+        bin_ns=max((merged.density.bin_ns for merged in topics if merged.density), default=1),
         recordings=[RecordingRef(id=row.id, name=row.name) for row in recordings],
         topics=topics,
         types=types,
@@ -276,12 +278,12 @@ async def _added_up(db: Connection, actor: Actor, state: Row[Any], mission_id: u
     )
 
 
-def _axis(found: _Found, bins: int) -> TimeAxis | None:
+def _axis(data: _MissionTopicData, bins: int) -> TimeAxis | None:
     """Return the narrowest bins that are few enough, and not narrower than those that are known."""
-    start_ns, end_ns = found.span
+    start_ns, end_ns = data.span
     if start_ns is None or end_ns is None or not bins:
         return None
-    bits = found.bin_ns.bit_length() - 1
+    bits = data.bin_ns.bit_length() - 1
     while (end_ns >> bits) - (start_ns >> bits) >= bins:
         bits += 1
     first = start_ns >> bits
@@ -334,7 +336,7 @@ def _bigint(value: int | None) -> int | None:
 def _from_row(row: Row[Any]) -> Merged:
     density: MessageDensity | None = unpack(row.density) if row.density is not None else None
     return Merged(
-        key=Key(row.name, row.message_type),
+        key=TopicKey(row.name, row.message_type),
         count=row.message_count,
         file_count=row.file_count,
         recording_count=row.recording_count,

@@ -42,7 +42,7 @@ class Rests:
     def took(self, mission_id: uuid.UUID, seconds: float) -> None:
         """Note how long it took to derive a mission."""
         now = time.monotonic()
-        self._until = {each: until for each, until in self._until.items() if until > now}
+        self._until = {resting_id: until for resting_id, until in self._until.items() if until > now}
         if seconds >= _LONG_S:
             at_rest = len({*self._until, mission_id})
             self._until[mission_id] = now + min(seconds * _TIMES * at_rest, _MOST_S)
@@ -82,9 +82,9 @@ class Understanding:
                     await self._learn(context, row)
                 except FileNotFoundError:
                     continue
-            said = self._known[row.key]
-            if not isinstance(said, SummaryFailed):
-                stated[row.path] = said
+            metadata = self._known[row.key]
+            if not isinstance(metadata, SummaryFailed):
+                stated[row.path] = metadata
         return stated
 
     async def _learn(self, context: AppContext, row: Row[Any]) -> None:
@@ -95,18 +95,18 @@ class Understanding:
             memory_bytes=context.settings.summary_memory_bytes,
             timeout_s=math.ceil(timeout_s),
         )
-        said: Rosbag2Metadata | SummaryFailed | None
+        metadata: Rosbag2Metadata | SummaryFailed | None
         try:
-            said = await self._readers.metadata(request, owner=row.uploaded_by_id, timeout_s=timeout_s)
+            metadata = await self._readers.metadata(request, owner=row.uploaded_by_id, timeout_s=timeout_s)
         except SummaryFailed as failure:  # it would cost as much the next time
-            said = failure
+            metadata = failure
         if self._size_bytes + len(body) > _REMEMBERED_BYTES:
             self._known, self._size_bytes = {}, 0
-        self._known[row.key] = said
+        self._known[row.key] = metadata
         self._size_bytes += len(body)
 
 
-_FEW_FILES = 50
+_MAX_UNHURRIED_FILES = 50
 
 
 @queue.task(name=Job.group_recordings.value, pass_context=True, retry=PATIENTLY)
@@ -134,5 +134,5 @@ async def group_recordings(job_context: JobContext, ref: str) -> None:
     rests.took(mission_id, time.monotonic() - began)
     async with context.database.begin() as db:
         # Of many files that takes a while: not for a state that is over already.
-        if len(rows) <= _FEW_FILES or not await awaits_regrouping(db, mission_id):
+        if len(rows) <= _MAX_UNHURRIED_FILES or not await awaits_regrouping(db, mission_id):
             await keep_topics(db, mission_id)

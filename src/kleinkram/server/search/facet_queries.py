@@ -79,25 +79,25 @@ def facet_rows(
     each_filter = variants(actor, matching)
 
     def found_by(facet: str, name: str) -> CTE:
-        each = chosen_values.without(matching, facet) if facet else matching
-        is_common = common[each_filter.index(each)]
-        found = filter_files(actor, visible_files(actor), each, replace(plan, is_common=is_common))
-        found = found.with_only_columns(*_columns(), maintain_column_froms=True)
+        facet_filter = chosen_values.without(matching, facet) if facet else matching
+        is_common = common[each_filter.index(facet_filter)]
+        files = filter_files(actor, visible_files(actor), facet_filter, replace(plan, is_common=is_common))
+        files = files.with_only_columns(*_columns(), maintain_column_froms=True)
         if is_common:
-            found = found.where(file.c.id.in_(select(sample.c.id)))
-        return found.limit(most).cte(name).prefix_with("MATERIALIZED")
+            files = files.where(file.c.id.in_(select(sample.c.id)))
+        return files.limit(most).cte(name).prefix_with("MATERIALIZED")
 
     sample = sampled_files()
     chosen = frozenset(facet for facet in PLAIN_FACETS if chosen_values.without(matching, facet) != matching)
-    found = {"": found_by("", "found")} | {facet: found_by(facet, f"but_{facet}") for facet in sorted(chosen)}
+    files_by_facet = {"": found_by("", "found")} | {facet: found_by(facet, f"but_{facet}") for facet in sorted(chosen)}
     topics = {
-        name: _topics(found.get(facet, found[""]), chosen_values.without(matching, facet), name)
+        name: _topics(files_by_facet.get(facet, files_by_facet[""]), chosen_values.without(matching, facet), name)
         for facet, name in _topics_of(chosen).items()
     }
-    fields_asked = chosen_values.fields(matching) if sees_whole_missions(actor) else []
-    fields = [found_by(META + field, f"but_field_{number}") for number, field in enumerate(fields_asked)]
-    counts = _counts(chosen, len(fields_asked), with_metadata=sees_whole_missions(actor))
-    return counts.add_cte(*found.values(), *topics.values(), *fields)
+    chosen_fields = chosen_values.fields(matching) if sees_whole_missions(actor) else []
+    fields = [found_by(META + field, f"but_field_{number}") for number, field in enumerate(chosen_fields)]
+    counts = _counts(chosen, len(chosen_fields), with_metadata=sees_whole_missions(actor))
+    return counts.add_cte(*files_by_facet.values(), *topics.values(), *fields)
 
 
 def parameters(matching: FileFilter) -> dict[str, object]:
@@ -126,12 +126,12 @@ def _topics(found: CTE, matching: FileFilter, name: str) -> CTE:
     # names or that of types may be gone through.
     own = select(topic.c.name, topic.c.message_type).where(topic.c.blob_id == blobs.c.blob_id)
     own = filter_topics(own, matching).order_by(topic.c.name, topic.c.message_type).offset(0)
-    each = own.correlate(blobs).subquery()
-    sides = (func.array_agg(each.c.name).label("names"), func.array_agg(each.c.message_type).label("types"))
-    held = select(*sides).lateral("held")
+    one_topic = own.correlate(blobs).subquery()
+    sides = (func.array_agg(one_topic.c.name).label("names"), func.array_agg(one_topic.c.message_type).label("types"))
+    topic_lists = select(*sides).lateral("held")
     files = cast(func.sum(blobs.c.files), BigInteger).label("files")
-    stmt = select(held.c.names, held.c.types, files).join_from(blobs, held, true())
-    return stmt.group_by(held.c.names, held.c.types).cte(name).prefix_with("MATERIALIZED")
+    stmt = select(topic_lists.c.names, topic_lists.c.types, files).join_from(blobs, topic_lists, true())
+    return stmt.group_by(topic_lists.c.names, topic_lists.c.types).cte(name).prefix_with("MATERIALIZED")
 
 
 # As much is kept as people choose in a day; what can be chosen together is a lot more.
@@ -179,8 +179,8 @@ def _by_label(found: TableClause) -> Select[Any]:
 
 def _by_topic(facet: str, topics: str, side: str) -> Select[Any]:
     sets = table(topics, column(side, ARRAY(Text)), column("files", BigInteger))
-    held = func.unnest(sets.c[side]).table_valued(column("value", Text)).render_derived(name="held")
-    once = select(held.c.value).distinct().lateral("once")
+    one_value = func.unnest(sets.c[side]).table_valued(column("value", Text)).render_derived(name="held")
+    once = select(one_value.c.value).distinct().lateral("once")
     stmt = select(literal(facet), once.c.value, cast(func.sum(sets.c.files), BigInteger))
     return stmt.join_from(sets, once, true()).group_by(once.c.value)
 
@@ -218,20 +218,20 @@ def _fields(found: TableClause, only: str | None) -> Select[Any]:
 
 def _field_values(found: TableClause) -> Select[Any]:
     """Return `key`, `value`, `kind` and `file_count` of what missions say; each item of a list is a value."""
-    said = _said(found)
-    of_list = cast(case((said.c.kind == "array", said.c.value), else_=null()), JSONB)
+    entries = _metadata_entries(found)
+    of_list = cast(case((entries.c.kind == "array", entries.c.value), else_=null()), JSONB)
     item = func.jsonb_array_elements(of_list).table_valued(column("value", JSONB)).render_derived(name="item")
     once = select(*_as_text(item.c.value)).distinct().lateral("once")
-    alone = select(said.c.key, said.c.value, said.c.kind, said.c.files).where(said.c.kind != "array")
-    listed = select(said.c.key, once.c.value, once.c.kind, said.c.files).join_from(said, once, true())
-    each = union_all(alone, listed.where(said.c.kind == "array")).subquery()
-    is_value = (among(each.c.kind, _KINDS), func.length(each.c.value) <= _MOST_CHARACTERS)
-    file_count = cast(func.sum(each.c.files), BigInteger).label("file_count")
-    columns = (each.c.key, each.c.value, each.c.kind)
-    return select(*columns, file_count).where(*is_value, each.c.key.regexp_match(_FIELD)).group_by(*columns)
+    alone = select(entries.c.key, entries.c.value, entries.c.kind, entries.c.files).where(entries.c.kind != "array")
+    listed = select(entries.c.key, once.c.value, once.c.kind, entries.c.files).join_from(entries, once, true())
+    entry = union_all(alone, listed.where(entries.c.kind == "array")).subquery()
+    is_value = (among(entry.c.kind, _KINDS), func.length(entry.c.value) <= _MOST_CHARACTERS)
+    file_count = cast(func.sum(entry.c.files), BigInteger).label("file_count")
+    columns = (entry.c.key, entry.c.value, entry.c.kind)
+    return select(*columns, file_count).where(*is_value, entry.c.key.regexp_match(_FIELD)).group_by(*columns)
 
 
-def _said(found: TableClause) -> CTE:
+def _metadata_entries(found: TableClause) -> CTE:
     """Return `key`, `value` as text, `kind`, and of how many `files` the mission says so; a list as a whole."""
     missions = select(found.c.mission_id, func.count().label("files")).group_by(found.c.mission_id).subquery()
     entry = func.jsonb_each(mission.c.metadata).table_valued(column("key", Text), column("value", JSONB))
