@@ -5845,7 +5845,7 @@ export interface components {
          * @description One comparison of what the store lists with what the database knows of it.
          *
          *     `lost` and `corrupt` are blobs newly found so, `recovered` lost ones whose objects are there again and are being
-         *     verified, `unknown` objects that the database does not know. `stopped` says why it marked nothing, or not to the end.
+         *     verified, `unknown` objects that the database does not know. `stopped` says why it marked nothing, or ended early.
          *     Until it has `ended_at`, all this is of what it has compared so far.
          */
         ScrubRead: {

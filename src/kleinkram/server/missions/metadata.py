@@ -133,15 +133,15 @@ class Judge:
             raise Wrong("is not a field of this project", near=Near(key, tuple(self._fields)))
         return _finite(value, ())
 
-    def _complete(self, given: Mapping[str, JsonValue], metadata: Metadata, problems: list[FieldProblem]) -> None:
+    def _complete(self, values: Mapping[str, JsonValue], metadata: Metadata, problems: list[FieldProblem]) -> None:
         for name, field in self._fields.items():
-            if given.get(name) not in (None, ""):
+            if values.get(name) not in (None, ""):
                 continue
             default = self.accept_default(field)
             if default is not None:
                 metadata[name] = default
             elif field.required:
-                how = "is required but empty" if name in given else "is required but missing"
+                how = "is required but empty" if name in values else "is required but missing"
                 problems.append(FieldProblem(field=name, message=f"{how}; it takes {describe(field)}"))
 
 
@@ -414,4 +414,4 @@ def _quoted(text: str) -> str:
 
 
 def _comment(text: str) -> str:
-    return "".join(each if each.isprintable() else " " for each in text)
+    return "".join(character if character.isprintable() else " " for character in text)

@@ -99,14 +99,14 @@ class _One:
 
     def merged(self, places: Mapping[uuid.UUID, int]) -> Merged:
         self._end_recording()
-        found = sorted(places[each] for each in self._recordings if each in places)
+        numbers = sorted(places[recording_id] for recording_id in self._recordings if recording_id in places)
         whole = self._whole
         return Merged(
             key=self.key,
             count=self._count,
             file_count=self._files,
-            recording_count=len(found),
-            places=[*_ranges(found)],
+            recording_count=len(numbers),
+            places=[*_ranges(numbers)],
             first_ns=whole.first_ns,
             last_ns=whole.last_ns,
             rate_hz=whole.steps * 1e9 / whole.span_ns if whole.span_ns > 0 and whole.steps > 0 else None,
@@ -218,13 +218,13 @@ async def keep_topics(db: Connection, mission_id: uuid.UUID) -> None:
     topics = await _merged(db, queries.topics_of_files(mission_id, state.start_ns, state.end_ns), ids)
     if not await missions.lock_mission(db, mission_id):
         return
-    bin_ns = max((each.density.bin_ns for each in topics if each.density), default=1)
+    bin_ns = max((merged.density.bin_ns for merged in topics if merged.density), default=1)
     header = {"mission_id": mission_id, "revision": state.files_revision, "recording_ids": ids, "bin_ns": bin_ns}
     if (await db.execute(queries.put_header(**header))).first() is None:
         return
     await db.execute(delete(mission_topic).where(mission_topic.c.mission_id == mission_id))
     if topics:
-        await db.execute(insert(mission_topic), [_values(mission_id, each) for each in topics])
+        await db.execute(insert(mission_topic), [_values(mission_id, merged) for merged in topics])
 
 
 async def _merged(db: Connection, statement: Select[Any], recording_ids: Sequence[uuid.UUID]) -> list[Merged]:
@@ -290,42 +290,42 @@ def _axis(data: _MissionTopicData, bins: int) -> TimeAxis | None:
     return TimeAxis(start_ns=first << bits, bin_ns=1 << bits, bins=(end_ns >> bits) - first + 1)
 
 
-def _topic(each: Merged, types: Sequence[str | None], axis: TimeAxis | None) -> MissionTopic:
+def _topic(merged: Merged, types: Sequence[str | None], axis: TimeAxis | None) -> MissionTopic:
     counts = None
-    if axis is not None and each.density is not None:
-        counts = on_axis(each.density, start_ns=axis.start_ns, bin_ns=axis.bin_ns, bins=axis.bins)
+    if axis is not None and merged.density is not None:
+        counts = on_axis(merged.density, start_ns=axis.start_ns, bin_ns=axis.bin_ns, bins=axis.bins)
     return MissionTopic(
-        name=each.key.name,
-        message_type=each.key.message_type,
-        other_types=[other for other in types if other != each.key.message_type],
-        count=each.count,
-        file_count=each.file_count,
-        recording_count=each.recording_count,
-        recordings=list(zip(each.places[::2], each.places[1::2], strict=True)),
-        first_ns=each.first_ns,
-        last_ns=each.last_ns,
-        rate_hz=each.rate_hz,
-        longest_gap_ns=each.longest_gap_ns,
-        stored_bytes=each.stored_bytes,
+        name=merged.key.name,
+        message_type=merged.key.message_type,
+        other_types=[other for other in types if other != merged.key.message_type],
+        count=merged.count,
+        file_count=merged.file_count,
+        recording_count=merged.recording_count,
+        recordings=list(zip(merged.places[::2], merged.places[1::2], strict=True)),
+        first_ns=merged.first_ns,
+        last_ns=merged.last_ns,
+        rate_hz=merged.rate_hz,
+        longest_gap_ns=merged.longest_gap_ns,
+        stored_bytes=merged.stored_bytes,
         counts=counts,
     )
 
 
-def _values(mission_id: uuid.UUID, each: Merged) -> dict[str, object]:
+def _values(mission_id: uuid.UUID, merged: Merged) -> dict[str, object]:
     return {
         "mission_id": mission_id,
-        "name": each.key.name,
-        "message_type": each.key.message_type,
-        "count": _bigint(each.count),
-        "file_count": each.file_count,
-        "recording_count": each.recording_count,
-        "places": each.places,
-        "first_ns": each.first_ns,
-        "last_ns": each.last_ns,
-        "rate_hz": each.rate_hz,
-        "longest_gap_ns": each.longest_gap_ns,
-        "stored_bytes": _bigint(each.stored_bytes),
-        "density": pack(each.density) if each.density is not None else None,
+        "name": merged.key.name,
+        "message_type": merged.key.message_type,
+        "count": _bigint(merged.count),
+        "file_count": merged.file_count,
+        "recording_count": merged.recording_count,
+        "places": merged.places,
+        "first_ns": merged.first_ns,
+        "last_ns": merged.last_ns,
+        "rate_hz": merged.rate_hz,
+        "longest_gap_ns": merged.longest_gap_ns,
+        "stored_bytes": _bigint(merged.stored_bytes),
+        "density": pack(merged.density) if merged.density is not None else None,
     }
 
 

@@ -64,7 +64,7 @@ def variants(actor: Actor, matching: FileFilter) -> list[FileFilter]:
     """Return the filters whose files are counted: the whole one, and without each thing that is chosen."""
     names = [*PLAIN_FACETS, *(META + field for field in chosen_values.fields(matching) if sees_whole_missions(actor))]
     without = [chosen_values.without(matching, name) for name in names]
-    return [matching, *(each for each in without if each != matching)]
+    return [matching, *(item for item in without if item != matching)]
 
 
 def facet_rows(
@@ -119,18 +119,18 @@ def _topics_of(chosen: Collection[str]) -> dict[str, str]:
     return {"topic": "topics"} if {"topic", "type"}.isdisjoint(chosen) else {"topic": "topics", "type": "types"}
 
 
-def _topics(found: CTE, matching: FileFilter, name: str) -> CTE:
+def _topics(files: CTE, matching: FileFilter, name: str) -> CTE:
     """Return `names` and `types` of topics side by side, and how many `files` have just these: many have the same."""
-    blobs = select(found.c.blob_id, func.count().label("files")).group_by(found.c.blob_id).subquery()
-    # Read from the index by blob alone, which holds name and type, in its order and behind a fence: else the index of
+    blobs = select(files.c.blob_id, func.count().label("files")).group_by(files.c.blob_id).subquery()
+    # Read from the index by blob alone, which holds name and type, in its order and behind OFFSET 0: else the index of
     # names or that of types may be gone through.
     own = select(topic.c.name, topic.c.message_type).where(topic.c.blob_id == blobs.c.blob_id)
     own = filter_topics(own, matching).order_by(topic.c.name, topic.c.message_type).offset(0)
     one_topic = own.correlate(blobs).subquery()
     sides = (func.array_agg(one_topic.c.name).label("names"), func.array_agg(one_topic.c.message_type).label("types"))
-    topic_lists = select(*sides).lateral("held")
-    files = cast(func.sum(blobs.c.files), BigInteger).label("files")
-    stmt = select(topic_lists.c.names, topic_lists.c.types, files).join_from(blobs, topic_lists, true())
+    topic_lists = select(*sides).lateral("topic_lists")
+    file_count = cast(func.sum(blobs.c.files), BigInteger).label("files")
+    stmt = select(topic_lists.c.names, topic_lists.c.types, file_count).join_from(blobs, topic_lists, true())
     return stmt.group_by(topic_lists.c.names, topic_lists.c.types).cte(name).prefix_with("MATERIALIZED")
 
 
@@ -155,26 +155,26 @@ def _counts(chosen: frozenset[str], fields: int, *, with_metadata: bool) -> Comp
     return union_all(*(select(part.subquery()) for part in parts))
 
 
-def _named(found: str) -> TableClause:
-    return table(found, *(column(str(each.key), each.type) for each in _columns()))
+def _named(files: str) -> TableClause:
+    return table(files, *(column(str(item.key), item.type) for item in _columns()))
 
 
 def _found_count() -> Select[Any]:
     return _row(literal(""), literal("found"), func.count(), literal(1, BigInteger)).select_from(table("found"))
 
 
-def _by_column(found: TableClause, facets: Sequence[str]) -> Select[Any]:
-    columns = [found.c[facet] for facet in facets]
-    facet = case(*((func.grouping(each) == 0, literal(each.name)) for each in columns))
-    value = func.coalesce(*(cast(each, Text) for each in columns))
+def _by_column(files: TableClause, facets: Sequence[str]) -> Select[Any]:
+    columns = [files.c[facet] for facet in facets]
+    facet = case(*((func.grouping(item) == 0, literal(item.name)) for item in columns))
+    value = func.coalesce(*(cast(item, Text) for item in columns))
     stmt = select(facet.label("facet"), value.label("value"), func.count().label("file_count"))
     return stmt.group_by(func.grouping_sets(*columns))
 
 
-def _by_label(found: TableClause) -> Select[Any]:
-    label = func.unnest(found.c.labels).table_valued(column("value", Text)).render_derived(name="label")
-    stmt = select(literal("label"), label.c.value, func.count(distinct(found.c.id)))
-    return stmt.join_from(found, label, true()).group_by(label.c.value)
+def _by_label(files: TableClause) -> Select[Any]:
+    label = func.unnest(files.c.labels).table_valued(column("value", Text)).render_derived(name="label")
+    stmt = select(literal("label"), label.c.value, func.count(distinct(files.c.id)))
+    return stmt.join_from(files, label, true()).group_by(label.c.value)
 
 
 def _by_topic(facet: str, topics: str, side: str) -> Select[Any]:
@@ -197,9 +197,9 @@ def _top(counted: Subquery) -> Select[Any]:
     return row.where(ranked.c.place <= MOST_VALUES)
 
 
-def _fields(found: TableClause, only: str | None) -> Select[Any]:
+def _fields(files: TableClause, only: str | None) -> Select[Any]:
     """Return the values of metadata fields: of one field, or of those that most files have, and not asked for."""
-    values = _field_values(found).subquery()
+    values = _field_values(files).subquery()
     if only is None:
         is_wanted = values.c.key != all_(bindparam("chosen_fields", type_=ARRAY(Text)))
     else:
@@ -216,9 +216,9 @@ def _fields(found: TableClause, only: str | None) -> Select[Any]:
     return stmt.order_by(ranked.c.weight.desc(), ranked.c.key, ranked.c.place).limit(MOST_VALUES * MOST_FIELDS)
 
 
-def _field_values(found: TableClause) -> Select[Any]:
+def _field_values(files: TableClause) -> Select[Any]:
     """Return `key`, `value`, `kind` and `file_count` of what missions say; each item of a list is a value."""
-    entries = _metadata_entries(found)
+    entries = _metadata_entries(files)
     of_list = cast(case((entries.c.kind == "array", entries.c.value), else_=null()), JSONB)
     item = func.jsonb_array_elements(of_list).table_valued(column("value", JSONB)).render_derived(name="item")
     once = select(*_as_text(item.c.value)).distinct().lateral("once")
@@ -231,15 +231,15 @@ def _field_values(found: TableClause) -> Select[Any]:
     return select(*columns, file_count).where(*is_value, entry.c.key.regexp_match(_FIELD)).group_by(*columns)
 
 
-def _metadata_entries(found: TableClause) -> CTE:
+def _metadata_entries(files: TableClause) -> CTE:
     """Return `key`, `value` as text, `kind`, and of how many `files` the mission says so; a list as a whole."""
-    missions = select(found.c.mission_id, func.count().label("files")).group_by(found.c.mission_id).subquery()
+    missions = select(files.c.mission_id, func.count().label("files")).group_by(files.c.mission_id).subquery()
     entry = func.jsonb_each(mission.c.metadata).table_valued(column("key", Text), column("value", JSONB))
     entry = entry.render_derived(name="entry")
     columns = (entry.c.key.label("key"), *_as_text(entry.c.value))
     stmt = select(*columns, func.sum(missions.c.files).label("files"))
     stmt = stmt.join_from(missions, mission, mission.c.id == missions.c.mission_id).join(entry, true())
-    return stmt.group_by(*(each.element for each in columns)).cte(f"said_{found.name}")
+    return stmt.group_by(*(item.element for item in columns)).cte(f"entries_{files.name}")
 
 
 def _as_text(value: ColumnElement[Any]) -> tuple[Label[str], Label[str]]:
@@ -250,4 +250,4 @@ def _as_text(value: ColumnElement[Any]) -> tuple[Label[str], Label[str]]:
 def _row(facet: Any, value: Any, file_count: Any, value_count: Any, *, kind: Any = "string") -> Select[Any]:
     kind = literal(kind) if isinstance(kind, str) else kind
     columns = {"facet": facet, "value": value, "kind": kind, "file_count": file_count, "value_count": value_count}
-    return select(*(each.label(name) for name, each in columns.items()))
+    return select(*(item.label(name) for name, item in columns.items()))
