@@ -115,7 +115,7 @@ def test_a_pipe_is_refused_rather_than_waited_for(tmp_path: Path) -> None:
         summarise_isolated(FileRequest(str(tmp_path / "pipe.mcap")))
 
 
-def test_a_file_that_wants_too_much_memory(tmp_path: Path) -> None:
+def test_a_file_that_needs_too_much_memory(tmp_path: Path) -> None:
     """A zstd frame with a window of 64 MB, in a process that may have 64 MB in all."""
     parameters = zstandard.ZstdCompressionParameters(window_log=26)
     compressor = zstandard.ZstdCompressor(compression_params=parameters).compressobj()
@@ -169,8 +169,8 @@ def test_a_request_that_cannot_be_understood_ends_the_child() -> None:
 def test_the_child_sees_no_secret(monkeypatch: pytest.MonkeyPatch) -> None:
     """The environment of the parent, with its credentials, does not reach the child."""
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "hunter2")
-    tell = "import json, os; print(json.dumps({'failed': 'source', 'message': str(dict(os.environ))}))"
-    monkeypatch.setattr(isolation, "CHILD_COMMAND", (sys.executable, "-I", "-c", tell))
+    report = "import json, os; print(json.dumps({'failed': 'source', 'message': str(dict(os.environ))}))"
+    monkeypatch.setattr(isolation, "CHILD_COMMAND", (sys.executable, "-I", "-c", report))
     with pytest.raises(SummaryFailed, match="MALLOC_ARENA_MAX") as caught:
         summarise_isolated(FileRequest("/nowhere"))
     assert "hunter2" not in str(caught.value)

@@ -20,15 +20,15 @@ _PART = 5 * 1024 * 1024
 _LEASE_S = 8.0
 
 
-class _Listening(SilentObserver):
+class _RecordingObserver(SilentObserver):
     """Keeps what a person would read meanwhile."""
 
     def __init__(self) -> None:
-        self.heard: list[str] = []
+        self.messages: list[str] = []
 
     def notify(self, text: str) -> None:
         """Keep it."""
-        self.heard.append(text)
+        self.messages.append(text)
 
 
 @pytest.fixture(name="api", scope="module")
@@ -52,7 +52,7 @@ def _file(tmp_path: Path) -> Path:
     return file
 
 
-def _send(client: Client, mission_id: str, file: Path, watcher: _Listening) -> TransferResult:
+def _send(client: Client, mission_id: str, file: Path, watcher: _RecordingObserver) -> TransferResult:
     return upload(client, uuid.UUID(mission_id), plan_upload([file]), watcher=watcher).results[0]
 
 
@@ -62,10 +62,10 @@ def test_the_second_client_takes_over_when_the_lease_ends(
     body = file.read_bytes()
     dead = begin(api, mission_id, {"run.bin": body}, hashed=False)[0]["upload"]
     send(api, dead, body, only=[1])
-    watcher = _Listening()
+    watcher = _RecordingObserver()
     result = _send(client, mission_id, file, watcher)
     assert (result.outcome, result.error) == (Outcome.uploaded, None)
-    assert watcher.heard == ["waiting for run.bin: held by an upload that may have died"]
+    assert watcher.messages == ["waiting for run.bin: held by an upload that may have died"]
     assert result.moved_bytes == len(body), "without a journal nothing of the dead client's is taken on trust"
     lease_ended = api.sql("SELECT lease_ends_at FROM upload WHERE id = %s", dead["id"])[0][0]
     taken_over = api.sql("SELECT created_at FROM upload WHERE mission_id = %s AND id <> %s", mission_id, dead["id"])
@@ -77,10 +77,10 @@ def test_the_second_client_takes_over_when_the_lease_ends(
 def test_a_client_that_lives_keeps_its_name(api: Api, client: Client, mission_id: str, file: Path) -> None:
     theirs = os.urandom(_PART + 2000)
     alive = begin(api, mission_id, {"run.bin": theirs}, hashed=False)[0]["upload"]
-    watcher = _Listening()
+    watcher = _RecordingObserver()
     with ThreadPoolExecutor(1) as pool:
         sending = pool.submit(_send, client, mission_id, file, watcher)
-        wait_until(lambda: bool(watcher.heard))
+        wait_until(lambda: bool(watcher.messages))
         # Leases are told to the second: a renewal within the same one would not be seen.
         late = "SELECT lease_ends_at - now() < interval '6.5 s' FROM upload WHERE id = %s"
         wait_until(lambda: api.sql(late, alive["id"]) == [(True,)])

@@ -24,14 +24,14 @@ async def _pieces(body: bytes, size: int) -> AsyncIterator[bytes]:
 
 def _sealed(body: bytes, about: str = "name", size: int = 300_000) -> bytes:
     async def go() -> bytes:
-        return b"".join([each async for each in _SEAL.seal(_pieces(body, size), about)])
+        return b"".join([entry async for entry in _SEAL.seal(_pieces(body, size), about)])
 
     return asyncio.run(go())
 
 
 def _opened(sealed: bytes, about: str = "name", size: int = 333_333) -> bytes:
     async def go() -> bytes:
-        return b"".join([each async for each in _SEAL.unseal(_pieces(sealed, size), about)])
+        return b"".join([entry async for entry in _SEAL.unseal(_pieces(sealed, size), about)])
 
     return asyncio.run(go())
 
@@ -69,10 +69,10 @@ def test_damage_is_noticed() -> None:
 
 
 def test_only_its_passphrase_opens_a_key() -> None:
-    seal, kept = new_key("horse")
-    assert open_key(kept, "horse").name(bytes(32)) == seal.name(bytes(32))
+    seal, stored = new_key("horse")
+    assert open_key(stored, "horse").name(bytes(32)) == seal.name(bytes(32))
     with pytest.raises(NotOpened):
-        open_key(kept, "Horse")
+        open_key(stored, "Horse")
 
 
 def test_names_are_found_with_their_sizes_and_marks() -> None:

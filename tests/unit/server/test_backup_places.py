@@ -46,7 +46,7 @@ def test_what_was_being_written_when_a_run_was_killed_goes(tmp_path: Path) -> No
     _make(tmp_path)
     (half.parent / "folder").mkdir()
     asyncio.run(forget(str(tmp_path), None, keep=1))
-    assert [each.name for each in half.parent.iterdir()] == ["folder"]
+    assert [entry.name for entry in half.parent.iterdir()] == ["folder"]
 
 
 def test_what_a_killed_run_wrote_is_on_the_disk_before_a_backup_names_it(
