@@ -144,7 +144,7 @@ def memory_row() -> Row:
     klein("download", "-p", "bench", "-m", "memory", "--dest", str(STAGE / "memory"))
     supervisor = psutil.Process(endpoint_info()["pid"])
     by_part = {"supervisor": pss_mb(supervisor)}
-    for name, pid in endpoint_info()["parts"].items():
+    for name, pid in endpoint_info()["services"].items():
         part = psutil.Process(pid)
         by_part[name] = sum(map(pss_mb, [part, *part.children(recursive=True)]))
     total = sum(by_part.values())

@@ -45,7 +45,7 @@ def instance() -> Iterator[dict[str, str]]:
     try:
         if not (process.stdout and process.stdout.readline()):
             raise SystemExit("Kleinkram did not start")
-        worker = psutil.Process(endpoint_info()["parts"]["worker"])
+        worker = psutil.Process(endpoint_info()["services"]["worker"])
         inherited = {key: value for key, value in worker.environ().items() if key.startswith("KLEINKRAM_")}
         yield {**variables(), **inherited}
     finally:

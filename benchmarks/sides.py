@@ -22,7 +22,7 @@ import urllib3
 from benchmarks.side import Facts, main
 from kleinkram.client import connect
 from kleinkram.client.transfer import download, plan_download, plan_upload, upload
-from kleinkram.client.transfer.upload import CONNECTIONS
+from kleinkram.client.transfer.report import CONNECTIONS
 from kleinkram.contract.files import DownloadLink, FileFilter
 from kleinkram.contract.uploads import ChecksumKind, crc64nvme, part_size_bytes
 from kleinkram.recordings import CountingSource, summarise

@@ -59,9 +59,9 @@ def fill(client: Client, database_url: str) -> tuple[uuid.UUID, uuid.UUID, uuid.
     """
     project = client.projects.create(PROJECT).id
     archive = client.projects.create("archive").id
-    many = client.missions.create(MANY_TOPICS, project_id=project).id
-    files = client.missions.create(MANY_FILES, project_id=project).id
-    older = [client.missions.create(f"day {day:03}", project_id=archive).id for day in range(100)]
+    many = client.missions.create(MANY_TOPICS, project=project).id
+    files = client.missions.create(MANY_FILES, project=project).id
+    older = [client.missions.create(f"day {day:03}", project=archive).id for day in range(100)]
     with psycopg.connect(database_url) as database:
         owner = database.execute("SELECT person_id FROM token WHERE name = 'local owner'").fetchone()
         common = {"owner": owner and owner[0], "start_ns": _START_NS, "long_ns": _LONG_NS}

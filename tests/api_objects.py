@@ -1,4 +1,4 @@
-"""Nouns as a server would send them."""
+"""Objects of the API with default values, for tests."""
 
 import datetime
 import hashlib

@@ -1,4 +1,4 @@
-"""A certificate of our own for an address of this machine, for tests that speak TLS."""
+"""A self-signed certificate for a loopback address, for tests of TLS."""
 
 import datetime
 import ipaddress

@@ -1,4 +1,4 @@
-"""An HTTP server for tests that takes no notice of clients that go away, which they do on purpose."""
+"""An HTTP server for tests that ignores clients that disconnect."""
 
 import sys
 from http.server import ThreadingHTTPServer

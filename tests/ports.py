@@ -1,10 +1,10 @@
-"""Ports for what tests start: each worker has its own, and none is one that a server would choose by itself."""
+"""Ports for services of tests: each worker has its own range, outside the default ports."""
 
 import itertools
 import os
 import random
 
-from kleinkram.standalone.ports import is_free
+from kleinkram.standalone.address import is_free
 
 _FIRST, _COUNT, _WORKERS = 10_000, 2_000, 5
 # Those that are no worker's are of a session of its own: it begins anywhere, for there may be another one.

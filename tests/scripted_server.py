@@ -1,4 +1,4 @@
-"""A server that says what a test tells it to, one answer after the other, and remembers what it was asked."""
+"""A server that returns scripted answers and records the requests."""
 
 import json
 import threading
@@ -19,7 +19,7 @@ Answer = BaseModel | KleinkramError | bytes | tuple[int, bytes] | None
 
 
 @dataclass(frozen=True)
-class Asked:
+class RecordedRequest:
     """One request."""
 
     method: str
@@ -34,7 +34,7 @@ class Scripted:
 
     url: str = ""
     answers: list[Answer] = field(default_factory=list)
-    asked: list[Asked] = field(default_factory=list)
+    requests: list[RecordedRequest] = field(default_factory=list)
 
 
 @contextmanager
@@ -51,17 +51,17 @@ def scripted(*answers: Answer, by_path: Mapping[str, BaseModel] | None = None) -
         def _speak(self) -> None:
             body = self.rfile.read(int(self.headers.get("Content-Length", "0")))
             known = self.headers.get("Authorization")
-            script.asked.append(Asked(self.command, self.path, known, json.loads(body) if body else None))
+            script.requests.append(RecordedRequest(self.command, self.path, known, json.loads(body) if body else None))
             place = self.path.partition("?")[0]
             always = [answer for end, answer in (by_path or {}).items() if place.endswith(end)]
-            status, said = _said(always[0] if always else script.answers.pop(0))
-            if said is None:
+            status, answer = _answer_bytes(always[0] if always else script.answers.pop(0))
+            if answer is None:
                 self.close_connection = True
                 return
             self.send_response(status)
-            self.send_header("Content-Length", str(len(said)))
+            self.send_header("Content-Length", str(len(answer)))
             self.end_headers()
-            self.wfile.write(said)
+            self.wfile.write(answer)
 
         do_GET = do_POST = do_DELETE = _speak  # noqa: N815  the names that http.server calls
 
@@ -80,7 +80,7 @@ def scripted(*answers: Answer, by_path: Mapping[str, BaseModel] | None = None) -
         server.server_close()
 
 
-def _said(answer: Answer) -> tuple[int, bytes | None]:
+def _answer_bytes(answer: Answer) -> tuple[int, bytes | None]:
     if isinstance(answer, KleinkramError):
         return answer.status, to_problem(answer, "r").model_dump_json().encode()
     if isinstance(answer, BaseModel):

@@ -1,4 +1,4 @@
-"""A private PostgreSQL and a private S3 store for a test session: real ones, started once, gone at its end.
+"""A private PostgreSQL and a private S3 store for a test session.
 
 Use with `pytest_plugins = ["tests.services"]`, or `-p tests.services`. Both die with pytest, however it dies.
 """
@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.standalone import binaries, child, postgres, s3, store
+from kleinkram.standalone import object_store, postgres, processes
 from tests.ports import choose_port
 
 _numbers = itertools.count(1)
@@ -72,14 +72,14 @@ class RunningStore:
     folder: Path = field(repr=False)
 
     @property
-    def access(self) -> s3.StoreAccess:
-        """The same for `kleinkram.standalone.s3`."""
-        return s3.StoreAccess(self.endpoint, self.access_key, self.secret_key, self.region)
+    def access(self) -> object_store.StoreAccess:
+        """The same for `kleinkram.standalone.object_store`."""
+        return object_store.StoreAccess(self.endpoint, self.access_key, self.secret_key, self.region)
 
     def create_bucket(self) -> str:
         """A new, empty bucket; returns its name."""
         name = f"test-{os.getpid()}-{next(_numbers)}"
-        assert s3.create_bucket(self.access, name)
+        assert object_store.create_bucket(self.access, name)
         return name
 
 
@@ -89,7 +89,7 @@ def _postgres() -> Iterator[RunningPostgres]:
     with tempfile.TemporaryDirectory(prefix="klein-pg-") as name:
         folder = Path(name)
         cluster = postgres.PostgresCluster(
-            binaries=binaries.locate_postgres(),
+            binaries=postgres.locate_postgres(),
             data_dir=folder,
             folder=folder / "postgres",
             log=folder / "postgres.log",
@@ -104,7 +104,7 @@ def _postgres() -> Iterator[RunningPostgres]:
             postgres.prepare_database(cluster)
             yield RunningPostgres(cluster)
         finally:
-            child.stop(process, sign=postgres.STOP_SIGNAL, timeout_s=10)
+            processes.stop(process, sign=postgres.STOP_SIGNAL, timeout_s=10)
 
 
 @pytest.fixture(scope="session", name="store")
@@ -112,24 +112,24 @@ def _store() -> Iterator[RunningStore]:
     """The session's S3 store."""
     with tempfile.TemporaryDirectory(prefix="klein-s3-") as name:
         folder = Path(name)
-        plan = store.StoreFolder(
-            program=binaries.locate_weed(),
+        plan = object_store.StoreFolder(
+            program=object_store.locate_weed(),
             data_dir=folder,
             folder=folder,
             log=folder / "store.log",
-            ports={name: choose_port() for name in store.PORT_NAMES},
+            ports={name: choose_port() for name in object_store.PORT_NAMES},
             access_key=secrets.token_hex(10),
             secret_key=secrets.token_hex(20),
         )
         # Each bucket takes a volume at least, and weed counts as many as would fit on the disk when full.
-        process = store.start(plan, extra=["-master.volumeSizeLimitMB=64"])
+        process = object_store.start(plan, extra=["-master.volumeSizeLimitMB=64"])
         try:
-            _wait_until(lambda: s3.proves_ready(plan.access, store.BUCKET), process, plan.log)
+            _wait_until(lambda: object_store.is_ready(plan.access, object_store.BUCKET), process, plan.log)
             access = plan.access
             yield RunningStore(access.endpoint, access.access_key, access.secret_key, access.region, folder)
         finally:
             # Nothing of it is needed again: no reason to wait the two seconds of its orderly end.
-            child.stop(process, sign=signal.SIGKILL, timeout_s=10)
+            processes.stop(process, sign=signal.SIGKILL, timeout_s=10)
 
 
 def _wait_until(ready: Callable[[], bool], process: "subprocess.Popen[bytes]", log: Path) -> None:

@@ -87,7 +87,7 @@ class Instance:
 
     def kill_part(self, name: str) -> int:
         """Kill one of its parts, as a crash would, and return the pid it had."""
-        pid: int = self.runtime_info()["parts"][name]
+        pid: int = self.runtime_info()["services"][name]
         os.kill(pid, signal.SIGKILL)
         return pid
 

@@ -1,4 +1,4 @@
-"""The worked example of docs/access.md, command by command, and what it says that each of its people meets."""
+"""The example of docs/access.md runs command by command with the documented results."""
 
 import datetime
 import re

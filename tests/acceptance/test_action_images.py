@@ -1,4 +1,4 @@
-"""Actions that are images, as who writes one meets them: built here, and run in a container."""
+"""Actions with an image of their own are built and run in a container."""
 
 import re
 import shutil

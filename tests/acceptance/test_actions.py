@@ -1,4 +1,4 @@
-"""Actions on one's own machine, as who writes one meets them."""
+"""Actions are written, tested and run on the author's own machine."""
 
 import json
 import re

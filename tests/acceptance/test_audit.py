@@ -1,4 +1,4 @@
-"""`klein audit`: what happened, found and exported."""
+"""`klein audit` lists, filters and exports events."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""A field day with a broken disk: what can be read is told, found, and distinguished from what cannot."""
+"""Recordings from a damaged disk: readable data is found, and the damage is reported."""
 
 import shutil
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Podman as people meet it: the demo with its server and runner, and an action that is built and tried out."""
+"""Podman instead of Docker: the demo with its server and runner, and an action that is built and tested."""
 
 import os
 import subprocess
@@ -11,7 +11,7 @@ import pytest
 from tests.acceptance.conftest import Terminal
 from tests.acceptance.test_action_images import EXAMPLE, add_stock
 from tests.integration.runner.conftest import podman  # noqa: F401  a fixture
-from tests.integration.runner.podmen import Podman
+from tests.integration.runner.podman_engines import Podman
 
 pytestmark = pytest.mark.soak
 DEMO = Path(__file__).parents[2] / "examples" / "demo.py"

@@ -1,4 +1,4 @@
-"""Parts of Kleinkram are killed while a run lasts: it ends once, with all that it wrote and left."""
+"""Server, runner or engine are killed during a run: the run ends once, with its complete log and all artifacts."""
 
 import json
 from collections.abc import Iterator
@@ -56,7 +56,7 @@ def test_parts_are_killed(
     wait_until(is_over, "the end of the run")
     values = terminal.run("run", "info", run_id, "--json").json()
     assert (values["state"], values["attempt"], values["artifact_count"], values["metric_count"]) == ("done", 1, 1, 1)
-    assert all(instance.runtime_info()["parts"][part] not in {None, pid} for part, pid in killed.items())
+    assert all(instance.runtime_info()["services"][part] not in {None, pid} for part, pid in killed.items())
     (runner,) = terminal.run("runner", "list", "--json").json()["items"]
     assert (runner["name"], runner["is_alive"]) == ("klein-up", True)
     lines = terminal.run("run", "logs", run_id).out.splitlines()

@@ -1,4 +1,4 @@
-"""Runs on a whole `klein up`: launched, followed, fetched, taken over, ended, and read back as lineage."""
+"""Runs on a real `klein up`: launch, follow, download, take over, cancel, lineage."""
 
 import signal
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""What `klein up` writes down while people work holds none of its secrets."""
+"""Logs and files written by `klein up` contain no secret."""
 
 import re
 import secrets

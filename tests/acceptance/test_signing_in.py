@@ -1,4 +1,4 @@
-"""Signing in from a terminal to a real `klein up`: by the browser, by a code, by a token; and out again."""
+"""Sign in to a real `klein up` from a terminal by browser, device code or token, and sign out."""
 
 import json
 import uuid
@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from kleinkram.standalone.owner_link import ask_owner_link
+from kleinkram.standalone.http_client import create_owner_link
 
 from .browser import Browser, line_with, log_in
 from .conftest import Instance, Terminal, end
@@ -143,10 +143,10 @@ def test_the_owner_of_this_machine_needs_no_sign_in(terminal: Terminal, instance
     assert "klein session link" in terminal.run("login", code=2).err
     login = instance.runtime_info()
     token = Path(login["token_file"]).read_text().strip()
-    shown = ask_owner_link(login["local_url"], token)  # what a terminal is shown
+    shown = create_owner_link(login["local_url"], token)  # what a terminal is shown
     assert shown is not None
     assert shown.startswith(f"{login['url']}/sign-in/link#")
-    assert ask_owner_link(login["local_url"], "another") is None
+    assert create_owner_link(login["local_url"], "another") is None
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The story of the issue: a field day goes in, is found again, and comes back bit for bit."""
+"""The main story: a day of recordings is uploaded, found again, and downloaded bit for bit."""
 
 import filecmp
 import json

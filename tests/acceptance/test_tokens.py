@@ -1,4 +1,4 @@
-"""A robot that may only upload, a partner with one mission, a guest with a link, a stranger: each at a terminal."""
+"""Terminals of an upload-only robot, a partner with one mission, a guest with a share, and a stranger."""
 
 import filecmp
 import json

@@ -1,4 +1,4 @@
-"""Transfers that are cut, raced, refused and resumed, as people see them."""
+"""Transfers that are interrupted, concurrent, refused or resumed."""
 
 import os
 import signal
@@ -78,7 +78,7 @@ def test_an_upload_survives_a_crash_of_the_other_side(
     dead = instance.kill_part(part)
     ended = end(process)
     assert ended.code == 0, ended.err
-    wait_until(lambda: instance.runtime_info()["parts"].get(part) not in {None, dead}, "the part was started again")
+    wait_until(lambda: instance.runtime_info()["services"].get(part) not in {None, dead}, "the part was started again")
     terminal.run("verify", "-p", project, "-m", "m", file)
 
 

@@ -1,4 +1,4 @@
-"""What holds for every file, whatever its bytes: a summary, a scan, and as many messages as can be read."""
+"""Invariants of every file, whatever its bytes: it has a summary, a scan, and as many messages as can be read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a number to a damaged file: the same one each time."""
+"""Make a damaged file from a number: the same file each time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The whole recordings that are mutated: small, generated, one of each format and compression."""
+"""The intact recordings to mutate: small, generated, one of each format and compression."""
 
 from __future__ import annotations
 

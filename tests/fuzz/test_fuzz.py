@@ -1,4 +1,4 @@
-"""A short, fixed run of the fuzzing; the long one by hand (`make soak`)."""
+"""A short fuzzing run with fixed seeds; `make soak` runs the long one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The API as it runs, on real PostgreSQL and real S3, and what tests need to talk to it and to look behind it."""
+"""The API on real PostgreSQL and a real S3 store, with direct access to its database for tests."""
 
 import json
 import secrets

@@ -1,4 +1,4 @@
-"""The API for tests that speak HTTP with it: one for the whole session, or one with settings of its own."""
+"""The API for HTTP tests: one for the whole session, or one with settings of its own."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager

@@ -1,4 +1,4 @@
-"""The real recordings, uploaded once for all tests that ask what the server says of them."""
+"""The real recordings, uploaded once for all tests that compare them with the server's results."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""A program that listens to the stream of events, as a page does: without coming back by itself."""
+"""A client of the event stream that does not reconnect by itself."""
 
 import http.client
 import json

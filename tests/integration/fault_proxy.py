@@ -1,4 +1,4 @@
-"""A real store seen through somebody in between, who may refuse, delay, or lose an answer. What is let through is real.
+"""A proxy in front of a real store that refuses, delays or drops responses.
 
 Requests are passed on byte for byte, with the caller's Host, so signatures hold at the store behind.
 """

@@ -1,4 +1,4 @@
-"""A migration after the last one, as a later version brings it."""
+"""A migration after the latest one, as a later version would bring."""
 
 from pathlib import Path
 from types import ModuleType

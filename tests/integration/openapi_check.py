@@ -1,4 +1,4 @@
-"""Checks that each answer of the API is one that its OpenAPI document describes."""
+"""Checks that each response of the API matches its OpenAPI document."""
 
 import re
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""People, groups, grants, tokens, sessions and links, put straight into the database, for tests of what they may do."""
+"""People, groups, grants, tokens, sessions and shares, inserted directly into the database."""
 
 import hashlib
 import secrets

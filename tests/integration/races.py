@@ -1,4 +1,4 @@
-"""Requests that meet in the database: rows are held until all of them wait, then let go."""
+"""Concurrent requests: rows are locked until all requests wait, then released."""
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor

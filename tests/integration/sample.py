@@ -1,4 +1,4 @@
-"""Files, recordings and topics put straight into the database, for tests of what is done with them later."""
+"""Files, recordings and topics, inserted directly into the database."""
 
 import datetime
 import hashlib

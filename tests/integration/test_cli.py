@@ -138,7 +138,7 @@ def test_failures_of_commands_without_a_server_are_json_too(klein: Klein, tmp_pa
     commands = {
         ("down", *nowhere): ("not_running", 1),
         ("backup", "create", tmp_path / "backups", *nowhere): ("not_running", 1),
-        ("backup", "verify", tmp_path / "backups", "--json"): ("nothing_there", 3),
+        ("backup", "verify", tmp_path / "backups", "--json"): ("backup_not_found", 3),
     }
     for words, (code, exit_code) in commands.items():
         error = json.loads(klein(*words, code=exit_code).stderr)["error"]

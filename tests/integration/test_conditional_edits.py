@@ -1,4 +1,4 @@
-"""Two people edit one thing: the second is told, and what the first wrote stands."""
+"""Concurrent edits: the second gets a conflict, and the first stays."""
 
 from collections.abc import Callable
 from typing import Any

@@ -1,4 +1,4 @@
-"""What becomes of a transaction that the database does not let through: named, and to be tried again."""
+"""Failed transactions are classified and, where possible, retried."""
 
 import asyncio
 from typing import Any

@@ -1,4 +1,4 @@
-"""The schema: migrations and tables agree, upgrades happen under load, the serving role has no more than it needs."""
+"""The schema: migrations match the tables, upgrades run under load, the serving role has minimal rights."""
 
 import subprocess
 import sys

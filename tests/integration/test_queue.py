@@ -1,4 +1,4 @@
-"""The queue in PostgreSQL, as long as it gets."""
+"""The job queue in PostgreSQL at its greatest length."""
 
 from typing import Any
 

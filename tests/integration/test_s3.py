@@ -1,4 +1,4 @@
-"""How the server's S3 client takes the answers of a store in trouble, which a healthy one never gives."""
+"""The S3 client of the server with error responses of a failing store."""
 
 import asyncio
 import http.server

@@ -1,4 +1,4 @@
-"""The SDK as programs use it, on a real server: names, keywords, lists, transfers, and handles that travel."""
+"""The SDK on a real server: names, keyword arguments, lists, transfers, pickled handles."""
 
 import datetime
 import inspect

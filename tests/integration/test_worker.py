@@ -1,4 +1,4 @@
-"""The worker process through restarts of PostgreSQL: it goes on by itself, and nothing that it was doing is lost."""
+"""The worker continues after restarts of PostgreSQL, and no job is lost."""
 
 import contextlib
 import json
@@ -15,8 +15,8 @@ import pytest
 import urllib3
 
 from kleinkram.server.migrations.migrate import migrate
-from kleinkram.standalone import binaries, child
 from kleinkram.standalone import postgres as pg
+from kleinkram.standalone import processes
 from tests.integration.upload_client import wait_until
 from tests.ports import choose_port
 from tests.services import RunningStore
@@ -34,7 +34,7 @@ class _Cluster:
 
     def restart(self, how: signal.Signals) -> None:
         """End it as `pg_ctl stop -m fast` (SIGINT) or `-m immediate` (SIGQUIT) does, and start it again."""
-        child.stop(self.process, sign=how, timeout_s=30)
+        processes.stop(self.process, sign=how, timeout_s=30)
         self.start()
 
     def start(self) -> None:
@@ -51,7 +51,7 @@ def database(tmp_path_factory: pytest.TempPathFactory) -> Iterator[_Cluster]:
     folder.chmod(0o755)
     passwords = pg.PostgresPasswords("admin", "migrate", "serve")
     cluster = pg.PostgresCluster(
-        binaries=binaries.locate_postgres(),
+        binaries=pg.locate_postgres(),
         data_dir=folder,
         folder=folder / "postgres",
         log=folder / "postgres.log",
@@ -66,7 +66,7 @@ def database(tmp_path_factory: pytest.TempPathFactory) -> Iterator[_Cluster]:
         migrate(cluster.url(pg.MIGRATE).replace("://", "+psycopg://", 1), pg.SERVE)
         yield running
     finally:
-        child.stop(running.process, sign=signal.SIGQUIT, timeout_s=10)
+        processes.stop(running.process, sign=signal.SIGQUIT, timeout_s=10)
 
 
 @dataclass
@@ -151,7 +151,7 @@ def test_a_worker_stops_on_request_while_postgresql_is_unavailable(
     database: _Cluster, store: RunningStore, tmp_path: Path
 ) -> None:
     with _working(database, store, tmp_path / "log") as worker:
-        child.stop(database.process, sign=signal.SIGQUIT, timeout_s=30)
+        processes.stop(database.process, sign=signal.SIGQUIT, timeout_s=30)
         try:
             worker.process.terminate()
             assert worker.process.wait(120) == 0

@@ -1,4 +1,4 @@
-"""The upload protocol, spoken by hand: what a client does, one step at a time."""
+"""A client of the upload protocol, one step at a time."""
 
 import hashlib
 import time

@@ -1,4 +1,4 @@
-"""What each reader says of a recording, in one shape, and where they disagree.
+"""Collects what each reader reports about a recording, and compares it.
 
 The readers are `klein inspect` (the summary), `klein inspect --deep` (the scan), `Recording` near and far, and the
 server. They agree when

@@ -1,4 +1,4 @@
-"""Small recordings in memory, made to be read."""
+"""Small recordings in memory."""
 
 from __future__ import annotations
 

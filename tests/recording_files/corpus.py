@@ -1,4 +1,4 @@
-"""The real recordings and what independent readers say of them (`manifest.json`)."""
+"""The real recordings and what independent readers report about them (`manifest.json`)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rosbag2 databases of every schema that there was, made for tests."""
+"""rosbag2 databases of every schema version."""
 
 from __future__ import annotations
 

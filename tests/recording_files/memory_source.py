@@ -1,4 +1,4 @@
-"""Sources for tests: bytes in memory, and files with holes that are never stored."""
+"""Sources for tests: bytes in memory, and sparse files that are never stored."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An MCAP of any size that is never stored: each read makes the bytes that it asks for."""
+"""An MCAP file of any size that is never stored: each read generates its bytes."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from kleinkram.standalone.procs import marked_processes
+from kleinkram.standalone.processes import marked_processes
 from tests.acceptance.conftest import KLEIN, Terminal, wait_until
 from tests.ports import choose_port
 
@@ -71,7 +71,7 @@ class Cluster:
             assert self.process is not None
             self.process.kill()
             self.process.wait()
-        elif pid := self.runtime_info()["parts"][part]:
+        elif pid := self.runtime_info()["services"][part]:
             os.kill(pid, signal.SIGKILL)
 
     def start_again_if_dead(self) -> None:

@@ -1,4 +1,4 @@
-"""A machine is lost with all that was on it, and comes back from a backup that was made while somebody was sending."""
+"""A machine is lost, and restored from a backup that was made during an upload."""
 
 import contextlib
 import os
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.standalone.procs import marked_processes
+from kleinkram.standalone.processes import marked_processes
 from tests.acceptance.conftest import KLEIN, wait_until
 from tests.system.cluster import Cluster, environment
 
@@ -19,7 +19,7 @@ _LARGE_BYTES, _RATE = 40_000_000, "4M"
 
 @pytest.mark.slow
 @pytest.mark.timeout(400)
-def test_a_lost_machine_comes_back(cluster: Cluster) -> None:
+def test_a_lost_machine_is_restored(cluster: Cluster) -> None:
     chance = random.Random(1)
     cluster.options.append("--no-runner")
     cluster.start()
@@ -37,7 +37,7 @@ def test_a_lost_machine_comes_back(cluster: Cluster) -> None:
     send = ("upload", large, "-p", "p", "-m", "drive")
     sending = me.start(*send, "--limit-rate", _RATE)
     wait_until(lambda: me.parts_sent() >= 1, "a part of the large file to be sent")
-    sending.send_signal(signal.SIGSTOP)  # it is under way for as long as the backup takes
+    sending.send_signal(signal.SIGSTOP)  # it is in progress for as long as the backup takes
     runtime_info = me.run("backup", "create", backups, "--json").json()
     assert (runtime_info["objects"], runtime_info["problems"]) == (20, [])
     sending.kill()
@@ -62,7 +62,7 @@ def test_a_lost_machine_comes_back(cluster: Cluster) -> None:
     assert me.run("whoami", "--json").json()  # the owner's token is a new one
     stranger = type(me)(cluster.home, environment(cluster.home, KLEINKRAM_URL=url, KLEINKRAM_TOKEN=robot))
     assert stranger.run("project", "list", "--json").json()["items"][0]["name"] == "p"
-    me.run(*send)  # the parts that were sent are gone, and nothing is in its way
+    me.run(*send)  # the uploaded parts are lost, and nothing conflicts
     me.run("verify", large, "-p", "p", "-m", "drive")
     scrubbed = me.run("admin", "scrub", "--json").json()["last"]
     assert (scrubbed["lost"], scrubbed["corrupt"], scrubbed["stopped"]) == (0, 0, None)
@@ -70,7 +70,7 @@ def test_a_lost_machine_comes_back(cluster: Cluster) -> None:
 
 
 def _lose(cluster: Cluster) -> None:
-    """All that runs is killed, and the disk is gone."""
+    """Kill everything and remove the data directory."""
     cluster.kill("supervisor")
     for pid in marked_processes(cluster.data_dir):
         with contextlib.suppress(ProcessLookupError):  # they end with the supervisor, by themselves
@@ -80,7 +80,7 @@ def _lose(cluster: Cluster) -> None:
 
 
 def _restore_and_kill(cluster: Cluster, backups: Path) -> None:
-    """A restore is killed as soon as its database has begun."""
+    """Kill a restore once it has created the database."""
     restoring = cluster.terminal.start("restore", backups, "--data-dir", cluster.data_dir)
     wait_until(lambda: (cluster.data_dir / "postgres" / "PG_VERSION").exists(), "a restore to begin")
     restoring.kill()

@@ -105,7 +105,7 @@ def _launch(cluster: Cluster) -> str:
 
 
 def _check_state(cluster: Cluster, rounds: list[Round]) -> None:
-    wait_until(lambda: all(cluster.runtime_info()["parts"].values()), "every part to run")
+    wait_until(lambda: all(cluster.runtime_info()["services"].values()), "every part to run")
     backend.tidy(cluster)
     assert backend.sql(cluster, _UNFINISHED) == [], "no name is blocked"
     wait_until(lambda: backend.sql(cluster, _UNVERIFIED) == [(0,)], "the server to have read all bytes")

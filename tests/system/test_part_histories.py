@@ -1,4 +1,4 @@
-"""Parts sent twice, late, at once or with other bytes before, joined by several at once: the file is there.
+"""Parts sent twice, late, concurrently or with other bytes before: the file is correct.
 
 What the store is asked to drop can be read until it has cleared up its volumes, so this is looked at after that.
 """
@@ -21,7 +21,7 @@ import urllib3
 
 from kleinkram.client import Client, connect
 from kleinkram.contract.uploads import MIN_PART_BYTES, PartToSign, Send, UploadFile, UploadFinish, UploadRead
-from kleinkram.standalone.binaries import locate_weed
+from kleinkram.standalone.object_store import locate_weed
 from tests.integration.upload_client import checksum, crc64, sha256
 from tests.system.cluster import Cluster
 

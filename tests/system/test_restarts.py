@@ -56,7 +56,7 @@ def test_twenty_clients_read_and_upload_while_the_api_and_the_database_restart(
     files = [_write(tmp_path / f"{number}.bin") for number in range(_FILES)]
     with _connected(cluster) as owner:
         project_id = owner.projects.get("p").id
-        missions = [owner.missions.create(f"client {number}", project_id=project_id) for number in range(_CLIENTS)]
+        missions = [owner.missions.create(f"client {number}", project=project_id) for number in range(_CLIENTS)]
     begun = threading.Event()
 
     def work(number: int) -> None:
@@ -98,9 +98,9 @@ def _read(ask: Callable[[], T]) -> T:
 
 
 def _end_and_wait(cluster: Cluster, part: str, sign: signal.Signals) -> None:
-    pid = cluster.runtime_info()["parts"][part]
+    pid = cluster.runtime_info()["services"][part]
     os.kill(pid, sign)
-    wait_until(lambda: cluster.runtime_info()["parts"][part] not in {None, pid}, f"{part} to be started again")
+    wait_until(lambda: cluster.runtime_info()["services"][part] not in {None, pid}, f"{part} to be started again")
     wait_until(lambda: _status(cluster, "GET", "/health/ready", "")[0] == 200, "the API to be ready")
 
 

@@ -1,4 +1,4 @@
-"""The page of a link in a real browser: it shows the link's files, and no text from elsewhere as HTML."""
+"""The page of a share in a real browser shows its files, and escapes text from elsewhere."""
 
 import base64
 import subprocess

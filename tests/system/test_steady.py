@@ -1,4 +1,4 @@
-"""An hour of many people on ten years of data: API and worker take no more memory at its end than before."""
+"""One hour of many people on ten years of data: the memory of API and worker does not grow."""
 
 import json
 import os
@@ -27,7 +27,7 @@ def test_memory_stays_constant_during_an_hour_of_many_clients(tmp_path: Path) ->
     cluster = Cluster(tmp_path, settings={"KLEINKRAM_SEARCHES_PER_MINUTE": "0"})
     cluster.start()
     try:
-        parts = {name: psutil.Process(cluster.runtime_info()["parts"][name]) for name in ("api", "worker")}
+        parts = {name: psutil.Process(cluster.runtime_info()["services"][name]) for name in ("api", "worker")}
         seed.fill(parts["worker"].environ()["KLEINKRAM_DATABASE_URL"], seed.Size(1), say=lambda _text: None)
         token = (cluster.data_dir / "owner-token").read_text().strip()
         arguments = [cluster.runtime_info()["url"], token, str(_CLIENTS), str(_SECONDS), str(seeded("project1"))]

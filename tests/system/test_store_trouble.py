@@ -1,4 +1,4 @@
-"""The store in trouble while bytes move: away for half a minute, and full. Clients wait or say so; nothing is lost."""
+"""The store is unreachable for half a minute, or full, during transfers: clients wait or report it."""
 
 import contextlib
 import filecmp
@@ -37,7 +37,7 @@ def _away(cluster: Cluster) -> None:
 
     Dying, it is started again after ever longer pauses, the last of which ends a moment after its last death.
     """
-    pid = cluster.runtime_info()["parts"]["store"]
+    pid = cluster.runtime_info()["services"]["store"]
     os.kill(pid, signal.SIGSTOP)
     threading.Event().wait(_SILENT_S)
     ends_at = time.monotonic() + _DYING_S

@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from kleinkram.standalone.procs import marked_processes
+from kleinkram.standalone.processes import marked_processes
 from tests.acceptance.conftest import Terminal
 from tests.certificate import make_certificate
 from tests.system.cluster import Cluster

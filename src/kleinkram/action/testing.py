@@ -21,8 +21,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kleinkram.action.run_files import IN_VARIABLE, OUT_VARIABLE
+from kleinkram.client.actions import MANIFEST, read_manifest
 from kleinkram.client.errors import InvalidInput
-from kleinkram.client.manifest import MANIFEST, read_manifest
 from kleinkram.contract.access import Right
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.files import BlobState, ContentState, FileRead

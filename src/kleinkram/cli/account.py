@@ -1,27 +1,48 @@
-"""`klein account …`"""
+"""`klein account …`, `klein session …`, `klein token …` and `klein share …`: what signs in, and as whom."""
 
+import datetime
+import uuid
 from typing import Annotated
-
-import typer
 
 from kleinkram import connect
 from kleinkram.cli.commands import Noun
-from kleinkram.cli.options import AsJson, Yes, confirm
-from kleinkram.cli.render import details, note, plain, show_json, table
+from kleinkram.cli.options import (
+    AsJson,
+    Ended,
+    Limit,
+    Many,
+    MissionOption,
+    ProjectOption,
+    Text,
+    Until,
+    Yes,
+    argument,
+    confirm,
+    flag,
+    option,
+    the_ref,
+)
+from kleinkram.cli.render import details, line, moment, note, plain, show_json, show_rows, table
+from kleinkram.cli.units import count, expiry, size
 from kleinkram.client.errors import InvalidInput
+from kleinkram.client.tokens import Reach, RunnerLimits
+from kleinkram.contract.access import Scope, TokenKind
 from kleinkram.contract.accounts import IdentityRead
 from kleinkram.contract.errors import NotFound
+from kleinkram.contract.files import FileFilter
+from kleinkram.contract.names import is_id
+from kleinkram.contract.tokens import ShareRead, TokenRead
 
-app = Noun("Your own account: what you are known by, and how you sign in.")
+app = Noun("Show your own account and how you sign in.")
 
 
 @app.command("info")
 def info(as_json: AsJson = False) -> None:
     """Show your name, addresses, affiliations, and the providers that you sign in by."""
     with connect() as client:
-        account, linked = client.me.account(), client.me.identities()
+        account, identities = client.me.account(), client.me.identities()
     if as_json:
-        show_json({**account.model_dump(mode="json"), "identities": plain(linked)})
+        show_json({**account.model_dump(mode="json"), "identities": plain(identities)})
         return
     details(
         [
@@ -33,47 +54,272 @@ def info(as_json: AsJson = False) -> None:
             ("since", account.created_at),
         ]
     )
-    if linked:
+    if identities:
         table(
             ["provider", "address there", "linked", "last used", "identity"],
-            [(_name(row), row.email, row.created_at, row.last_used_at, row.id) for row in linked],
+            [(_provider(row), row.email, row.created_at, row.last_used_at, row.id) for row in identities],
         )
 
 
 @app.command("unlink")
 def unlink(
-    provider: Annotated[
-        str,
-        typer.Argument(metavar="PROVIDER", show_default=False, help="Its name or id, as `klein account info` says."),
-    ],
+    provider: Annotated[str, argument("PROVIDER", "Name or id of the provider, as in `klein account info`.")],
     yes: Yes = False,
     as_json: AsJson = False,
 ) -> None:
-    """Sign in by a provider no more. Sessions and tokens stay; the last way to sign in does too."""
+    """Stop signing in by a provider. Sessions and tokens stay. The last way to sign in cannot be removed."""
     with connect() as client:
-        matches = _find(provider, client.me.identities())
-        confirm(f"Sign in by {_name(matches)} no more?", yes)
-        client.me.unlink_identity(matches.id)
+        folded = provider.casefold()
+        matches = [
+            row
+            for row in client.me.identities()
+            if folded in {_provider(row).casefold(), row.issuer.casefold(), str(row.id)}
+        ]
+        if len(matches) > 1:
+            reason = "you linked several of its accounts: give an id"
+            raise InvalidInput(what=f"The provider {provider!r}", reason=reason)
+        if not matches:
+            raise NotFound(noun="linked provider", ref=provider)
+        name = _provider(matches[0])
+        confirm(f"Sign in by {name} no more?", yes)
+        client.me.unlink_identity(matches[0].id)
     if as_json:
-        show_json({"unlinked": str(matches.id)})
-    note(f"{_name(matches)} is unlinked. Browsers and tokens stay: `klein session list`, `klein token list`.")
+        show_json({"unlinked": str(matches[0].id)})
+    note(f"{name} is unlinked. Browsers and tokens stay: `klein session list`, `klein token list`.")
 
 
-def _name(row: IdentityRead) -> str:
+def _provider(row: IdentityRead) -> str:
     return row.provider or row.issuer
 
 
-def _find(text: str, linked: list[IdentityRead]) -> IdentityRead:
-    """Return the identity that somebody means.
+session_app = Noun("Manage the browsers that you are signed in with.", no_args_is_help=False)
 
-    Raises:
-        NotFound: there is none.
-        InvalidInput: there are several of that provider.
-    """
-    folded = text.casefold()
-    matches = [row for row in linked if folded in {_name(row).casefold(), row.issuer.casefold(), str(row.id)}]
-    if len(matches) > 1:
-        raise InvalidInput(what=f"The provider {text!r}", reason="you linked several of its accounts: give an id")
-    if not matches:
-        raise NotFound(noun="linked provider", ref=text)
-    return matches[0]
+
+@session_app.command("list")
+def list_sessions(as_json: AsJson = False) -> None:
+    """List the browsers that you are signed in with, latest use first."""
+    with connect() as client:
+        show_rows(
+            client.me.sessions(),
+            as_json,
+            ["session", "signed in", "last used", "until", "from", "browser"],
+            lambda row: (row.id, row.created_at, row.last_used_at, row.expires_at, row.address, row.user_agent),
+        )
+
+
+@session_app.command("link")
+def link(as_json: AsJson = False) -> None:
+    """Print a link that signs a browser in as the owner of `klein up`. It works once, for some minutes."""
+    with connect() as client:
+        made = client.me.owner_link()
+    if as_json:
+        show_json(made)
+        return
+    line(made.url)
+    note(f"Valid once, until {moment(made.expires_at)}.")
+
+
+@session_app.command("revoke")
+def revoke_session(
+    session: Annotated[Text, argument("ID", "Id of the session, as in `klein session list`.")] = None,
+    everywhere: Annotated[bool, flag("--all", "Sign every browser out.")] = False,
+    yes: Yes = False,
+    as_json: AsJson = False,
+) -> None:
+    """Sign a browser out, or all of them. Tokens stay (see `klein token revoke`)."""
+    if (session is None) != everywhere:
+        raise InvalidInput(what="The command", reason="say which session, or --all")
+    with connect() as client:
+        if session is None:
+            confirm("Sign every browser out?", yes)
+            client.me.end_sessions()
+        elif is_id(session):
+            client.me.end_session(uuid.UUID(session))
+        else:
+            reason = "give an id that `klein session list` shows"
+            raise InvalidInput(what=f"The session {session!r}", reason=reason)
+    if as_json:
+        show_json({"revoked": session or "all"})
+    note("Every browser is signed out." if session is None else "That browser is signed out.")
+
+
+token_app = Noun("Manage the tokens that scripts, robots and runners sign in with.")
+Everybody = Annotated[bool, flag("--everybody", "Include those of others; for admins.")]
+
+
+@token_app.command("create")
+def create_token(
+    name: Annotated[str, argument("NAME", "Name of the token, such as its purpose.")],
+    kind: Annotated[TokenKind, option("--kind", None, "Set who uses it.")] = TokenKind.personal,
+    scope: Annotated[
+        list[Scope] | None, option("--scope", None, "Allow this; repeatable. Default: write, for robots upload.")
+    ] = None,
+    project: Annotated[Many, option("--project -p", "PROJECT", "Limit it to this project; repeatable.")] = None,
+    mission: Annotated[Many, option("--mission -m", "PROJECT/MISSION", "Limit it to this mission; repeatable.")] = None,
+    runner: Annotated[
+        uuid.UUID | None, option("--runner", "ID", "Limit it to this runner. Default: the first one that uses it.")
+    ] = None,
+    label: Annotated[Many, option("--label", "L", "Give the runner only runs that ask for L; repeatable.")] = None,
+    until: Until = None,
+    days: Annotated[int | None, option("--days", "N", "Set that it ends in N days.", min=1, max=36_500)] = None,
+    no_end: Annotated[bool, flag("--no-end", "Set no end, where the server allows that.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Create a token and print its secret, which is shown only once. Its default end is set by the server."""
+    with connect() as client:
+        expires_at = expiry(until, days, client.service.now)
+        missions = []
+        for ref in mission or []:
+            project_name, _, mission_name = ref.rpartition("/")
+            missions.append(client.missions.get(mission_name, project=None if is_id(ref) else project_name or None).id)
+        made = client.tokens.create(
+            name,
+            kind=kind,
+            scopes=scope or None,
+            reach=Reach([client.projects.get(ref).id for ref in project or []], missions),
+            expires_at=expires_at,
+            no_end=no_end,
+            runner=RunnerLimits(runner, label or []) if runner or label else None,
+        )
+    if as_json:
+        show_json(made)
+        return
+    line(made.secret)
+    token = made.token
+    ends = f"until {token.expires_at:%Y-%m-%d %H:%M}Z" if token.expires_at else "until it is revoked"
+    note(
+        f"Keep it now: nobody can show it again. Good for {_scopes(token)} on {_places(token)}, {ends}. "
+        f"`klein token revoke {token.prefix}` ends it."
+    )
+
+
+@token_app.command("list")
+def list_tokens(
+    everybody: Everybody = False, ended: Ended = False, limit: Limit = None, as_json: AsJson = False
+) -> None:
+    """List tokens, latest first."""
+    with connect() as client:
+        show_rows(
+            client.tokens.list(everybody=everybody, ended=ended, limit=limit),
+            as_json,
+            ["name", "begins", "kind", "scopes", "reaches", "runner", "of", "last used", "until", "revoked", "id"],
+            _token_cells,
+        )
+
+
+@token_app.command("revoke")
+def revoke_token(
+    ref: Annotated[str, argument("TOKEN", "Name, id, or beginning of the token.")],
+    everybody: Everybody = False,
+    as_json: AsJson = False,
+) -> None:
+    """Revoke a token, and all that were made with it, from the next request on."""
+    with connect() as client:
+        token = client.tokens.get(ref, everybody=everybody)
+        client.tokens.revoke(token.id)
+    _show_revoked(token, as_json)
+
+
+def _show_revoked(revoked: TokenRead | ShareRead, as_json: bool) -> None:
+    if as_json:
+        show_json({"revoked": revoked.model_dump(mode="json")})
+        return
+    details([("revoked", revoked.name), ("begins", revoked.prefix), ("id", revoked.id)])
+
+
+def _token_cells(row: TokenRead) -> tuple[object, ...]:
+    runner = None
+    if row.kind is TokenKind.runner:
+        runner = (row.runner.name or str(row.runner.id)) if row.runner else "the first that uses it"
+        runner += f", only {' or '.join(row.runner_labels)}" if row.runner_labels else ""
+    of, prefix = row.person.name, row.prefix or None
+    dates = (row.last_used_at, row.expires_at, row.revoked_at)
+    return row.name, prefix, row.kind.value, _scopes(row), _places(row), runner, of, *dates, row.id
+
+
+def _scopes(token: TokenRead) -> str:
+    return ", ".join(scope.value for scope in token.scopes)
+
+
+def _places(token: TokenRead) -> str:
+    if token.limits is None:
+        return "all runs" if token.kind is TokenKind.runner else "all that its person reaches"
+    return ", ".join(f"{place.noun} {place.name or place.id}" for place in token.limits) or "nothing any more"
+
+
+share_app = Noun("Manage links to a mission, or to some of its files, for people without an account.")
+_DEFAULT_DAYS = 14
+
+
+@share_app.command("create")
+def create_share(
+    files: Annotated[Many, argument("FILES", "Paths, globs or ids of files. Default: all of the mission.")] = None,
+    project: ProjectOption = None,
+    mission: MissionOption = None,
+    name: Annotated[Text, option("--name", None, "Name the link, such as by its purpose.")] = None,
+    until: Until = None,
+    days: Annotated[
+        int | None, option("--days", "N", f"Set that it ends in N days. Default: {_DEFAULT_DAYS}.", min=1, max=3650)
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Create a link and print its address, which is shown only once. Everybody who has it can read what it shows."""
+    with connect() as client:
+        now = client.service.now
+        expires_at = expiry(until, days, now) or now() + datetime.timedelta(days=_DEFAULT_DAYS)
+        place = client.missions.get(the_ref("mission", None, mission), project=project)
+        file_ids = None
+        if files:
+            chosen = [client.files.get(ref).id for ref in files if is_id(ref)]
+            for path in (ref for ref in files if not is_id(ref)):
+                matches = [file.id for file in client.files.list(FileFilter(mission_id=place.id, path=[path]))]
+                chosen += matches or [client.files.get(path, mission=place.id).id]
+            file_ids = [*dict.fromkeys(chosen)]
+        made = client.shares.create(place.id, name or place.name, expires_at=expires_at, file_ids=file_ids)
+    if as_json:
+        show_json(made)
+        return
+    line(made.url)
+    what = "all of" if file_ids is None else f"{count(len(file_ids), 'file')} of"
+    note(
+        f"Keep it now: nobody can show it again. It shows {what} {place.name} until "
+        f"{made.share.expires_at:%Y-%m-%d %H:%M}Z; `klein share revoke {made.share.prefix}` ends it."
+    )
+
+
+@share_app.command("list")
+def list_shares(
+    project: ProjectOption = None,
+    mission: MissionOption = None,
+    ended: Ended = False,
+    limit: Limit = None,
+    as_json: AsJson = False,
+) -> None:
+    """List the links that you can revoke, latest first, with what was downloaded by each."""
+    with connect() as client:
+        mission_id = None if mission is None else client.missions.get(mission, project=project).id
+        show_rows(
+            client.shares.list(mission_id=mission_id, ended=ended, limit=limit),
+            as_json,
+            ["name", "begins", "mission", "files", "by", "until", "revoked", "last used", "fetched", "bytes", "id"],
+            _share_cells,
+        )
+
+
+def _share_cells(row: ShareRead) -> tuple[object, ...]:
+    mission = f"{row.mission.project.name}/{row.mission.name}"
+    files = "all" if row.file_count is None else row.file_count
+    dates = (row.expires_at, row.revoked_at, row.last_used_at)
+    downloaded = (row.download_count, size(row.download_bytes))
+    return row.name, row.prefix, mission, files, row.created_by.name, *dates, *downloaded, row.id
+
+
+@share_app.command("revoke")
+def revoke_share(
+    ref: Annotated[str, argument("LINK", "Name, id, address, or beginning of the link.")], as_json: AsJson = False
+) -> None:
+    """Revoke a link, from the next request on."""
+    with connect() as client:
+        share = client.shares.get(ref)
+        client.shares.revoke(share.id)
+    _show_revoked(share, as_json)

@@ -1,25 +1,37 @@
-"""`klein action …`"""
+"""`klein action …`: create, list, try out and publish actions; and how actions look."""
 
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from kleinkram import connect
-from kleinkram.cli.action_view import show_action, show_actions, show_versions
-from kleinkram.cli.building import build
 from kleinkram.cli.commands import Noun
 from kleinkram.cli.errors import ExitCode
-from kleinkram.cli.launch import SetOption, parameter_values, run, split_version
-from kleinkram.cli.log_view import on_stderr
-from kleinkram.cli.options import AsJson, IfMatch, Limit, MissionOption, ProjectOption, ProjectsOption
-from kleinkram.cli.render import line, note, show_json, show_json_list
-from kleinkram.cli.run_view import show_findings, show_metrics
-from kleinkram.cli.scaffold import init
-from kleinkram.client import Client
+from kleinkram.cli.options import (
+    AsJson,
+    GlobArgument,
+    IfMatch,
+    Limit,
+    MissionOption,
+    ProjectOption,
+    ProjectsOption,
+    argument,
+    flag,
+    option,
+)
+from kleinkram.cli.render import details, line, note, show_json, show_json_list, table
+from kleinkram.cli.run import SetOption, launch, parameter_values, split_version
+from kleinkram.cli.run_view import show_findings, show_metrics, write_log
+from kleinkram.cli.units import duration, size
+from kleinkram.client.actions import read_manifest
 from kleinkram.client.errors import InvalidInput
-from kleinkram.client.manifest import read_manifest
-from kleinkram.contract.actions import ActionDefinition, ActionRead
+from kleinkram.contract.actions import ActionDefinition, ActionRead, ActionVersionRead, Inputs
 from kleinkram.contract.runners import Isolation
 from kleinkram.contract.runs import EndReason
 
@@ -27,20 +39,18 @@ if TYPE_CHECKING:
     from kleinkram.runner.executors.base import Executor
     from kleinkram.runner.local_run import LocalRun
 
+_NS = 10**9
 _ISOLATIONS = {
     Isolation.container: "in a container.",
     Isolation.namespaces: "as a process, in namespaces of its own.",
     Isolation.none: "as a plain process: this kernel gives no namespaces to you, so it can change whatever you can.",
 }
 
-app = Noun("Actions: what to run on the files of a mission.")
-app.command("init")(init)
-app.command("run")(run)
+app = Noun("Manage actions: what to run on the files of a mission.")
+app.command("run")(launch)
 
-PathArgument = Annotated[
-    Path, typer.Argument(metavar="PATH", help="A script, or a folder with action.yaml.", show_default=False)
-]
-ActionArgument = Annotated[str, typer.Argument(metavar="ACTION", help="Name or id.", show_default=False)]
+PathArgument = Annotated[Path, argument("PATH", "A script, or a folder with action.yaml.")]
+ActionArgument = Annotated[str, argument("ACTION", "Name or id of the action.")]
 
 
 @app.command("run-local")
@@ -49,20 +59,16 @@ def run_local(
     mission: MissionOption = None,
     project: ProjectOption = None,
     parameters: SetOption = None,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where results go; empty or not there yet.")] = Path(
-        "out"
-    ),
-    no_build: Annotated[
-        bool, typer.Option("--no-build", help="Take the image as it is, though there is a Dockerfile.")
-    ] = False,
+    out: Annotated[Path, option("--out", "DIR", "Write results to DIR, which must be empty or new.")] = Path("out"),
+    no_build: Annotated[bool, flag("--no-build", "Use the image as it is, even if there is a Dockerfile.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Run an action on this machine, on a mission: the same /in and /out as on a runner. Nothing is stored.
+    """Run an action on this machine, on a mission, with the same /in and /out as on a runner. Nothing is stored.
 
-    An action with an image runs in a container, built first of the Dockerfile beside its manifest; any other runs as a
-    process.
+    An action with an image runs in a container. The image is built first if a Dockerfile is beside the manifest. Other
+    actions run as a process.
     """
-    from kleinkram.cli.transfer_view import watching
+    from kleinkram.cli.transfer import watching
     from kleinkram.runner.local_run import run_locally
 
     definition = read_manifest(action)
@@ -72,12 +78,19 @@ def run_local(
     executor = _executor(definition)
     if definition.image is not None:
         if not no_build:
-            build(action if action.is_dir() else action.parent, definition.image)
+            _build(action if action.is_dir() else action.parent, definition.image)
         definition = _pinned(executor, definition, definition.image)
     with connect() as client, watching() as watcher:
         target = client.missions.get(mission, project=project)
         ran = run_locally(
-            client, definition, target, values, executor=executor, out=out, show=on_stderr, watcher=watcher
+            client,
+            definition,
+            target,
+            values,
+            executor=executor,
+            out=out,
+            show=lambda data: write_log(data.decode(errors="replace"), sys.stderr),
+            watcher=watcher,
         )
     _show_local(ran, as_json)
 
@@ -85,16 +98,30 @@ def run_local(
 def _executor(definition: ActionDefinition) -> "Executor":
     from kleinkram.runner.__main__ import DEFAULT_IMAGE, ExecutorChoice, ImagePolicy, choose_executor
 
-    if definition.image is None:
-        executor = choose_executor(ExecutorChoice.process, ImagePolicy(), DEFAULT_IMAGE)
-    else:
-        try:
-            executor = choose_executor(ExecutorChoice.docker, ImagePolicy(), DEFAULT_IMAGE)
-        except InvalidInput as error:
-            why = f"it runs an image, for which an engine of containers must be here, and {error.reason}"
-            raise InvalidInput(what=f"The action {definition.name}", reason=why) from None
+    choice = ExecutorChoice.process if definition.image is None else ExecutorChoice.docker
+    try:
+        executor = choose_executor(choice, ImagePolicy(), DEFAULT_IMAGE)
+    except InvalidInput as error:
+        if definition.image is None:
+            raise
+        why = f"it runs an image, for which an engine of containers must be here, and {error.reason}"
+        raise InvalidInput(what=f"The action {definition.name}", reason=why) from None
     note(f"Running {definition.name} {_ISOLATIONS[executor.abilities.isolation]}")
     return executor
+
+
+def _build(folder: Path, image: str) -> None:
+    """Build the image of a folder with a Dockerfile, with docker or podman, and print its output on stderr."""
+    if not (folder / "Dockerfile").is_file():
+        return
+    engine = shutil.which("docker") or shutil.which("podman")
+    if engine is None:
+        note(f"Neither docker nor podman is here to build {image}: it is taken as it is.")
+        return
+    note(f"Building {image} of {folder}; --no-build takes it as it is.")
+    done = subprocess.run([engine, "build", "--tag", image, str(folder)], stdout=sys.stderr, check=False)
+    if done.returncode != 0:
+        raise InvalidInput(what=f"The folder {str(folder)!r}", reason="no image can be built of it")
 
 
 def _pinned(executor: "Executor", definition: ActionDefinition, image: str) -> ActionDefinition:
@@ -139,41 +166,36 @@ def create(
     path: PathArgument,
     project: ProjectOption = None,
     new_version: Annotated[
-        bool, typer.Option("--new-version", help="As the next version of the action that has its name.")
+        bool, flag("--new-version", "Publish the next version of the action with this name.")
     ] = False,
     etag: IfMatch = None,
     as_json: AsJson = False,
 ) -> None:
-    """Publish an action in a project, or without one for the whole lab; or the next version of one."""
+    """Publish an action, or its next version, in a project. Without a project, publish it for the whole lab."""
     if etag is not None and not new_version:
         raise InvalidInput(what="--if-match", reason="it goes with --new-version")
     definition = read_manifest(path)
     with connect() as client:
-        if new_version:
-            made = _add_version(client, definition, project, etag)
+        if not new_version:
+            made = client.actions.create(definition, project=project)
         else:
-            project_id = None if project is None else client.projects.get(project).id
-            made = client.actions.create(definition, project_id=project_id)
+            made = client.actions.get(definition.name, project=project)
+            if made.latest.definition == definition:
+                note(f"{made.name}@{made.latest.number} is this very definition; nothing was published.")
+            else:
+                made = client.actions.add_version(made.id, definition, if_match=etag or made.etag)
     show_json(made) if as_json else show_action(made, made.latest)
-
-
-def _add_version(client: Client, definition: ActionDefinition, project: str | None, etag: str | None) -> ActionRead:
-    target = client.actions.get(definition.name, project=project)
-    if target.latest.definition == definition:
-        note(f"{target.name}@{target.latest.number} is this very definition; nothing was published.")
-        return target
-    return client.actions.add_version(target.id, definition, if_match=etag or target.etag)
 
 
 @app.command("list")
 def list_(
-    name: Annotated[str | None, typer.Argument(metavar="GLOB", show_default=False)] = None,
+    name: GlobArgument = None,
     project: ProjectsOption = None,
-    archived: Annotated[bool, typer.Option("--archived", help="Those that are archived.")] = False,
+    archived: Annotated[bool, flag("--archived", "List archived actions.")] = False,
     limit: Limit = None,
     as_json: AsJson = False,
 ) -> None:
-    """List actions: of all projects that you see, and the whole lab's."""
+    """List the actions of all projects that you can see, and of the whole lab."""
     with connect() as client:
         refs: list[str | None] = [*project] if project else [None]
         lists = [client.actions.list(name=name, project=ref, archived=archived, limit=limit) for ref in refs]
@@ -183,11 +205,11 @@ def list_(
 
 @app.command("info")
 def info(
-    action: Annotated[str, typer.Argument(metavar="ACTION", help="Name, NAME@VERSION or id.", show_default=False)],
+    action: Annotated[str, argument("ACTION", "Name, NAME@VERSION or id of the action.")],
     project: ProjectOption = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show an action in its latest version, or in another: what it runs, reads and can be told."""
+    """Show an action in its latest version, or in another: its definition, inputs and parameters."""
     name, number = split_version(action)
     with connect() as client:
         target = client.actions.get(name, project=project)
@@ -197,7 +219,7 @@ def info(
 
 @app.command("versions")
 def versions(action: ActionArgument, project: ProjectOption = None, as_json: AsJson = False) -> None:
-    """List the versions of an action, latest first; any of them can be run, as NAME@VERSION."""
+    """List the versions of an action, latest first. Run one as NAME@VERSION."""
     with connect() as client:
         rows = [*client.actions.versions(client.actions.get(action, project=project).id)]
     show_json_list(rows) if as_json else show_versions(rows)
@@ -207,12 +229,222 @@ def versions(action: ActionArgument, project: ProjectOption = None, as_json: AsJ
 def archive(
     action: ActionArgument,
     project: ProjectOption = None,
-    undo: Annotated[bool, typer.Option("--undo", help="Put it back.")] = False,
+    undo: Annotated[bool, flag("--undo", "List it again.")] = False,
     etag: IfMatch = None,
     as_json: AsJson = False,
 ) -> None:
-    """Take an action out of lists, so that nobody runs it anew; its versions and runs stay."""
+    """Remove an action from lists, so that nobody runs it again. Its versions and runs stay."""
     with connect() as client:
         target = client.actions.get(action, project=project)
         changed = client.actions.archive(target.id, archived=not undo, if_match=etag or target.etag)
     show_json(changed) if as_json else note(f"{'Put back' if undo else 'Archived'} the action {changed.name}.")
+
+
+def show_actions(actions: Iterable[ActionRead]) -> None:
+    """Print actions as a table."""
+    table(
+        ["project", "action", "version", "runs", "description", "changed", "by", "id"],
+        [
+            (
+                row.project.name if row.project else "(whole lab)",
+                row.name,
+                row.latest.number,
+                _what(row.latest.definition),
+                row.description.partition("\n")[0],
+                row.latest.created_at,
+                row.latest.created_by.name,
+                row.id,
+            )
+            for row in actions
+        ],
+    )
+
+
+def show_action(action: ActionRead, version: ActionVersionRead) -> None:
+    """Print an action in one version, with its parameters."""
+    definition, resources = version.definition, version.definition.resources
+    details(
+        [
+            ("action", f"{action.name}@{version.number}"),
+            ("of", action.project.name if action.project else "the whole lab"),
+            ("id", action.id),
+            ("archived", "yes: it is not listed, and starts no new runs" if action.archived else None),
+            ("description", action.description),
+            ("runs", _what(definition)),
+            ("digest", version.image_digest),
+            ("command", definition.command),
+            ("needs", definition.dependencies),
+            ("inputs", inputs(definition.inputs)),
+            (
+                "resources",
+                f"{resources.cores:g} cores, {size(resources.memory_bytes)} memory, {size(resources.disk_bytes)} disk, "
+                f"{resources.gpus} GPUs, {duration(resources.time_s * _NS)} at most",
+            ),
+            ("runners", resources.labels),
+            ("network", definition.network.value),
+            ("right", definition.right.value),
+            ("published", f"{version.created_at:%Y-%m-%d %H:%M}Z by {version.created_by.name}"),
+            ("etag", action.etag),
+        ]
+    )
+    if definition.parameters:
+        line("")
+        rows = []
+        for entry in definition.parameters:
+            default = "(must be said)" if entry.default is None else '""' if entry.default == "" else entry.default
+            rows.append((entry.name, entry.type.value, default, entry.unit, entry.choices, entry.description))
+        table(["parameter", "type", "default", "unit", "choices", "description"], rows)
+
+
+def show_versions(versions: Iterable[ActionVersionRead]) -> None:
+    """Print the versions of an action as a table."""
+    table(
+        ["version", "runs", "digest", "published", "by", "id"],
+        [
+            (row.number, _what(row.definition), row.image_digest, row.created_at, row.created_by.name, row.id)
+            for row in versions
+        ],
+    )
+
+
+def inputs(resources: Inputs) -> str:
+    """Return which files of a mission an action gets, in words."""
+    lines = [("files", resources.paths), ("with topics", resources.topics), ("of types", resources.message_types)]
+    return "; ".join(f"{what} {', '.join(globs)}" for what, globs in lines if globs) or "all files"
+
+
+def _what(definition: ActionDefinition) -> str:
+    if definition.script is None:
+        return definition.image or ""
+    return "a script" if definition.image is None else f"a script on {definition.image}"
+
+
+# The files of `klein action init`.
+_HEADER = """\
+# /// script
+# requires-python = ">=3.10"
+# dependencies = ["open-kleinkram"]
+#
+# [tool.kleinkram]
+# name = "{name}"
+# description = "Counts the messages of each topic."
+# inputs = {{paths = ["*.mcap", "*.bag", "*.db3"]}}
+# parameters = [{{name = "topics", type = "string", default = "*", description = "Only topics of such a name."}}]
+# resources = {{memory = "1GB", time = "30m"}}
+# ///
+"""
+
+_CODE = '''\
+"""Counts the messages of each topic."""
+
+from collections import Counter
+
+from kleinkram.action import inputs, out, parameters, progress, report
+from kleinkram.recordings import NotARecording, Recording
+
+
+def main() -> None:
+    lines = ["file,topic,messages"]
+    for number, path in enumerate(inputs()):
+        progress(number / len(inputs()), path.name)
+        print("reading", path.name, flush=True)
+        try:
+            with Recording.open(path) as recording:
+                counts = Counter(message.topic for message in recording.raw_messages(str(parameters()["topics"])))
+        except NotARecording as error:
+            report.finding("error", "file.unreadable", str(error), file=path)
+            continue
+        lines += [f"{path.name},{topic},{count}" for topic, count in sorted(counts.items())]
+        report.metric("messages", counts.total(), file=path)
+        if not counts:
+            report.finding("warning", "topics.none", "has no message of such a topic", file=path)
+    table = out / "topics.csv"
+    table.write_text("\\n".join(lines) + "\\n")
+    report.preview(table, "Messages of each topic")
+
+
+if __name__ == "__main__":
+    main()
+'''
+
+_TEST = '''\
+"""Run me with pytest: no server is needed, and no container."""
+
+from pathlib import Path
+
+from kleinkram.action.testing import try_out
+from kleinkram.recordings.sample import generate_mcap
+
+MAIN = Path(__file__).with_name("main.py")
+
+
+def test_messages_are_counted(tmp_path: Path) -> None:
+    truth = generate_mcap(tmp_path / "drive.mcap", duration_s=1)
+    (tmp_path / "run").mkdir()
+    files = {"day/drive.mcap": truth.path, "notes.mcap": b"not a recording"}
+
+    ran = try_out(MAIN, tmp_path / "run", files=files, parameters={"topics": "/imu*"})
+
+    assert ran.exit_code == 0, ran.log
+    imu = next(topic.count for topic in truth.topics if topic.name == "/imu/data")
+    assert ran.metric("messages", "day/drive.mcap") == imu
+    assert ran.codes() == {"file.unreadable"}
+    assert f"drive.mcap,/imu/data,{imu}" in (ran.out / "topics.csv").read_text()
+'''
+
+_MANIFEST = """\
+name: {name}
+description: Counts the messages of each topic.
+image: {image}
+command: [python3, /action/main.py]
+inputs:
+  paths: ["*.mcap", "*.bag", "*.db3"]
+parameters:
+  - {{name: topics, type: string, default: "*", description: Only topics of such a name.}}
+resources: {{cores: 1, memory: 1GB, disk: 1GB, time: 30m}}
+network: none
+"""
+
+_DOCKERFILE = """\
+# The image of script actions, with open-kleinkram; deploy/images/action-python in Kleinkram's repository makes it.
+ARG BASE={base}
+FROM ${{BASE}}
+COPY main.py /action/main.py
+CMD ["python3", "/action/main.py"]
+"""
+
+DEFAULT_IMAGE = "kleinkram/action-python:latest"
+
+
+@app.command("init")
+def init(
+    directory: Annotated[Path, argument("DIR", "Folder to create.")],
+    image: Annotated[bool, flag("--image", "Create an action with its own image, not a script.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Create a small example action: its code, its manifest, and a test that passes."""
+    what = f"The folder {str(directory)!r}"
+    name = re.sub(r"[^a-z0-9]+", "-", directory.resolve().name.lower()).strip("-")[:64]
+    if not name:
+        raise InvalidInput(what=what, reason="it gives the action no name of letters or digits")
+    files = {"main.py": _CODE, f"test_{name.replace('-', '_')}.py": _TEST}
+    if image:
+        files["action.yaml"] = _MANIFEST.format(name=name, image=f"{name}:1")
+        files["Dockerfile"] = _DOCKERFILE.format(base=DEFAULT_IMAGE)
+    else:
+        files["main.py"] = _HEADER.format(name=name) + _CODE
+    if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
+        raise InvalidInput(what=what, reason="it exists already; name a new or empty one")
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        for path, text in files.items():
+            (directory / path).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InvalidInput(what=what, reason=error.strerror or str(error)) from None
+    if as_json:
+        show_json({"name": name, "files": [str(directory / path) for path in sorted(files)]})
+    note(f"Made the action {name} in {directory}: {', '.join(sorted(files))}.")
+    build = [f"docker build -t {name}:1 {directory}"] if image else []
+    run = f"klein action run-local {directory} -m MISSION"
+    for step in [f"pytest {directory}", *build, run, f"klein action run {directory} -m MISSION --follow"]:
+        note(f"  {step}")

@@ -1,5 +1,6 @@
-"""`klein admin …`"""
+"""`klein admin …`, `klein trash …` and `klein audit`"""
 
+import json
 import sys
 from collections.abc import Iterator
 from typing import Annotated
@@ -9,89 +10,34 @@ import typer
 from kleinkram import connect
 from kleinkram.cli.commands import Noun
 from kleinkram.cli.errors import ExitCode
-from kleinkram.cli.options import AsJson
-from kleinkram.cli.render import details, moment, note, show_json, table
-from kleinkram.cli.units import size
-from kleinkram.contract.admin import ScrubRead, ScrubState
+from kleinkram.cli.filters import ids_of
+from kleinkram.cli.options import AsJson, Limit, MissionsOption, ProjectsOption, Text, argument, flag, option
+from kleinkram.cli.render import details, line, moment, note, plain, show_json, show_json_list, show_rows, table
+from kleinkram.cli.units import parse_time, size
+from kleinkram.client._nouns import checked
+from kleinkram.client.errors import InvalidInput
+from kleinkram.contract.admin import ScrubState
+from kleinkram.contract.audit import AuditFilter, AuditRead
 from kleinkram.contract.files import BlobState
+from kleinkram.contract.names import is_id
+from kleinkram.contract.projects import TrashNoun, TrashRead
 
 _DAMAGED = {BlobState.lost.value, BlobState.corrupt.value}
+_AUDIT_ROWS = 100
 
-
-def follow(states: Iterator[ScrubState]) -> ScrubState:
-    """Show how far a scrub is, and return how it ended; of a scrub there is at least one state."""
-    state = next(states)
-    for now in states:
-        state = now
-        if state.last is not None and state.last.ended_at is None and sys.stderr.isatty():
-            note(f"{state.last.compared} objects compared" if state.last.started_at else "waiting for the worker")
-    return state
-
-
-def is_stopped(state: ScrubState) -> bool:
-    """Say whether the last scrub did not go through."""
-    return state.last is not None and state.last.stopped is not None
-
-
-def is_damaged(state: ScrubState) -> bool:
-    """Say whether any blob is lost or corrupt."""
-    return any(row.count for row in state.blobs if row.state in _DAMAGED)
-
-
-def show_scrub(state: ScrubState) -> None:
-    """Print what the last scrub found, and how all blobs are."""
-    if state.last is None:
-        note("There was no scrub yet.")
-    else:
-        details(_scrub_results(state.last))
-    details(
-        [
-            ("oldest verification", state.oldest_verification_at),
-            ("verified again", f"after {state.again_after_days} days" if state.again_after_days else "only when asked"),
-            ("scrubs", f"every {state.every_hours:g} hours" if state.every_hours else "only when asked"),
-        ]
-    )
-    if state.blobs:
-        table(["state", "count", "size"], [(row.state, row.count, size(row.size_bytes)) for row in state.blobs])
-    if is_damaged(state):
-        note("`klein file list --state lost --state corrupt` names them; uploading such a file again mends it.")
-    if state.last is not None and state.last.stopped is not None:
-        note(state.last.stopped)
-
-
-def _scrub_results(last: ScrubRead) -> list[tuple[str, object]]:
-    ended = "under way" if last.started_at else "waits for the worker"
-    if last.ended_at is not None:
-        ended = f"{moment(last.ended_at)}{' (stopped)' if last.stopped else ''}"
-    return [
-        ("began", last.started_at or last.created_at),
-        ("ended", ended),
-        ("compared", f"{last.compared} objects, {size(last.compared_bytes)}"),
-        ("newly lost", last.lost),
-        ("newly corrupt", last.corrupt),
-        ("there again", last.recovered),
-        ("of nobody", last.unknown),
-    ]
-
-
-app = Noun("The whole server, for its admins.")
+app = Noun("Show and repair the whole server; for admins.")
 
 
 @app.command("storage")
 def storage(as_json: AsJson = False) -> None:
-    """Say what the store keeps, by state, and how full its disk is where that is known."""
+    """Show what the store holds, by state, and how full its disk is if known."""
     with connect() as client:
         status = client.admin.storage()
     if as_json:
         show_json(status)
         return
-    details(
-        [
-            ("kept", size(status.store.used_bytes)),
-            ("free", size(status.store.free_bytes)),
-            ("disk", size(status.store.disk_bytes)),
-        ]
-    )
+    store = status.store
+    details([("kept", size(store.used_bytes)), ("free", size(store.free_bytes)), ("disk", size(store.disk_bytes))])
     amounts = [*status.blobs, status.trash, status.uploads, status.marked_for_deletion]
     table(["state", "count", "size"], [(row.state, row.count, size(row.size_bytes)) for row in amounts])
     if status.is_low:
@@ -100,7 +46,7 @@ def storage(as_json: AsJson = False) -> None:
 
 @app.command("jobs")
 def jobs(as_json: AsJson = False) -> None:
-    """Show the queue, the jobs that wait for another attempt, and those that were given up, each with why."""
+    """Show the job queue, the jobs that will be retried, and those that were given up, with reasons."""
     with connect() as client:
         status = client.admin.jobs()
     if as_json:
@@ -110,8 +56,7 @@ def jobs(as_json: AsJson = False) -> None:
         note("Nothing waits, and nothing has failed.")
         return
     table(
-        ["job", "state", "count", "oldest"],
-        [(row.kind, row.state, row.count, row.oldest_at) for row in status.queue],
+        ["job", "state", "count", "oldest"], [(row.kind, row.state, row.count, row.oldest_at) for row in status.queue]
     )
     if status.retrying:
         note("")
@@ -130,10 +75,8 @@ def jobs(as_json: AsJson = False) -> None:
 
 @app.command("retry")
 def retry(
-    job: Annotated[
-        int | None, typer.Argument(metavar="[ID]", min=1, show_default=False, help="As `klein admin jobs` shows it.")
-    ] = None,
-    retry_all: Annotated[bool, typer.Option("--all", help="All jobs that were given up.")] = False,
+    job: Annotated[int | None, argument("[ID]", "Number of the job, as in `klein admin jobs`.", min=1)] = None,
+    retry_all: Annotated[bool, flag("--all", "Retry all jobs that were given up.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Put a job that was given up, or all of them, back into the queue."""
@@ -152,32 +95,84 @@ def retry(
 
 @app.command("scrub")
 def scrub(
-    last: Annotated[bool, typer.Option("--last", help="Only show the last one, and begin none.")] = False,
-    wait: Annotated[bool, typer.Option("--wait/--no-wait", help="Whether to wait for its end.")] = True,
-    timeout: Annotated[float, typer.Option("--timeout", metavar="SECONDS", help="How long to wait.")] = 3600.0,
+    last: Annotated[bool, flag("--last", "Show the last scrub, and start none.")] = False,
+    wait: Annotated[bool, flag("--wait/--no-wait", "Wait for its end.")] = True,
+    timeout: Annotated[float, option("--timeout", "SECONDS", "Wait at most so long.")] = 3600.0,
     believe: Annotated[
-        bool, typer.Option("--believe", help="Mark as lost whatever is missing, however much. Look first.")
+        bool, flag("--believe", "Mark as lost whatever is missing, however much. Check the store first.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Compare what the store lists with the database: what vanished, was cut off, or came back."""
+    """Compare the store with the database, and show which objects vanished, were truncated, or came back."""
     with connect() as client:
         if not last:
             client.admin.begin_scrub(believe=believe)
         status = follow(client.admin.watch_scrub(timeout_s=timeout)) if wait and not last else client.admin.scrub()
     show_json(status) if as_json else show_scrub(status)
-    if not last and (is_stopped(status) or is_damaged(status)):
-        raise typer.Exit(ExitCode.server_failed if is_stopped(status) else ExitCode.bytes_differ)
+    is_stopped = status.last is not None and status.last.stopped is not None
+    if not last and (is_stopped or is_damaged(status)):
+        raise typer.Exit(ExitCode.server_failed if is_stopped else ExitCode.bytes_differ)
+
+
+def follow(states: Iterator[ScrubState]) -> ScrubState:
+    """Show the progress of a scrub, and return its last state."""
+    state = next(states)
+    for now in states:
+        state = now
+        if state.last is not None and state.last.ended_at is None and sys.stderr.isatty():
+            note(f"{state.last.compared} objects compared" if state.last.started_at else "waiting for the worker")
+    return state
+
+
+def is_damaged(state: ScrubState) -> bool:
+    """Say whether any blob is lost or corrupt."""
+    return any(row.count for row in state.blobs if row.state in _DAMAGED)
+
+
+def show_scrub(state: ScrubState) -> None:
+    """Print the results of the last scrub, and the states of all blobs."""
+    last = state.last
+    if last is None:
+        note("There was no scrub yet.")
+    else:
+        ended = "under way" if last.started_at else "waits for the worker"
+        if last.ended_at is not None:
+            ended = f"{moment(last.ended_at)}{' (stopped)' if last.stopped else ''}"
+        details(
+            [
+                ("began", last.started_at or last.created_at),
+                ("ended", ended),
+                ("compared", f"{last.compared} objects, {size(last.compared_bytes)}"),
+                ("newly lost", last.lost),
+                ("newly corrupt", last.corrupt),
+                ("there again", last.recovered),
+                ("of nobody", last.unknown),
+            ]
+        )
+    details(
+        [
+            ("oldest verification", state.oldest_verification_at),
+            ("verified again", f"after {state.again_after_days} days" if state.again_after_days else "only when asked"),
+            ("scrubs", f"every {state.every_hours:g} hours" if state.every_hours else "only when asked"),
+        ]
+    )
+    if state.blobs:
+        table(["state", "count", "size"], [(row.state, row.count, size(row.size_bytes)) for row in state.blobs])
+    if is_damaged(state):
+        note("`klein file list --state lost --state corrupt` lists them; upload such a file again to repair it.")
+    if last is not None and last.stopped is not None:
+        note(last.stopped)
 
 
 @app.command("health")
 def health(as_json: AsJson = False) -> None:
-    """Say how database, store and workers are."""
+    """Show the state of database, store and workers."""
     with connect() as client:
         status = client.admin.health()
     if as_json:
         show_json(status)
         return
+    workers = len(status.workers_at)
     details(
         [
             ("ready", status.not_ready or "yes"),
@@ -185,10 +180,7 @@ def health(as_json: AsJson = False) -> None:
             ("version", status.version),
             ("tables", status.schema_version),
             ("database", f"PostgreSQL {status.database_version}, {size(status.database_bytes)}"),
-            (
-                "workers",
-                f"{len(status.workers_at)} processes" if len(status.workers_at) != 1 else "1 process",
-            ),
+            ("workers", f"{workers} processes" if workers != 1 else "1 process"),
             ("heard of", moment(status.worker_last_at) if status.worker_last_at else "never"),
             ("runs", status.runs_problem),
             ("invitations", status.invitation_warning),
@@ -198,3 +190,85 @@ def health(as_json: AsJson = False) -> None:
             ("clocks apart", f"{status.clock_skew_s:.2f} s"),
         ]
     )
+
+
+trash_app = Noun("List and restore what was deleted in the last 30 days.")
+NounOption = Annotated[TrashNoun | None, option("--noun", None, "Select by kind.")]
+
+
+@trash_app.command("list")
+def list_trash(noun: NounOption = None, as_json: AsJson = False) -> None:
+    """List what can be restored."""
+    with connect() as client:
+        headers = ["noun", "name", "from", "files", "size", "deleted", "by", "gone after", "id"]
+        show_rows(client.trash.list(noun), as_json, headers, _trash_cells)
+
+
+def _trash_cells(row: TrashRead) -> tuple[object, ...]:
+    content = (row.file_count, size(row.size_bytes))
+    deleted = (row.deleted_at, row.deleted_by.name, row.purged_after)
+    return row.noun.value, row.name, row.place, *content, *deleted, row.id
+
+
+@trash_app.command("restore")
+def restore(
+    refs: Annotated[list[str], argument("NAME", "Names or ids.")], noun: NounOption = None, as_json: AsJson = False
+) -> None:
+    """Restore deleted things to where they were."""
+    with connect() as client:
+        rows = [client.trash.get(ref, noun=noun) for ref in refs]
+        for row in rows:
+            client.trash.restore(row.noun, row.id)
+            note(f"Restored the {row.noun.value} {row.name}.")
+    if as_json:
+        show_json_list(rows)
+
+
+def audit(
+    person: Annotated[Text, option("--person", "PERSON", "Select by person: name or id.")] = None,
+    token: Annotated[Text, option("--token", "TOKEN", "Select by token: name or id.")] = None,
+    project: ProjectsOption = None,
+    mission: MissionsOption = None,
+    noun: Annotated[Text, option("--noun", None, "Select by kind: project, mission, file, …")] = None,
+    noun_id: Annotated[Text, option("--id", "ID", "Select by the id of the thing.")] = None,
+    operation: Annotated[Text, option("--operation", "GLOB", "Select by operation, such as 'file.*'.")] = None,
+    since: Annotated[Text, option("--since", "TIME", "Select entries from this time on.")] = None,
+    until: Annotated[Text, option("--until", "TIME", "Select entries before this time.")] = None,
+    as_admin: Annotated[bool, flag("--as-admin", "Select only what took the power of an admin.")] = False,
+    limit: Limit = None,
+    jsonl: Annotated[bool, flag("--export --jsonl", "Print all that match as JSON lines, oldest first.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """List the audit log of all that you own, latest first: who did what, when. Admins see everything."""
+    if jsonl and (as_json or limit is not None):
+        raise InvalidInput(what="The command", reason="--export gives everything as JSON lines: no --json, no --limit")
+    fields: dict[str, object] = {
+        "person_id" if person is not None and is_id(person) else "person": person,
+        "token_id" if token is not None and is_id(token) else "token": token,
+        "noun": noun,
+        "noun_id": noun_id,
+        "operation": operation,
+        "since": parse_time(since),
+        "until": parse_time(until),
+        "as_admin": as_admin or None,
+    }
+    with connect() as client:
+        fields |= ids_of(client, project, mission)
+        matching = checked(AuditFilter, "The filter", **{key: value for key, value in fields.items() if value})
+        if jsonl:
+            for event in client.audit.export(matching):
+                line(json.dumps(plain(event)))
+            return
+        headers = ["at", "who", "with", "from", "did", "to", "name", "request"]
+        show_rows(client.audit.list(matching, limit=limit or _AUDIT_ROWS), as_json, headers, _audit_cells)
+
+
+def _audit_cells(row: AuditRead) -> tuple[object, ...]:
+    who = row.actor.name if row.actor else None
+    who = f"{who} (as admin)" if row.as_admin else who
+    credential = "browser" if row.session_id is not None else None
+    if row.token is not None:
+        credential = f"token {row.token.name}"
+    elif row.share is not None:
+        credential = f"link {row.share.name}"
+    return row.at, who, credential, row.address, row.operation, row.noun, row.noun_name, row.request_id

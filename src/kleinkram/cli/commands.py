@@ -1,13 +1,10 @@
-"""How commands and groups of commands read a command line: repeated options, mistyped names, common settings.
-
-Imports neither the SDK nor pydantic: `klein --help` must stay fast.
-"""
+"""Commands and groups that check a command line: repeated options, mistyped names. Imports only Typer."""
 
 import difflib
 import logging
 import sys
 from collections.abc import Callable, Iterable
-from typing import Any, NoReturn, cast
+from typing import Any, cast
 
 import typer
 import typer.core
@@ -17,38 +14,32 @@ ClickException: type[Any] = UsageError.__mro__[1]
 _CLOSE = 0.75
 
 
-def closest(given: str, known: Iterable[str]) -> str | None:
-    """Return the known name that a mistyped one most likely stands for; None where none is close."""
+def closest(typed: str, known: Iterable[str]) -> str | None:
+    """Return the known name that a mistyped one most likely means; None where none is close."""
     names = [*known]
-    if matches := difflib.get_close_matches(given.lower(), names, n=1, cutoff=_CLOSE):
+    if matches := difflib.get_close_matches(typed.lower(), names, n=1, cutoff=_CLOSE):
         return matches[0]
-    longer = [name for name in names if len(given) > 2 and name.startswith(given)]
-    shorter = [name for name in names if len(name) > 2 and given.startswith(f"{name}-")]
+    longer = [name for name in names if len(typed) > 2 and name.startswith(typed)]
+    shorter = [name for name in names if len(name) > 2 and typed.startswith(f"{name}-")]
     return longer[0] if len(longer) == 1 else shorter[0] if len(shorter) == 1 else None
 
 
-def _usage_error(message: str, ctx: typer.Context) -> NoReturn:
-    raise UsageError(message, ctx)
-
-
-def _explain_option(error: Any, options: Iterable[str], ctx: typer.Context) -> NoReturn:  # Any: click's exception
-    """Raise the error again, with at most one suggestion, which is an option of this very command."""
-    given = str(error.option_name)
-    names = {option.lstrip("-"): option for option in options if option.startswith("--")}
-    match = closest(given.lstrip("-").partition("=")[0], names) if given.startswith("--") else None
+def _explain_option(error: Any, params: Iterable[Any], ctx: typer.Context) -> None:  # Any: click's own classes
+    """Raise the error for an unknown option with at most one suggestion, which is an option of this command."""
+    if not (hasattr(error, "option_name") and hasattr(error, "possibilities")):
+        return
+    typed = str(error.option_name)
+    names = {option.lstrip("-"): option for param in params for option in param.opts if option.startswith("--")}
+    match = closest(typed.lstrip("-").partition("=")[0], names) if typed.startswith("--") else None
     hint = f" Did you mean {names[match]}?" if match else ""
-    _usage_error(f"No such option: {given}.{hint}", ctx)
+    raise UsageError(f"No such option: {typed}.{hint}", ctx)
 
 
-class Command(typer.core.TyperCommand):
+class StrictCommand(typer.core.TyperCommand):
     """A command that refuses an option given twice where it takes one value, instead of using the last."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]  # the same class, re-exported
-        """Read the arguments.
-
-        Raises:
-            UsageError: there is no such option, or an option that takes one value was given several times.
-        """
+        """Read the arguments; raise UsageError for an unknown or repeated option."""
         if not (args or ctx.resilient_parsing):
             return super().parse_args(ctx, args)
         parser, params = self.make_parser(ctx), self.get_params(ctx)
@@ -56,20 +47,19 @@ class Command(typer.core.TyperCommand):
         try:
             _, _, order = parser.parse_args(args=[*args])
         except UsageError as error:
-            if hasattr(error, "option_name") and hasattr(error, "possibilities"):
-                _explain_option(error, (option for param in params for option in param.opts), ctx)
+            _explain_option(error, params, ctx)
             raise
         if not ctx.resilient_parsing:
             for param in (cast(Any, param) for param in params):  # flags and counts are attributes of options alone
                 takes_one = param.param_type_name == "option" and not (param.multiple or param.is_flag or param.count)
                 if takes_one and (times := order.count(param)) > 1:
                     name = max(param.opts, key=len)
-                    _usage_error(f"{name} was given {times} times; this command takes one.", ctx)
+                    raise UsageError(f"{name} was given {times} times; this command takes one.", ctx)
         return super().parse_args(ctx, args)
 
 
 class Group(typer.core.TyperGroup):
-    """A group of commands that says which command may have been meant, and suggests only options that it has."""
+    """A group of commands that suggests the command that may have been meant, and only options that it has."""
 
     def __init__(self, **attributes: Any) -> None:  # Any: what Typer passes on to click
         super().__init__(**{**attributes, "suggest_commands": False})
@@ -79,28 +69,23 @@ class Group(typer.core.TyperGroup):
         try:
             return super().parse_args(ctx, args)
         except UsageError as error:
-            if hasattr(error, "option_name") and hasattr(error, "possibilities"):
-                _explain_option(error, (option for param in self.get_params(ctx) for option in param.opts), ctx)
+            _explain_option(error, self.get_params(ctx), ctx)
             raise
 
     def resolve_command(self, ctx: typer.Context, args: list[str]) -> Any:  # type: ignore[override]  # as above
-        """Return the command that the first argument names.
-
-        Raises:
-            UsageError: there is none; says which one may have been meant.
-        """
+        """Return the command that the first argument names; raise UsageError with a suggestion."""
         if args and self.get_command(ctx, args[0]) is None and not ctx.resilient_parsing:
-            _usage_error(self.unknown(ctx, args), ctx)
+            raise UsageError(self.unknown(ctx, args), ctx)
         return super().resolve_command(ctx, args)
 
     def unknown(self, ctx: typer.Context, args: list[str]) -> str:
         """Return the sentence for a first argument that is no command."""
-        given = args[0]
-        if given.startswith("-"):
-            return f"No such option: {given}."
-        match = closest(given, self.list_commands(ctx))
+        name = args[0]
+        if name.startswith("-"):
+            return f"No such option: {name}."
+        match = closest(name, self.list_commands(ctx))
         hint = f"Did you mean `{ctx.command_path} {match}`?" if match else f"`{ctx.command_path} --help` lists them."
-        return f"No such command: {given!r}. {hint}"
+        return f"No such command: {name!r}. {hint}"
 
 
 class Noun(typer.Typer):
@@ -117,8 +102,8 @@ class Noun(typer.Typer):
         )
 
     def command(self, name: str | None = None, **settings: Any) -> Callable[..., Any]:  # Any: Typer's own settings
-        """Register a command that reads its command line as `Command` does."""
-        return super().command(name, **{"cls": Command, **settings})
+        """Register a command as a `StrictCommand`."""
+        return super().command(name, **{"cls": StrictCommand, **settings})
 
 
 def take_flag(arguments: list[str], flag: str) -> bool:

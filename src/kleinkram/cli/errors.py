@@ -1,4 +1,4 @@
-"""From failure to exit code: the one table. Scripts rely on these numbers; add, never change."""
+"""Exit codes of failures, in one table. Scripts rely on the numbers: add, never change."""
 
 import enum
 from collections.abc import Iterable, Mapping
@@ -42,100 +42,107 @@ class Interrupted(local.ClientError):
     """Stopped. Run the same command again to go on from here."""
 
 
-class Refused(local.ClientError):
+class NotConfirmed(local.ClientError):
     """Not done: it was not confirmed. Give --yes to do it without being asked."""
 
 
-EXIT_CODES: dict[type[KleinkramError], ExitCode] = {
-    remote.NotAuthenticated: ExitCode.not_allowed,
-    remote.SignInPending: ExitCode.not_allowed,
-    remote.SlowDown: ExitCode.not_allowed,
-    remote.SignInDenied: ExitCode.not_allowed,
-    remote.SignInExpired: ExitCode.timed_out,
-    remote.SignInFailed: ExitCode.not_allowed,
-    remote.SignInRefused: ExitCode.not_allowed,
-    remote.SignInTooOld: ExitCode.not_allowed,
-    remote.SecondFactorNeeded: ExitCode.not_allowed,
-    remote.SecondFactorWrong: ExitCode.not_allowed,
-    remote.CodeGone: ExitCode.timed_out,
-    remote.ProviderUnavailable: ExitCode.unreachable,
-    remote.RateLimited: ExitCode.unreachable,
-    remote.TooManyStreams: ExitCode.unreachable,
-    remote.Forbidden: ExitCode.not_allowed,
-    remote.ScopeMissing: ExitCode.not_allowed,
-    remote.TokenTooWide: ExitCode.not_allowed,
-    remote.RightExceeded: ExitCode.not_allowed,
-    remote.LastOwner: ExitCode.conflict,
-    remote.LastAdmin: ExitCode.conflict,
-    remote.LastSignInMethod: ExitCode.conflict,
-    remote.GroupFixed: ExitCode.conflict,
-    remote.NotFound: ExitCode.not_found,
-    remote.WrongClient: ExitCode.usage,
-    remote.AmbiguousName: ExitCode.conflict,
-    remote.NameTaken: ExitCode.conflict,
-    remote.EditConflict: ExitCode.conflict,
-    remote.InvalidRequest: ExitCode.usage,
-    remote.InvalidQuery: ExitCode.usage,
-    remote.InvalidCursor: ExitCode.usage,
-    remote.YamlInvalid: ExitCode.metadata,
-    remote.FieldsInvalid: ExitCode.metadata,
-    remote.MetadataInvalid: ExitCode.metadata,
-    remote.BodyTooLarge: ExitCode.usage,
-    remote.FileExists: ExitCode.conflict,
-    remote.PathConflict: ExitCode.conflict,
-    remote.NameLeased: ExitCode.conflict,
-    remote.UploadGone: ExitCode.not_found,
-    remote.UploadIncomplete: ExitCode.bytes_differ,
-    remote.ChecksumMismatch: ExitCode.bytes_differ,
-    remote.FileUnavailable: ExitCode.bytes_differ,
-    remote.QuotaExceeded: ExitCode.no_room,
-    remote.RunGone: ExitCode.conflict,
-    remote.NoInputs: ExitCode.not_found,
-    remote.NoRunner: ExitCode.conflict,
-    remote.MethodNotAllowed: ExitCode.server_failed,
-    remote.StoreUnavailable: ExitCode.unreachable,
-    remote.DatabaseUnavailable: ExitCode.unreachable,
-    remote.InternalError: ExitCode.server_failed,
-    local.NotConfigured: ExitCode.usage,
-    local.ConfigurationBroken: ExitCode.usage,
-    local.CredentialsExposed: ExitCode.not_allowed,
-    local.NoSuchEndpoint: ExitCode.not_found,
-    local.EndpointTaken: ExitCode.conflict,
-    local.NoBrowser: ExitCode.usage,
-    local.ServerUnreachable: ExitCode.unreachable,
-    local.StoreUnreachable: ExitCode.unreachable,
-    local.AnswerNotUnderstood: ExitCode.server_failed,
-    local.TransferFailed: ExitCode.unreachable,
-    local.StoreTroubled: ExitCode.unreachable,
-    local.FileChanged: ExitCode.local_file,
-    local.StillRecording: ExitCode.local_file,
-    local.NotAFile: ExitCode.local_file,
-    local.FileUnreadable: ExitCode.local_file,
-    local.NameUnusable: ExitCode.local_file,
-    local.PathsCollide: ExitCode.conflict,
-    local.NothingToDo: ExitCode.not_found,
-    local.UploadElsewhere: ExitCode.conflict,
-    local.DestinationRefused: ExitCode.destination,
-    local.DestinationDiffers: ExitCode.destination,
-    local.DiskFull: ExitCode.destination,
-    local.VerifyFailed: ExitCode.bytes_differ,
-    local.InvalidInput: ExitCode.usage,
-    local.ReadingMissing: ExitCode.usage,
-    local.TimedOut: ExitCode.timed_out,
-    Interrupted: ExitCode.interrupted,
-    Refused: ExitCode.usage,
+_CLASSES: dict[ExitCode, tuple[type[KleinkramError], ...]] = {
+    ExitCode.server_failed: (remote.MethodNotAllowed, remote.InternalError, local.AnswerNotUnderstood),
+    ExitCode.usage: (
+        remote.WrongClient,
+        remote.InvalidRequest,
+        remote.InvalidQuery,
+        remote.InvalidCursor,
+        remote.BodyTooLarge,
+        local.NotConfigured,
+        local.ConfigurationBroken,
+        local.NoBrowser,
+        local.InvalidInput,
+        local.ReadingMissing,
+        NotConfirmed,
+    ),
+    ExitCode.not_found: (remote.NotFound, remote.UploadGone, remote.NoInputs, local.NoSuchEndpoint, local.NothingToDo),
+    ExitCode.not_allowed: (
+        remote.NotAuthenticated,
+        remote.SignInPending,
+        remote.SlowDown,
+        remote.SignInDenied,
+        remote.SignInFailed,
+        remote.SignInRefused,
+        remote.SignInTooOld,
+        remote.SecondFactorNeeded,
+        remote.SecondFactorWrong,
+        remote.Forbidden,
+        remote.ScopeMissing,
+        remote.TokenTooWide,
+        remote.RightExceeded,
+        local.CredentialsExposed,
+    ),
+    ExitCode.conflict: (
+        remote.LastOwner,
+        remote.LastAdmin,
+        remote.LastSignInMethod,
+        remote.GroupFixed,
+        remote.AmbiguousName,
+        remote.NameTaken,
+        remote.EditConflict,
+        remote.FileExists,
+        remote.PathConflict,
+        remote.NameLeased,
+        remote.RunGone,
+        remote.NoRunner,
+        local.EndpointTaken,
+        local.PathsCollide,
+        local.UploadElsewhere,
+    ),
+    ExitCode.metadata: (remote.YamlInvalid, remote.FieldsInvalid, remote.MetadataInvalid),
+    ExitCode.unreachable: (
+        remote.ProviderUnavailable,
+        remote.RateLimited,
+        remote.TooManyStreams,
+        remote.StoreUnavailable,
+        remote.DatabaseUnavailable,
+        local.ServerUnreachable,
+        local.StoreUnreachable,
+        local.TransferFailed,
+        local.StoreTroubled,
+    ),
+    ExitCode.local_file: (
+        local.FileChanged,
+        local.StillRecording,
+        local.NotAFile,
+        local.FileUnreadable,
+        local.NameUnusable,
+    ),
+    ExitCode.bytes_differ: (
+        remote.UploadIncomplete,
+        remote.ChecksumMismatch,
+        remote.FileUnavailable,
+        local.VerifyFailed,
+    ),
+    ExitCode.destination: (local.DestinationRefused, local.DestinationDiffers, local.DiskFull),
+    ExitCode.timed_out: (remote.SignInExpired, remote.CodeGone, local.TimedOut),
+    ExitCode.no_room: (remote.QuotaExceeded,),
+    ExitCode.interrupted: (Interrupted,),
 }
+EXIT_CODES = {error: code for code, errors in _CLASSES.items() for error in errors}
 
 
 def explain(error: Exception) -> int | None:
-    """Print a failure on stderr and return its exit code; None for one that has no name, which is a bug of ours.
+    """Print a failure on stderr and return its exit code; None for an error without a class of ours, which is a bug.
 
-    With `--json` on the command line it is one JSON document in one line.
+    With `--json` on the command line, the failure is one JSON document in one line.
     """
     if isinstance(error, typer.Abort):
         return fail("interrupted", "Aborted.", ExitCode.server_failed)
     if isinstance(error, ClickException):
-        return _explain_usage(error)
+        usage: Any = error  # the exception of whichever click Typer uses
+        if isinstance(error.__cause__, ValidationError):  # newer versions of Typer check values with pydantic
+            usage.message = in_plain_words(error.__cause__)
+        if wants_json():
+            return fail("usage", usage.format_message(), usage.exit_code)
+        usage.show()
+        return int(usage.exit_code)
     if isinstance(error, RecordingError | FileNotFoundError):
         return fail(_code_of(error), str(error), ExitCode.local_file)
     if not isinstance(error, KleinkramError):
@@ -143,52 +150,40 @@ def explain(error: Exception) -> int | None:
     if wants_json():
         fields = {"request_id": request_id_of(error), **error.fields()}
         return fail(_code_of(error), str(error), EXIT_CODES[type(error)], fields)
-    for line in sentences(error):
-        note(f"Error: {line}")
+    problems = getattr(error, "problems", None)
+    note(f"Error: {error if problems is None else type(error).__doc__ or ''}")
+    for problem in problems or ():
+        place = f" (line {problem.line}, column {problem.column})" if problem.line is not None else ""
+        note(f"Error:   {problem.field}{place}: {problem.message}")
     if (request_id := request_id_of(error)) is not None and not isinstance(error, remote.InternalError):
-        note(f"Request id: {escape(request_id)}")
+        note(f"Request id: {request_id}")
     return EXIT_CODES[type(error)]
-
-
-def _explain_usage(error: Any) -> int:  # Any: the exception of whichever click Typer uses
-    if isinstance(error.__cause__, ValidationError):  # newer versions of Typer check values with pydantic
-        error.message = in_plain_words(error.__cause__)
-    if wants_json():
-        return fail("usage", error.format_message(), error.exit_code)
-    error.show()
-    return int(error.exit_code)
 
 
 def fail(code: str, message: str, exit_code: int, fields: Mapping[str, object] | None = None) -> int:
     """Print why a command failed, as JSON where JSON was asked for, and return the exit code."""
     known = {name: plain(value) for name, value in (fields or {}).items() if value is not None}
     as_json = wants_json()
-    failure_text = failure_line(message, code=code, exit_code=int(exit_code), as_json=as_json, fields=known)
-    typer.echo(failure_text if as_json else escape(failure_text), err=True)  # JSON has escapes of its own
+    text = failure_line(message, code=code, exit_code=int(exit_code), as_json=as_json, fields=known)
+    typer.echo(text if as_json else escape(text), err=True)  # JSON has escapes of its own
     return exit_code
 
 
 def _code_of(error: Exception) -> str:
-    """Return the code of the contract; for failures of this machine, the name of the class written likewise."""
+    """Return the code of the contract; for failures of this machine, the class name in the same spelling."""
     code = getattr(type(error), "code", None)
     return str(code.value) if code else code_of(error)
 
 
-def sentences(error: KleinkramError) -> list[str]:
-    """Return an error as lines: one sentence, and one line more for each of several problems."""
-    problems = getattr(error, "problems", None)
-    if problems is None:
-        return [escape(str(error))]
-    lines = [escape(type(error).__doc__ or "")]
-    for problem in problems:
-        place = f" (line {problem.line}, column {problem.column})" if problem.line is not None else ""
-        lines.append(f"  {escape(problem.field)}{place}: {escape(problem.message)}")
-    return lines
-
-
 def exit_code_of(failures: Iterable[KleinkramError]) -> int:
-    """Return the exit code for several failures: theirs when they are of one kind, else `several`; 0 for none."""
+    """Return the exit code of several failures: theirs when they have the same, else `several`; 0 for none."""
     codes = {EXIT_CODES[type(error)] for error in failures}
     if not codes:
         return 0
     return codes.pop() if len(codes) == 1 else ExitCode.several
+
+
+def exit_with(failures: Iterable[KleinkramError]) -> None:
+    """End the command with the exit code of its failures, if there are any."""
+    if code := exit_code_of(failures):
+        raise typer.Exit(code)

@@ -1,35 +1,39 @@
-"""`klein login`, `klein logout`, `klein whoami`: the token of this machine, which only its user can read."""
+"""`klein login`, `klein logout`, `klein whoami` and `klein endpoint …`: the servers that this machine uses."""
 
+import datetime
 import os
 import socket
 import sys
 import webbrowser
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Annotated
 from urllib.parse import urlsplit
 
 import typer
 
 from kleinkram import connect
-from kleinkram.cli.errors import exit_code_of
-from kleinkram.cli.options import AsJson, read_token
-from kleinkram.cli.render import details, escape, moment, note, show_json
+from kleinkram.cli.commands import Noun
+from kleinkram.cli.errors import exit_with
+from kleinkram.cli.options import AsJson, Text, argument, complete_endpoint, flag, option, read_text, read_token
+from kleinkram.cli.render import details, moment, note, show_json, table
 from kleinkram.client.config import (
     TOKEN_VARIABLE,
     URL_VARIABLE,
     EndpointSource,
     SavedEndpoint,
     add_endpoint,
+    endpoints_file,
     find_endpoint,
     load_endpoints,
     name_for,
     normal_url,
     remove_endpoint,
     require_endpoint,
+    use_endpoint,
 )
-from kleinkram.client.errors import EndpointTaken, InvalidInput, NoBrowser
-from kleinkram.client.sign_in import begin_browser, begin_device, end_token, see_server, wait_for_device, who_has
+from kleinkram.client.errors import EndpointTaken, InvalidInput, NoBrowser, NotConfigured
+from kleinkram.client.sign_in import begin_browser, begin_device, check_server, end_token, wait_for_device, who_has
 from kleinkram.contract.accounts import SignedIn
 from kleinkram.contract.errors import KleinkramError
 
@@ -37,35 +41,45 @@ _LOOPBACK = {"127.0.0.1", "::1", "localhost"}
 
 
 def login(
-    url: Annotated[
-        str | None, typer.Argument(metavar="URL", show_default=False, help="The server; else the one in use.")
-    ] = None,
-    device: Annotated[
-        bool, typer.Option("--device", help="Show a code to type in a browser elsewhere, as over ssh.")
-    ] = False,
+    url: Annotated[Text, argument("URL", "The server. Default: the one in use.")] = None,
+    device: Annotated[bool, flag("--device", "Show a code to type in a browser elsewhere, as over ssh.")] = False,
     token: Annotated[
-        bool, typer.Option("--token", help="Take a token from stdin, a prompt that does not echo, or KLEINKRAM_TOKEN.")
+        bool, flag("--token", "Read a token from stdin, from a prompt without echo, or from KLEINKRAM_TOKEN.")
     ] = False,
-    name: Annotated[
-        str | None, typer.Option("--name", metavar="NAME", help="What to call the endpoint. Default: the host.")
-    ] = None,
+    name: Annotated[Text, option("--name", "NAME", "Name the endpoint. Default: the host.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Sign in to a server by the browser, by a code typed elsewhere, or by a token. Commands talk to it from now."""
+    """Sign in to a server by the browser, by a code typed elsewhere, or by a token, and use it from now on."""
     if device and token:
         raise InvalidInput(what="The command", reason="say --device or --token, not both")
     server = _server(url)
-    _warn_of_plain_http(server)
-    saved_as, before = _place(server, name)
-    if token:
-        endpoint = _brought_along(server)
-    else:
-        endpoint = _own(server, _by_code(server) if device else _by_browser(server))
-    _keep(saved_as, endpoint)
+    parts = urlsplit(server)
+    if parts.scheme == "http" and parts.hostname not in _LOOPBACK:
+        note(f"{server} is not encrypted: others on the network can read the token. Use it on a trusted network.")
+    saved = load_endpoints()
+    saved_as = name or name_for(server, saved)
+    before = saved.endpoints.get(saved_as)
+    if before is not None and before.url != server:  # raised before somebody signs in for nothing
+        raise EndpointTaken(name=saved_as, url=before.url)
+    endpoint = _from_token(server) if token else _sign_in(server, device)
+    try:
+        add_endpoint(saved_as, endpoint, choose=True)
+    except KleinkramError:
+        if endpoint.is_own:  # a token that nobody holds
+            with suppress(KleinkramError):
+                end_token(endpoint.url, endpoint.token)
+        raise
     if before is not None and before.is_own and before.token != endpoint.token:
-        with suppress(KleinkramError):  # it ends by itself, only later
+        with suppress(KleinkramError):  # it expires
             end_token(before.url, before.token)
-    _report_login(saved_as, endpoint, as_json)
+    until = endpoint.expires_at
+    if as_json:
+        expires_at = until.isoformat() if until else None
+        show_json({"name": saved_as, "url": server, "person": endpoint.person, "expires_at": expires_at})
+    end = f" until {moment(until)}" if until else ""
+    note(f"Signed in to {server} as {endpoint.person or ''}{end}. The endpoint {saved_as} is in use now.")
+    if (used := find_endpoint()).source is EndpointSource.environment and used.token != endpoint.token:
+        note(f"But {URL_VARIABLE} and {TOKEN_VARIABLE} are set, and go before it.")
 
 
 def _server(url: str | None) -> str:
@@ -78,53 +92,37 @@ def _server(url: str | None) -> str:
     return used.url
 
 
-def _warn_of_plain_http(server: str) -> None:
-    parts = urlsplit(server)
-    if parts.scheme == "http" and parts.hostname not in _LOOPBACK:
-        note(f"{server} is not encrypted: whoever is on the way sees the token. Use it on a network that you trust.")
-
-
-def _place(server: str, name: str | None) -> tuple[str, SavedEndpoint | None]:
-    saved = load_endpoints()
-    saved_as = name or name_for(server, saved)
-    before = saved.endpoints.get(saved_as)
-    if before is not None and before.url != server:  # said before somebody signs in for nothing
-        raise EndpointTaken(name=saved_as, url=before.url)
-    return saved_as, before
-
-
-def _brought_along(server: str) -> SavedEndpoint:
-    secret = _token()
+def _from_token(server: str) -> SavedEndpoint:
+    from_environment = os.environ.get(TOKEN_VARIABLE, "").strip()
+    secret = from_environment if sys.stdin.isatty() else ""
+    secret = secret or read_token() or from_environment
     if not secret:
         raise InvalidInput(what="The token", reason=f"none came from stdin, and {TOKEN_VARIABLE} is not set")
     me = who_has(server, secret)
     return SavedEndpoint(url=server, token=secret, person=me.person.name, expires_at=me.credential.expires_at)
 
 
-def _token() -> str:
-    from_environment = os.environ.get(TOKEN_VARIABLE, "").strip()
-    if sys.stdin.isatty() and from_environment:
-        return from_environment
-    return read_token() or from_environment
+def _sign_in(server: str, device: bool) -> SavedEndpoint:
+    client_name = "".join(letter for letter in f"klein on {socket.gethostname()}" if letter.isprintable())[:100]
+    if device:
+        code = begin_device(server, client_name)
+        note(f"Open {code.verification_url} in any browser, and type {code.user_code}")
+        note(f"or open {code.verification_url_complete}")
+        note(f"Waiting for it, {code.expires_s / 60:.0f} minutes at most …")
+        signed_in = wait_for_device(server, code)
+    else:
+        signed_in = _by_browser(server, client_name)
+    person, expires_at = signed_in.person.name, signed_in.expires_at
+    return SavedEndpoint(url=server, token=signed_in.token, person=person, expires_at=expires_at, is_own=True)
 
 
-def _own(server: str, got: SignedIn) -> SavedEndpoint:
-    return SavedEndpoint(url=server, token=got.token, person=got.person.name, expires_at=got.expires_at, is_own=True)
-
-
-def _by_code(server: str) -> SignedIn:
-    code = begin_device(server, _client_name())
-    note(f"Open {escape(code.verification_url)} in any browser, and type {escape(code.user_code)}")
-    note(f"or open {escape(code.verification_url_complete)}")
-    note(f"Waiting for it, {code.expires_s / 60:.0f} minutes at most …")
-    return wait_for_device(server, code)
-
-
-def _by_browser(server: str) -> SignedIn:
-    if not _has_browser():
+def _by_browser(server: str, client_name: str) -> SignedIn:
+    # Text browsers would take over the terminal, and cannot follow the redirect back.
+    has_display = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    if sys.platform.startswith("linux") and not (has_display or os.environ.get("BROWSER")):
         raise NoBrowser(url=server)
-    see_server(server)
-    with begin_browser(server, _client_name()) as waiting:
+    check_server(server)
+    with begin_browser(server, client_name) as waiting:
         note(f"Opening {waiting.url}")
         if not webbrowser.open(waiting.url):
             raise NoBrowser(url=server)
@@ -132,55 +130,12 @@ def _by_browser(server: str) -> SignedIn:
         return waiting.wait()
 
 
-def _has_browser() -> bool:
-    """Say whether a window could open: text browsers would take the terminal, and know no way back to it."""
-    if os.environ.get("BROWSER") or not sys.platform.startswith("linux"):
-        return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-
-
-def _client_name() -> str:
-    name = f"klein on {socket.gethostname()}"
-    return "".join(letter for letter in name if letter.isprintable())[:100]
-
-
-def _keep(name: str, endpoint: SavedEndpoint) -> None:
-    try:
-        add_endpoint(name, endpoint, choose=True)
-    except KleinkramError:
-        if endpoint.is_own:  # else nobody would know of it
-            with suppress(KleinkramError):
-                end_token(endpoint.url, endpoint.token)
-        raise
-
-
-def _report_login(name: str, endpoint: SavedEndpoint, as_json: bool) -> None:
-    until = endpoint.expires_at
-    if as_json:
-        expires_at = until.isoformat() if until else None
-        show_json({"name": name, "url": endpoint.url, "person": endpoint.person, "expires_at": expires_at})
-    ending = f" until {moment(until)}" if until else ""
-    note(f"Signed in to {endpoint.url} as {escape(endpoint.person or '')}{ending}. The endpoint {name} is in use now.")
-    if (used := find_endpoint()).source is EndpointSource.environment and used.token != endpoint.token:
-        note(f"But {URL_VARIABLE} and {TOKEN_VARIABLE} are set, and go before it.")
-
-
-@dataclass(frozen=True)
-class _Ended:
-    name: str
-    url: str
-    revoked: bool
-    reason: str | None
-
-
 def logout(
-    name: Annotated[
-        str | None, typer.Argument(metavar="NAME", show_default=False, help="The endpoint; else the one in use.")
-    ] = None,
-    everywhere: Annotated[bool, typer.Option("--all", help="Sign out of every server that is saved here.")] = False,
+    name: Annotated[Text, argument("NAME", "The endpoint. Default: the one in use.")] = None,
+    everywhere: Annotated[bool, flag("--all", "Sign out of every saved server.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Sign out: revoke the token at its server and forget it here. It is forgotten even where it cannot be revoked."""
+    """Sign out: revoke the token at its server and remove it here, even where it cannot be revoked."""
     if name is not None and everywhere:
         raise InvalidInput(what="The command", reason="say which endpoint, or --all, not both")
     saved = load_endpoints()
@@ -189,21 +144,34 @@ def logout(
     else:
         chosen = {name: require_endpoint(saved, name)} if name else _in_use()
     failures: list[KleinkramError] = []
-    ended = [_end(one, endpoint, failures) for one, endpoint in chosen.items()]
+    items: list[dict[str, object]] = []
+    for saved_as, endpoint in chosen.items():
+        revoked, reason = False, None
+        try:
+            revoked = end_token(endpoint.url, endpoint.token)
+        except KleinkramError as error:
+            failures.append(error)
+            reason = str(error)
+        remove_endpoint(saved_as, token=endpoint.token)
+        items.append({"name": saved_as, "url": endpoint.url, "revoked": revoked, "reason": reason})
+        if reason is None:
+            end = "its token is revoked" if revoked else "its token was good for nothing already"
+            note(f"Signed out of {endpoint.url}: {end}, and {saved_as} is forgotten.")
+            continue
+        until = f"until {moment(endpoint.expires_at)}" if endpoint.expires_at else "for good"
+        note(f"Error: the token for {endpoint.url} could not be revoked: {reason}")
+        note(
+            f"{saved_as} is forgotten here, but its token is valid there {until}. "
+            "Sign in again and `klein token revoke` it."
+        )
     if as_json:
-        show_json({"items": [asdict(one) for one in ended]})
-    elif not ended:
+        show_json({"items": items})
+    elif not items:
         note("No server is saved here, so there is nothing to sign out of.")
-    if failures:
-        raise typer.Exit(exit_code_of(failures))
+    exit_with(failures)
 
 
 def _in_use() -> dict[str, SavedEndpoint]:
-    """Return what is saved of the endpoint in use.
-
-    Raises:
-        InvalidInput: it is not one that was signed in to.
-    """
     used = find_endpoint()
     if used.source is EndpointSource.chosen:
         return {used.name: load_endpoints().endpoints[used.name]}
@@ -214,30 +182,8 @@ def _in_use() -> dict[str, SavedEndpoint]:
     raise InvalidInput(what="klein logout", reason=reason)
 
 
-def _end(name: str, endpoint: SavedEndpoint, failures: list[KleinkramError]) -> _Ended:
-    reason = None
-    try:
-        revoked = end_token(endpoint.url, endpoint.token)
-    except KleinkramError as error:
-        failures.append(error)
-        revoked, reason = False, str(error)
-    remove_endpoint(name, token=endpoint.token)
-    _report_logout(name, endpoint, revoked, reason)
-    return _Ended(name, endpoint.url, revoked, reason)
-
-
-def _report_logout(name: str, endpoint: SavedEndpoint, revoked: bool, reason: str | None) -> None:
-    if reason is None:
-        ending = "its token is revoked" if revoked else "its token was good for nothing already"
-        note(f"Signed out of {endpoint.url}: {ending}, and {name} is forgotten.")
-        return
-    until = f"until {moment(endpoint.expires_at)}" if endpoint.expires_at else "for good"
-    note(f"Error: the token for {endpoint.url} could not be revoked: {escape(reason)}")
-    note(f"{name} is forgotten here, but its token is valid there {until}. Sign in again and `klein token revoke` it.")
-
-
 def whoami(as_json: AsJson = False) -> None:
-    """Say who the server in use takes you for, and what your token is good for."""
+    """Show which account the server in use sees, and what your token allows."""
     with connect() as client:
         me, endpoint = client.me.get(), client.endpoint
     if as_json:
@@ -257,3 +203,112 @@ def whoami(as_json: AsJson = False) -> None:
             ("endpoint", endpoint.name),
         ]
     )
+
+
+app = Noun("Show and choose the server that commands use.", no_args_is_help=False)
+NameArgument = Annotated[str, argument("NAME", autocompletion=complete_endpoint)]
+_SOURCES = {
+    EndpointSource.argument: "it was given",
+    EndpointSource.environment: "KLEINKRAM_URL says so",
+    EndpointSource.chosen: "it was chosen, by `klein login` or `klein endpoint use`",
+    EndpointSource.local: "it runs on this machine, and no other was chosen",
+}
+
+
+@app.callback(invoke_without_command=True)
+def show(ctx: typer.Context, as_json: AsJson = False) -> None:
+    """Show which server is in use, and why."""
+    if ctx.invoked_subcommand is not None:
+        return
+    used = find_endpoint()
+    why = _SOURCES[used.source]
+    saved = next(
+        (known for known in load_endpoints().endpoints.values() if (known.url, known.token) == (used.url, used.token)),
+        None,
+    )
+    if as_json:
+        fields = {"name": used.name, "url": used.url, "source": used.source.value, "why": why}
+        show_json({**fields, **_plain(saved)})
+        return
+    who, until = _who_until(saved)
+    place = [("endpoint", used.name), ("url", used.url), ("because", why)]
+    details([*place, ("signed in as", who), ("until", until), ("saved in", str(endpoints_file()))])
+
+
+@app.command("list")
+def list_(as_json: AsJson = False) -> None:
+    """List the saved endpoints, your account on each, and the one in use."""
+    saved = load_endpoints().endpoints
+    try:
+        used = find_endpoint()
+    except NotConfigured:
+        used = None
+    urls = {name: endpoint.url for name, endpoint in saved.items()}
+    if used is not None:
+        urls.setdefault(used.name, used.url)
+    in_use = used.name if used else None
+    if as_json:
+        rows = [
+            {"name": name, "url": url, "in_use": name == in_use, **_plain(saved.get(name))}
+            for name, url in urls.items()
+        ]
+        show_json({"items": rows})
+        return
+    table(
+        ["in use", "name", "url", "who", "until"],
+        [("*" if name == in_use else "", name, url, *_who_until(saved.get(name))) for name, url in urls.items()],
+    )
+
+
+@app.command("add")
+def add(
+    name: NameArgument,
+    url: Annotated[str, argument("URL")],
+    token_file: Annotated[
+        Path | None, option("--token-file", "F", "Read the token from a file. Default: stdin.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Save a server and its token. The first one saved is used."""
+    token = read_token() if token_file is None else (read_text(token_file) or "").strip()
+    saved = add_endpoint(name, SavedEndpoint(url=url, token=token))
+    if as_json:
+        show_json({"name": name, "url": saved.endpoints[name].url, "in_use": saved.current == name})
+    note(f"Saved {name}." + ("" if saved.current == name else f" `klein endpoint use {name}` chooses it."))
+
+
+@app.command("use")
+def use(name: NameArgument, as_json: AsJson = False) -> None:
+    """Choose the server that commands use."""
+    saved = use_endpoint(name)
+    if as_json:
+        show_json({"name": name, "url": saved.endpoints[name].url, "in_use": True})
+    note(f"From now on commands talk to {saved.endpoints[name].url}.")
+
+
+@app.command("remove")
+def remove(name: NameArgument, as_json: AsJson = False) -> None:
+    """Remove a saved server and its token."""
+    saved = remove_endpoint(name)
+    if as_json:
+        show_json({"name": name, "current": saved.current})
+    note(f"Forgot {name}.")
+
+
+def _plain(endpoint: SavedEndpoint | None) -> dict[str, object]:
+    if endpoint is None:
+        return {"person": None, "expires_at": None, "expired": None}
+    at = endpoint.expires_at
+    return {"person": endpoint.person, "expires_at": at.isoformat() if at else None, "expired": _has_expired(endpoint)}
+
+
+def _who_until(endpoint: SavedEndpoint | None) -> tuple[str | None, str | None]:
+    if endpoint is None or endpoint.person is None:
+        return None, None
+    if endpoint.expires_at is None:
+        return endpoint.person, "no end"
+    return endpoint.person, moment(endpoint.expires_at) + (" (expired)" if _has_expired(endpoint) else "")
+
+
+def _has_expired(endpoint: SavedEndpoint) -> bool:
+    return endpoint.expires_at is not None and endpoint.expires_at <= datetime.datetime.now(datetime.timezone.utc)

@@ -1,4 +1,4 @@
-"""The entry of `klein`: which commands there are, loaded when one is called, and what a failure becomes.
+"""The entry point `klein`: its commands, each imported when called, and its handling of failures.
 
 `klein --help` must stay fast, so nothing here imports the SDK, pydantic or rich.
 """
@@ -14,46 +14,46 @@ import typer.main
 
 from kleinkram.cli.commands import Group, Noun, closest, print_requests, take_flag
 
-# name -> (module, attribute, the line in `klein --help`)
+# name -> (module of kleinkram.cli, attribute, the line in `klein --help`)
 COMMANDS: dict[str, tuple[str, str, str]] = {
-    "up": ("kleinkram.cli.up", "up", "Run Kleinkram on this machine."),
-    "down": ("kleinkram.cli.up", "down", "End the Kleinkram that runs on this machine."),
-    "doctor": ("kleinkram.cli.up", "doctor", "Say what is wrong, and how to mend it."),
-    "backup": ("kleinkram.cli.backup", "app", "Backups of a whole site: create, list, verify, forget."),
-    "restore": ("kleinkram.cli.backup", "restore", "Restore a backup into an empty site."),
-    "login": ("kleinkram.cli.login", "login", "Sign in to a server."),
-    "logout": ("kleinkram.cli.login", "logout", "Sign out, and end the token."),
-    "whoami": ("kleinkram.cli.login", "whoami", "Who the server takes you for."),
-    "account": ("kleinkram.cli.account", "app", "Your own account: info, unlink."),
-    "session": ("kleinkram.cli.session", "app", "Browsers that you are signed in with: list, revoke."),
-    "project": ("kleinkram.cli.project", "app", "Projects: create, list, info, update, delete."),
-    "mission": ("kleinkram.cli.mission", "app", "Missions: the same, and complete, template."),
-    "file": ("kleinkram.cli.file", "app", "Files: the same, and their topics."),
-    "access": ("kleinkram.cli.access", "app", "Who may do what: list, grant, revoke."),
-    "group": ("kleinkram.cli.group", "app", "Groups of people: create, list, info, add, remove."),
-    "person": ("kleinkram.cli.person", "app", "People: list, info, and for admins deactivate."),
-    "upload": ("kleinkram.cli.upload", "upload", "Upload files and folders into a mission."),
-    "download": ("kleinkram.cli.download", "download", "Download files, verified."),
-    "verify": ("kleinkram.cli.verify", "verify", "Compare local files with a mission, or verify the stored bytes."),
-    "search": ("kleinkram.cli.search", "search", "Find files, missions or topics."),
-    "stats": ("kleinkram.cli.search", "stats", "Hours, bytes, files and messages, grouped."),
-    "action": ("kleinkram.cli.action", "app", "What to run on the data: init, run-local, create, run, list, info."),
-    "run": ("kleinkram.cli.run", "app", "Runs of actions: list, info, logs, cancel, retry, artifacts, findings."),
-    "lineage": ("kleinkram.cli.lineage", "lineage", "Where a file comes from, and what came from it."),
-    "runner": ("kleinkram.cli.runner", "app", "Machines that run actions: start, list."),
-    "move": ("kleinkram.cli.file", "move", "Move a mission, or files, elsewhere."),
-    "rename": ("kleinkram.cli.file", "rename", "Rename a project, mission or file."),
-    "token": ("kleinkram.cli.token", "app", "Tokens for scripts, robots and runners: create, list, revoke."),
-    "share": ("kleinkram.cli.share", "app", "Links for people without an account: create, list, revoke."),
-    "trash": ("kleinkram.cli.trash", "app", "What was deleted: list, restore."),
-    "audit": ("kleinkram.cli.audit", "audit", "Who did what, when."),
-    "admin": ("kleinkram.cli.admin", "app", "The whole server, for admins: storage, jobs, retry, health."),
-    "inspect": ("kleinkram.cli.inspect", "inspect", "Say what is in local recordings, without a server."),
-    "sample": ("kleinkram.cli.sample", "sample", "Make a sample mission of realistic recordings."),
-    "endpoint": ("kleinkram.cli.endpoint", "app", "Which server commands talk to."),
+    "up": ("instance", "up", "Run Kleinkram on this machine."),
+    "down": ("instance", "down", "Stop the Kleinkram that runs on this machine."),
+    "doctor": ("instance", "doctor", "Show what is wrong, and how to fix it."),
+    "backup": ("instance", "app", "Create, list, verify and prune backups of a whole instance."),
+    "restore": ("instance", "restore", "Restore a backup to an empty instance."),
+    "login": ("login", "login", "Sign in to a server."),
+    "logout": ("login", "logout", "Sign out, and revoke the token."),
+    "whoami": ("login", "whoami", "Show your account and token."),
+    "account": ("account", "app", "Show your own account and how you sign in."),
+    "session": ("account", "session_app", "Manage the browsers that you are signed in with."),
+    "project": ("project", "app", "Manage projects."),
+    "mission": ("mission", "app", "Manage missions."),
+    "file": ("file", "app", "Manage files, and show their topics."),
+    "access": ("people", "access_app", "Manage the rights on a project or a mission."),
+    "group": ("people", "group_app", "Manage groups of people."),
+    "person": ("people", "person_app", "Manage people."),
+    "upload": ("transfer", "upload", "Upload files and folders to a mission."),
+    "download": ("transfer", "download", "Download files, verified."),
+    "verify": ("transfer", "verify", "Compare local files with a mission, or verify the stored bytes."),
+    "search": ("search", "search", "Find files, missions or topics."),
+    "stats": ("search", "stats", "Count hours, bytes, files and messages by group."),
+    "action": ("action", "app", "Manage, try out and run actions."),
+    "run": ("run", "app", "Manage runs of actions, and get their results."),
+    "lineage": ("search", "lineage", "Show where a file comes from, and what was created from it."),
+    "runner": ("runner", "app", "Run and list runners: machines that run actions."),
+    "move": ("file", "move", "Move a mission or files."),
+    "rename": ("file", "rename", "Rename a project, mission or file."),
+    "token": ("account", "token_app", "Manage tokens of scripts, robots and runners."),
+    "share": ("account", "share_app", "Manage links for people without an account."),
+    "trash": ("admin", "trash_app", "List and restore what was deleted."),
+    "audit": ("admin", "audit", "Show who did what, when."),
+    "admin": ("admin", "app", "Show and repair the whole server; for admins."),
+    "inspect": ("recordings", "inspect", "Show what is in local recordings, without a server."),
+    "sample": ("recordings", "sample", "Create a sample mission of realistic recordings."),
+    "endpoint": ("login", "app", "Show and choose the server that commands use."),
 }
 
-# The original's words for some of them.
+# Names of these commands in the first Kleinkram.
 ALIASES = {"template": "action", "execution": "run"}
 # Verbs that people type first, as in `klein list projects`.
 _VERBS = frozenset({"create", "list", "info", "update", "delete", "complete", "retry", "cancel", "logs"})
@@ -72,7 +72,7 @@ class LazyCommands(Group):
         if name not in COMMANDS:
             return None
         module, attribute, _ = COMMANDS[name]
-        return load(name, getattr(importlib.import_module(module), attribute))
+        return load(name, getattr(importlib.import_module(f"kleinkram.cli.{module}"), attribute))
 
     def unknown(self, ctx: typer.Context, args: list[str]) -> str:
         """Return the sentence for a first word that is no command; a verb belongs behind its noun."""

@@ -1,31 +1,48 @@
-"""Options that are shared by commands, and shell completion of names."""
+"""Options shared by several commands, completion of names, and prompts."""
 
 import logging
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from kleinkram.cli.errors import Refused
+from kleinkram.cli.errors import NotConfirmed
 from kleinkram.cli.render import escape
 from kleinkram.client.errors import InvalidInput
 
-_WAIT_S = 1.0
-_MOST = 100
+Text = str | None
+Many = list[str] | None
+_COMPLETION_TIMEOUT_S = 1.0
+_MAX_COMPLETIONS = 100
+
+
+def flag(names: str, text: str) -> Any:
+    """Return an option without a value."""
+    return typer.Option(*names.split(), help=text)
+
+
+def option(names: str, metavar: str | None, text: str, **settings: Any) -> Any:  # Any: Typer's own settings
+    """Return an option with a value; `names` are separated by spaces."""
+    return typer.Option(*names.split(), metavar=metavar, help=text, **settings)
+
+
+def argument(metavar: str, text: str | None = None, **settings: Any) -> Any:
+    """Return a positional argument."""
+    return typer.Argument(metavar=metavar, help=text, show_default=False, **settings)
 
 
 def complete_project(ctx: typer.Context, incomplete: str) -> list[str]:
     """Return the projects whose names begin so."""
-    return _quietly(lambda: _names("/projects", incomplete, None))
+    return _complete(lambda: _names("/projects", incomplete, None))
 
 
 def complete_mission(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the missions whose names begin so, in the project that was named."""
+    """Return the missions whose names begin so, in the project of the command line."""
     project = ctx.params.get("project")
-    return _quietly(lambda: _names("/missions", incomplete, project))
+    return _complete(lambda: _names("/missions", incomplete, project))
 
 
 def complete_endpoint(ctx: typer.Context, incomplete: str) -> list[str]:
@@ -36,7 +53,7 @@ def complete_endpoint(ctx: typer.Context, incomplete: str) -> list[str]:
 
         yield from (name for name in load_endpoints().endpoints if name.startswith(incomplete))
 
-    return _quietly(saved)
+    return _complete(saved)
 
 
 def _names(path: str, incomplete: str, project: object) -> Iterator[str]:
@@ -46,18 +63,18 @@ def _names(path: str, incomplete: str, project: object) -> Iterator[str]:
     from kleinkram.contract.missions import MissionRead
     from kleinkram.contract.projects import ProjectRead
 
-    api = Api(find_endpoint(), read_timeout_s=_WAIT_S, is_patient=False)
-    begins = [("name", f"{incomplete}*")]
+    api = Api(find_endpoint(), read_timeout_s=_COMPLETION_TIMEOUT_S, is_patient=False)
+    query = [("name", f"{incomplete}*")]
     if path == "/projects":
-        yield from (row.name for row in pages(api, path, ProjectRead, begins, limit=_MOST))
+        yield from (row.name for row in pages(api, path, ProjectRead, query, limit=_MAX_COMPLETIONS))
         return
     within = [project] if isinstance(project, str) else [*project] if isinstance(project, list | tuple) else []
-    begins += [("projects", str(ref)) for ref in within]
-    yield from dict.fromkeys(row.name for row in pages(api, path, MissionRead, begins, limit=_MOST))
+    query += [("projects", str(ref)) for ref in within]
+    yield from dict.fromkeys(row.name for row in pages(api, path, MissionRead, query, limit=_MAX_COMPLETIONS))
 
 
-def _quietly(names: Callable[[], Iterator[str]]) -> list[str]:
-    """Return names; none where anything is wrong: the shell is no place to say so."""
+def _complete(names: Callable[[], Iterator[str]]) -> list[str]:
+    """Return names, or none on any failure: a shell that completes a word cannot show an error."""
     logging.disable()
     try:
         return [*names()]
@@ -67,99 +84,60 @@ def _quietly(names: Callable[[], Iterator[str]]) -> list[str]:
         logging.disable(logging.NOTSET)
 
 
-ProjectOption = Annotated[
-    str | None,
-    typer.Option(
-        "--project", "-p", metavar="PROJECT", help="Name or id of the project.", autocompletion=complete_project
-    ),
-]
-MissionOption = Annotated[
-    str | None,
-    typer.Option(
-        "--mission", "-m", metavar="MISSION", help="Name or id of the mission.", autocompletion=complete_mission
-    ),
-]
-ProjectsOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--project",
-        "-p",
-        metavar="PROJECT",
-        help="Name, glob or id; may be given several times.",
-        autocompletion=complete_project,
-    ),
-]
-MissionsOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--mission",
-        "-m",
-        metavar="MISSION",
-        help="Name, glob or id; may be given several times.",
-        autocompletion=complete_mission,
-    ),
-]
-ExcludeOption = Annotated[
-    list[str] | None,
-    typer.Option("--exclude", metavar="GLOB", help="Leave out such paths, names or folders; repeatable."),
-]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Only say what would be done.")]
-Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
-Limit = Annotated[int | None, typer.Option("--limit", metavar="N", min=1, help="At most so many.")]
-Until = Annotated[
-    str | None, typer.Option("--until", metavar="DATE", help="When it ends, UTC; a date means its beginning.")
-]
-LimitRate = Annotated[
-    str | None, typer.Option("--limit-rate", metavar="RATE", help="At most so many bytes a second, such as 10M.")
-]
-Connections = Annotated[
-    int, typer.Option("--connections", metavar="N", min=1, max=32, help="Transfers at the same time.")
-]
+def _project(text: str) -> Any:
+    return option("--project -p", "PROJECT", text, autocompletion=complete_project)
 
 
-def _etag(text: str | None) -> str | None:
+def _mission(text: str) -> Any:
+    return option("--mission -m", "MISSION", text, autocompletion=complete_mission)
+
+
+ProjectOption = Annotated[Text, _project("Select the project by name or id.")]
+MissionOption = Annotated[Text, _mission("Select the mission by name or id.")]
+ProjectsOption = Annotated[Many, _project("Select projects by name, glob or id; repeatable.")]
+MissionsOption = Annotated[Many, _mission("Select missions by name, glob or id; repeatable.")]
+FileArgument = Annotated[str, argument("FILE", "Path or id of the file.")]
+GlobArgument = Annotated[Text, argument("GLOB", "Glob that names match.")]
+ExcludeOption = Annotated[Many, option("--exclude", "GLOB", "Leave out matching paths, names or folders; repeatable.")]
+AsJson = Annotated[bool, flag("--json", "Print JSON on stdout.")]
+DryRun = Annotated[bool, flag("--dry-run", "Print what would be done, and do nothing.")]
+Yes = Annotated[bool, flag("--yes -y", "Do not ask for confirmation.")]
+Count = Annotated[bool, flag("--count", "Print only how many match.")]
+Ended = Annotated[bool, flag("--ended", "Include those that were revoked or have expired.")]
+Overwrite = Annotated[bool, flag("--overwrite", "Replace files that differ.")]
+Limit = Annotated[int | None, option("--limit", "N", "Print at most N.", min=1)]
+Until = Annotated[Text, option("--until", "DATE", "Set when it ends, UTC; a date means its beginning.")]
+LimitRate = Annotated[Text, option("--limit-rate", "RATE", "Transfer at most RATE bytes a second, such as 10M.")]
+Connections = Annotated[int, option("--connections", "N", "Run N transfers at the same time.", min=1, max=32)]
+
+
+def _check_etag(text: str | None) -> str | None:
     if text is not None and not re.fullmatch("[0-9a-f]{16}", text):
         raise InvalidInput(what="--if-match", reason="it is the 16 characters that --json and `info` show as ETag")
     return text
 
 
 IfMatch = Annotated[
-    str | None,
-    typer.Option(
-        "--if-match", metavar="EDITION", callback=_etag, help="Only where it is still as it was when you looked."
-    ),
+    Text, option("--if-match", "ETAG", "Change it only if it still has this ETag.", callback=_check_etag)
 ]
 
 
 def the_ref(what: str, positional: str | None, option: str | None) -> str:
-    """Return the name or id that was given, as an argument or as an option.
-
-    Raises:
-        InvalidInput: neither or both were given.
-    """
+    """Return the name or id given as an argument or as an option; raise InvalidInput for neither or both."""
     if (positional is None) == (option is None):
         raise InvalidInput(what="The command", reason=f"say which {what}, once")
     return positional if positional is not None else option or ""
 
 
 def the_only(what: str, refs: Sequence[str] | None) -> str | None:
-    """Return the one name or id that an option was given; None where it was not given.
-
-    Raises:
-        InvalidInput: it was given several times, but the command acts on one.
-    """
+    """Return the one value of a repeatable option, or None; raise InvalidInput for several."""
     if refs is not None and len(refs) > 1:
         raise InvalidInput(what=f"--{what}", reason=f"it was given {len(refs)} times, and this takes one")
     return refs[0] if refs else None
 
 
 def read_text(path: Path | None) -> str | None:
-    """Return what a file given on the command line says, to the letter (line ends and byte order mark); None for none.
-
-    Raises:
-        InvalidInput: it cannot be read, or is not text.
-    """
+    """Return the exact text of a file given on the command line; None for none."""
     if path is None:
         return None
     try:
@@ -171,23 +149,19 @@ def read_text(path: Path | None) -> str | None:
 
 
 def read_token() -> str:
-    """Return a token from the terminal, where it is not echoed, or the first line of stdin; empty where none came."""
+    """Return a token from a prompt without echo, or the first line of stdin; empty where none came."""
     if sys.stdin.isatty():
         return str(typer.prompt("Token", hide_input=True, err=True)).strip()
     return sys.stdin.readline().strip()
 
 
 def confirm(question: str, yes: bool) -> None:
-    """Ask on the terminal unless `yes`.
-
-    Raises:
-        Refused: the answer was no, or there is nobody to ask.
-    """
+    """Ask on the terminal unless `yes`; raise NotConfirmed unless the answer is yes."""
     if yes:
         return
     try:
         agreed = typer.confirm(escape(question), err=True)
     except typer.Abort:
-        raise Refused from None
+        raise NotConfirmed from None
     if not agreed:
-        raise Refused
+        raise NotConfirmed

@@ -3,36 +3,36 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from kleinkram import connect
 from kleinkram.cli.commands import Noun
 from kleinkram.cli.options import (
     AsJson,
+    Count,
     DryRun,
+    GlobArgument,
     IfMatch,
     Limit,
     ProjectOption,
+    Text,
     Yes,
+    argument,
     complete_project,
     confirm,
+    option,
     read_text,
     the_ref,
 )
-from kleinkram.cli.render import details, line, note, show_json, show_json_list, table
-from kleinkram.cli.units import count, parse_size, size, total_hours
+from kleinkram.cli.render import details, line, note, show_count, show_json, show_rows, table
+from kleinkram.cli.units import count as count_of
+from kleinkram.cli.units import parse_size, size, total_hours
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.projects import ProjectRead, ProjectSort
 
-app = Noun("Projects: the top of project > mission > file.")
-
-NameArgument = Annotated[
-    str | None, typer.Argument(metavar="PROJECT", show_default=False, autocompletion=complete_project)
-]
-DescriptionOption = Annotated[str | None, typer.Option("--description", "-d", help="What it is about.")]
+app = Noun("Manage projects, which contain missions, which contain files.")
+NameArgument = Annotated[Text, argument("PROJECT", "Name or id of the project.", autocompletion=complete_project)]
+DescriptionOption = Annotated[Text, option("--description -d", None, "Set the description.")]
 FieldsOption = Annotated[
-    Path | None,
-    typer.Option("--fields", metavar="fields.yaml", help="The metadata fields that each mission has, or must have."),
+    Path | None, option("--fields", "fields.yaml", "Set the metadata fields of the missions, and which are required.")
 ]
 
 
@@ -44,7 +44,7 @@ def create(
     fields: FieldsOption = None,
     as_json: AsJson = False,
 ) -> None:
-    """Make a project."""
+    """Create a project."""
     with connect() as client:
         made = client.projects.create(
             the_ref("project", name, project), description=description or "", fields_yaml=read_text(fields)
@@ -54,68 +54,74 @@ def create(
 
 @app.command("list")
 def list_(
-    name: Annotated[str | None, typer.Argument(metavar="GLOB", show_default=False)] = None,
-    text: Annotated[str | None, typer.Option("--text", help="Found in names and descriptions.")] = None,
-    sort: Annotated[ProjectSort | None, typer.Option("--sort", help="Order; a - turns it round.")] = None,
+    name: GlobArgument = None,
+    text: Annotated[Text, option("--text", None, "Search names and descriptions for TEXT.")] = None,
+    sort: Annotated[ProjectSort | None, option("--sort", None, "Set the order; a leading - reverses it.")] = None,
     limit: Limit = None,
-    count: Annotated[bool, typer.Option("--count", help="Only say how many.")] = False,
+    count: Count = False,
     as_json: AsJson = False,
 ) -> None:
     """List projects."""
     with connect() as client:
         if count:
-            number = client.projects.count(name=name, text=text)
-            show_json({"total": number}) if as_json else line(str(number))
+            show_count(client.projects.count(name=name, text=text), as_json)
             return
-        rows = [*client.projects.list(name=name, text=text, sort=sort, limit=limit)]
-    if as_json:
-        show_json_list(rows)
-        return
-    table(
-        ["name", "missions", "files", "size", "recorded", "id"],
-        [(row.name, row.mission_count, row.file_count, size(row.size_bytes), _hours(row), row.id) for row in rows],
-    )
+        show_rows(
+            client.projects.list(name=name, text=text, sort=sort, limit=limit),
+            as_json,
+            ["name", "missions", "files", "size", "recorded", "id"],
+            lambda row: (row.name, row.mission_count, row.file_count, size(row.size_bytes), _hours(row), row.id),
+        )
 
 
 @app.command("info")
 def info(name: NameArgument = None, project: ProjectOption = None, as_json: AsJson = False) -> None:
-    """Show one project and the metadata fields it declares."""
+    """Show one project and its metadata fields."""
     with connect() as client:
-        target = client.projects.get(the_ref("project", name, project))
-    _show(target, as_json)
+        _show(client.projects.get(the_ref("project", name, project)), as_json)
 
 
 @app.command("update")
 def update(
     name: NameArgument = None,
     project: ProjectOption = None,
-    new_name: Annotated[str | None, typer.Option("--name", help="Its new name.")] = None,
+    new_name: Annotated[Text, option("--name", None, "Set the name.")] = None,
     description: DescriptionOption = None,
     fields: FieldsOption = None,
     public: Annotated[
-        bool | None, typer.Option("--public/--private", help="Whether anybody may read it.", show_default=False)
+        bool | None, option("--public/--private", None, "Let everybody read it, or not.", show_default=False)
     ] = None,
-    licence: Annotated[str | None, typer.Option("--licence", help="An SPDX identifier, such as CC-BY-4.0.")] = None,
-    citation: Annotated[str | None, typer.Option("--citation", help="How to cite it.")] = None,
-    quota_bytes: Annotated[
-        str | None, typer.Option("--quota-bytes", metavar="SIZE", help="At most so much, such as 2TB; or none.")
+    licence: Annotated[
+        Text, option("--licence", None, "Set the licence, an SPDX identifier such as CC-BY-4.0.")
     ] = None,
-    quota_files: Annotated[
-        str | None, typer.Option("--quota-files", metavar="N", help="At most so many files; or none.")
-    ] = None,
+    citation: Annotated[Text, option("--citation", None, "Set how to cite it.")] = None,
+    quota_bytes: Annotated[Text, option("--quota-bytes", "SIZE", "Limit its size, such as to 2TB; or none.")] = None,
+    quota_files: Annotated[Text, option("--quota-files", "N", "Limit its number of files; or none.")] = None,
     etag: IfMatch = None,
     as_json: AsJson = False,
 ) -> None:
-    """Change a project. Missions that do not satisfy new fields are reported, not broken.
+    """Change a project. Missions whose metadata does not satisfy new fields are counted, not changed.
 
-    To publish takes DELETE on it; quotas are set by admins.
+    Only those with DELETE on a project can publish it. Only admins can set quotas.
     """
-    changes: dict[str, str | bool | int | None] = {"name": new_name, "description": description}
-    changes |= {"fields_yaml": read_text(fields), "is_public": public, "licence": licence, "citation": citation}
-    settings = {key: value for key, value in changes.items() if value is not None} | _quotas(quota_bytes, quota_files)
+    values = {
+        "name": new_name,
+        "description": description,
+        "fields_yaml": read_text(fields),
+        "is_public": public,
+        "licence": licence,
+        "citation": citation,
+    }
+    changes: dict[str, str | bool | int | None] = {key: value for key, value in values.items() if value is not None}
+    if quota_bytes is not None:
+        changes["quota_bytes"] = None if quota_bytes == "none" else parse_size(quota_bytes)
+    if quota_files is not None and not (quota_files == "none" or (quota_files.isascii() and quota_files.isdigit())):
+        raise InvalidInput(what=f"The number of files {quota_files!r}", reason="say a number, or none")
+    if quota_files is not None:
+        changes["quota_files"] = None if quota_files == "none" else int(quota_files)
     with connect() as client:
         target = client.projects.get(the_ref("project", name, project))
-        changed = client.projects.update(target.id, if_match=etag or target.etag, **settings)
+        changed = client.projects.update(target.id, if_match=etag or target.etag, **changes)
     _show(changed, as_json)
     if changed.unsatisfied_mission_count:
         note(
@@ -136,39 +142,19 @@ def delete(
     with connect() as client:
         target = client.projects.get(the_ref("project", name, project))
         would = client.projects.delete(target.id, dry_run=True)
-        what = (
-            f"{target.name}: {count(would.missions, 'mission')}, {count(would.files, 'file')}, {size(would.size_bytes)}"
-        )
+        missions, files = count_of(would.missions, "mission"), count_of(would.files, "file")
+        what = f"{target.name}: {missions}, {files}, {size(would.size_bytes)}"
         if not dry_run:
             confirm(f"Move to the trash {what}?", yes)
             would = client.projects.delete(target.id)
     show_json(would) if as_json else note(f"{'Would move' if dry_run else 'Moved'} to the trash: {what}")
 
 
-def _quotas(quota_bytes: str | None, quota_files: str | None) -> dict[str, int | None]:
-    """Return what to set; `none` lifts a quota."""
-    fields = {"quota_bytes": quota_bytes, "quota_files": quota_files}
-    return {
-        name: None if text == "none" else parse_size(text) if name == "quota_bytes" else _count(text)
-        for name, text in fields.items()
-        if text is not None
-    }
-
-
-def _count(text: str) -> int:
-    if not (text.isascii() and text.isdigit()):
-        raise InvalidInput(what=f"The number of files {text!r}", reason="say a number, or none")
-    return int(text)
-
-
-def _used(used: object, quota: object) -> str | None:
-    return None if quota is None else f"{used} of {quota}"
-
-
 def _show(project: ProjectRead, as_json: bool) -> None:
     if as_json:
         show_json(project)
         return
+    used, files = size(project.used_bytes), project.used_files
     details(
         [
             ("project", project.name),
@@ -182,8 +168,8 @@ def _show(project: ProjectRead, as_json: bool) -> None:
             ("public", project.is_public or None),
             ("licence", project.licence),
             ("citation", project.citation),
-            ("quota", _used(size(project.used_bytes), size(project.quota_bytes))),
-            ("quota of files", _used(project.used_files, project.quota_files)),
+            ("quota", f"{used} of {size(project.quota_bytes)}" if project.quota_bytes is not None else None),
+            ("quota of files", f"{files} of {project.quota_files}" if project.quota_files is not None else None),
             ("unsatisfied missions", project.unsatisfied_mission_count or None),
             ("undeclared metadata", project.metadata_fields.undeclared.value),
         ]

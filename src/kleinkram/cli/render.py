@@ -1,7 +1,4 @@
-"""How things look on a terminal: tables, details, JSON. Data on stdout, all else on stderr.
-
-Names come from strangers: whatever a terminal could obey is escaped before it is printed.
-"""
+"""Terminal output: tables, details and JSON on stdout; notes on stderr. Everything printed is escaped."""
 
 import datetime
 import json
@@ -9,37 +6,38 @@ import os
 import shutil
 import sys
 import unicodedata
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TypeVar
 
 import typer
 from pydantic import BaseModel
 
+RowT = TypeVar("RowT", bound=BaseModel)
 _GAP = 2
-_LEAST = 12
+_MIN_WIDTH = 12
 _wide: list[bool] = []  # not empty after `show_wide`
-_OBEYED = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
+_UNPRINTABLE = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
 
 
 def escape(text: str) -> str:
     """Return text without control and direction characters, each shown as its code."""
-    return "".join(_escaped(character) if _is_obeyed(character) else character for character in text)
-
-
-def _is_obeyed(character: str) -> bool:
-    return unicodedata.category(character) in _OBEYED
-
-
-def _escaped(character: str) -> str:
-    return character.encode("unicode_escape").decode() if ord(character) > 0x7F else f"\\x{ord(character):02x}"
+    return "".join(
+        character
+        if unicodedata.category(character) not in _UNPRINTABLE
+        else character.encode("unicode_escape").decode()
+        if ord(character) > 0x7F
+        else f"\\x{ord(character):02x}"
+        for character in text
+    )
 
 
 def note(text: str) -> None:
-    """Print a line to stderr, escaped: who writes it need not think of what a name in it may hold."""
+    """Print a line to stderr, escaped."""
     typer.echo(escape(text), err=True)
 
 
 def line(text: str) -> None:
-    """Print a line of data to stdout, escaped likewise."""
+    """Print a line of data to stdout, escaped."""
     typer.echo(escape(text))
 
 
@@ -55,14 +53,26 @@ def show_json_list(rows: Iterable[BaseModel]) -> None:
 
 
 def plain(value: object) -> object:
-    """Return models, wherever they stand, as what JSON takes."""
+    """Return a value as JSON takes it: models, wherever they stand, become dicts."""
     if isinstance(value, BaseModel):
         return value.model_dump(mode="json")
     if isinstance(value, Mapping):
-        return {key: plain(one) for key, one in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(one) for one in value]
+        return [plain(item) for item in value]
     return value
+
+
+def show_count(number: int, as_json: bool) -> None:
+    """Print how many rows match."""
+    show_json({"total": number}) if as_json else line(str(number))
+
+
+def show_rows(
+    rows: Iterable[RowT], as_json: bool, headers: Sequence[str], cells: Callable[[RowT], Sequence[object]]
+) -> None:
+    """Print rows as JSON, or as a table of their cells."""
+    show_json_list(rows) if as_json else table(headers, map(cells, rows))
 
 
 def show_wide() -> None:
@@ -73,8 +83,8 @@ def show_wide() -> None:
 def table(headers: Sequence[str], rows: Iterable[Sequence[object]], *, to_stderr: bool = False) -> None:
     """Print aligned columns; numbers to the right.
 
-    On a terminal, long texts are cut and columns at the right left out, so that each row is one line. Where other
-    programs read, nothing is cut. The column `id` is there only with `--wide`.
+    On a terminal, long texts are cut and columns at the right left out, so that each row is one line. In a pipe
+    nothing is cut. The column `id` is shown only with `--wide`.
     """
     shown = [column for column, header in enumerate(headers) if header != "id" or _wide]
     headers = [headers[column] for column in shown]
@@ -83,31 +93,27 @@ def table(headers: Sequence[str], rows: Iterable[Sequence[object]], *, to_stderr
         note("Nothing found.")
         return
     widths = [max(_width(row[column]) for row in [headers, *cells]) for column in range(len(headers))]
-    right = [all(_is_number(row[column]) for row in cells) for column in range(len(headers))]
+    right = [all(text[:1].isdigit() or text[:1] == "-" for text in column) for column in zip(*cells, strict=True)]
     widths = _fitted(widths, right)
     for row in [[header.upper() for header in headers], *cells]:
-        padded = [_pad(_cut(cell, width), width, at_right) for cell, width, at_right in zip(row, widths, right)]  # noqa: B905  columns at the right may be left out
+        padded = []
+        for cell, width, at_right in zip(row, widths, right):  # noqa: B905  columns at the right may be left out
+            text = _cut(cell, width)
+            space = " " * (width - _width(text))
+            padded.append(space + text if at_right else text + space)
         typer.echo("  ".join(padded).rstrip(), err=to_stderr)
     if len(widths) < len(headers):
         note(f"Not shown for lack of room: {', '.join(headers[len(widths) :])}. --wide shows all.")
 
 
-def _columns() -> int | None:
-    """Return how many columns the terminal has; None where no person looks."""
-    columns_text = os.environ.get("COLUMNS", "")
-    if _wide or not (sys.stdout.isatty() or columns_text.isdigit()):
-        return None
-    return shutil.get_terminal_size().columns
-
-
 def _fitted(widths: list[int], right: Sequence[bool]) -> list[int]:
     """Return widths with which a row fits the terminal: long texts get less, then columns at the right are left out."""
-    room = _columns()
-    if room is None:
+    if _wide or not (sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdigit()):
         return widths
+    room = shutil.get_terminal_size().columns
     fitted = [*widths]
     while sum(fitted) + _GAP * (len(fitted) - 1) > room:
-        texts = [column for column, width in enumerate(fitted) if width > _LEAST and not right[column]]
+        texts = [column for column, width in enumerate(fitted) if width > _MIN_WIDTH and not right[column]]
         if texts:
             widest = max(texts, key=lambda column: fitted[column])
             fitted[widest] -= 1
@@ -119,7 +125,7 @@ def _fitted(widths: list[int], right: Sequence[bool]) -> list[int]:
 
 
 def _cut(text: str, width: int) -> str:
-    """Return a text of at most this width; what is left out of the middle is an ellipsis."""
+    """Return a text of at most this width, with an ellipsis for the middle."""
     if _width(text) <= width:
         return text
     head, tail = text[: (width - 1) // 3], text
@@ -129,10 +135,10 @@ def _cut(text: str, width: int) -> str:
 
 
 def details(pairs: Iterable[tuple[str, object]]) -> None:
-    """Print one thing's properties, a line each; those without a value are left out."""
-    columns_text = [(name, _cell(value)) for name, value in pairs if value not in (None, "", [])]
-    width = max((len(name) for name, _ in columns_text), default=0)
-    for name, value in columns_text:
+    """Print the properties of one thing, a line each; those without a value are left out."""
+    shown = [(name, _cell(value)) for name, value in pairs if value not in (None, "", [])]
+    width = max((len(name) for name, _ in shown), default=0)
+    for name, value in shown:
         line(f"{name + ':':<{width + 1}} {value}")
 
 
@@ -144,7 +150,7 @@ def _cell(value: object) -> str:
     if isinstance(value, datetime.datetime):
         return moment(value)
     if isinstance(value, list | tuple):
-        return escape(", ".join(str(one) for one in value))
+        return escape(", ".join(map(str, value)))
     return escape(str(value))
 
 
@@ -158,12 +164,3 @@ def _width(text: str) -> int:
         0 if unicodedata.combining(character) else 2 if unicodedata.east_asian_width(character) in "WF" else 1
         for character in text
     )
-
-
-def _pad(text: str, width: int, at_right: bool) -> str:
-    space = " " * (width - _width(text))
-    return space + text if at_right else text + space
-
-
-def _is_number(text: str) -> bool:
-    return text == "-" or text[:1].isdigit() or text[:1] == "-"

@@ -1,7 +1,7 @@
-"""`klein run …`"""
+"""`klein action run` and `klein run …`: launch, follow and list runs, and get their results."""
 
 import sys
-import time
+from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated
@@ -10,40 +10,212 @@ import typer
 
 from kleinkram import connect
 from kleinkram.cli.commands import Noun
-from kleinkram.cli.errors import Interrupted, exit_code_of
-from kleinkram.cli.filters import Many, ids_of
-from kleinkram.cli.following import follow, last_word
-from kleinkram.cli.launch import FollowOption, ForceOption, code_of, follow_all
-from kleinkram.cli.log_view import write_log
-from kleinkram.cli.options import AsJson, Limit, MissionsOption, ProjectsOption
-from kleinkram.cli.render import line, note, show_json, show_json_list, table
-from kleinkram.cli.run_view import action_name, show_run, show_runs
-from kleinkram.cli.transfer_view import plain_report, say_left_out, say_summary
-from kleinkram.cli.units import instant, size
+from kleinkram.cli.errors import ExitCode, exit_code_of
+from kleinkram.cli.filters import Choice, WhereOption, find_missions, ids_of, mission_query
+from kleinkram.cli.options import (
+    AsJson,
+    Count,
+    DryRun,
+    Limit,
+    Many,
+    MissionsOption,
+    Overwrite,
+    ProjectsOption,
+    Text,
+    Yes,
+    argument,
+    confirm,
+    flag,
+    option,
+)
+from kleinkram.cli.render import note, show_count, show_json, show_json_list, show_rows
+from kleinkram.cli.run_view import action_name, follow, mission_name, show_results, show_run, show_runs, write_log
+from kleinkram.cli.transfer import end_transfer, run_transfer
+from kleinkram.cli.units import count, instant, size
 from kleinkram.client import Client
 from kleinkram.client._nouns import checked
-from kleinkram.client.errors import NothingToDo
+from kleinkram.client.actions import read_manifest
+from kleinkram.client.errors import InvalidInput, NothingToDo
+from kleinkram.contract.actions import ActionDefinition, ParameterValues
+from kleinkram.contract.missions import MissionRead
+from kleinkram.contract.problems import from_problem
 from kleinkram.contract.reports import Severity
-from kleinkram.contract.runs import ReportFilter, RunFilter, RunState
+from kleinkram.contract.runs import (
+    ArtifactRead,
+    FindingRead,
+    MetricRead,
+    ReportFilter,
+    RunCreated,
+    RunDetail,
+    RunFilter,
+    RunRead,
+    RunRefused,
+    RunState,
+)
 
+SetOption = Annotated[Many, option("--set", "NAME=VALUE", "Set a parameter; repeatable.")]
+ForceOption = Annotated[bool, flag("--force", "Run again, even if there are results of the same run.")]
+FollowOption = Annotated[bool, flag("--follow -f", "Show the log until the run ends, then the results.")]
+_MAX_NAMES = 10
 _SHOWN = 50
 
-app = Noun("Runs: executions of actions on missions.")
 
-RunArgument = Annotated[str, typer.Argument(metavar="RUN", help="Its id.", show_default=False)]
-CodeOption = Annotated[str | None, typer.Option("--name", metavar="GLOB", help="Of this name, such as 'imu.*'.")]
+def launch(
+    action: Annotated[str, argument("ACTION", "Name, NAME@VERSION or id; or a script, or a folder with action.yaml.")],
+    missions: MissionsOption = None,
+    project: ProjectsOption = None,
+    query: Annotated[Text, option("--query -q", "QUERY", "Run on each mission that the query finds.")] = None,
+    where: WhereOption = None,
+    parameters: SetOption = None,
+    force: ForceOption = False,
+    follow_it: FollowOption = False,
+    dry_run: DryRun = False,
+    yes: Yes = False,
+    as_json: AsJson = False,
+) -> None:
+    """Run an action on one mission, on several, or on each that a search finds.
+
+    With --follow, the exit code is 0 only if all runs succeed. Ctrl-C stops following; the runs go on.
+    """
+    with connect() as client:
+        targets = _missions(client, missions or [], Choice(query=query, project=project, where=where))
+        path = Path(action)
+        published, version = None, None
+        if path.exists():
+            definition = read_manifest(path)
+            note(f"Running {definition.name} as it is in {path}, unpublished.")
+        elif "/" in action or path.suffix == ".py":
+            raise InvalidInput(what=f"The action {action!r}", reason="there is no such file or folder")
+        else:
+            name, version = split_version(action)
+            projects = {mission.project.id for mission in targets}
+            published = client.actions.get(name, project=projects.pop() if len(projects) == 1 else None)
+            definition = client.actions.version(published, version).definition
+        values = parameter_values(definition, parameters or [])
+        names = ", ".join(f"{mission.project.name}/{mission.name}" for mission in targets[:_MAX_NAMES])
+        names += f" and {len(targets) - _MAX_NAMES} more" if len(targets) > _MAX_NAMES else ""
+        if dry_run:
+            note(f"Would run {action} on {names}")
+            if as_json:
+                show_json({"dry_run": True, "missions": targets, "parameters": values})
+            return
+        if not missions and len(targets) > 1:
+            confirm(f"Run {action} on {count(len(targets), 'mission')}: {names}?", yes)
+        outcomes = client.runs.launch(
+            published.id if published else definition,
+            [mission.id for mission in targets],
+            version=version,
+            parameters=values,
+            force=force,
+        )
+        _show_launched(client, targets, outcomes, follow_them=follow_it, as_json=as_json)
+
+
+def parameter_values(definition: ActionDefinition, assignments: Iterable[str]) -> ParameterValues:
+    """Return the checked values that `NAME=VALUE` assignments set for the parameters of an action."""
+    known = {parameter.name: parameter for parameter in definition.parameters}
+    values: ParameterValues = {}
+    try:
+        for assignment in assignments:
+            name, equals, text = assignment.partition("=")
+            if not equals:
+                raise InvalidInput(what=f"The parameter {assignment!r}", reason="say it as NAME=VALUE")
+            values[name] = known[name].read(text) if name in known else text
+        definition.fill_in(values)
+    except ValueError as error:
+        raise InvalidInput(what="The parameters", reason=str(error)) from None
+    return values
+
+
+def split_version(ref: str) -> tuple[str, int | None]:
+    """Return the name and the number of `NAME@NUMBER`; any other reference is itself, without a number."""
+    name, _, number = ref.rpartition("@")
+    return (name, int(number)) if name and number.isdecimal() and number.isascii() else (ref, None)
+
+
+def _missions(client: Client, names: Sequence[str], choice: Choice) -> list[MissionRead]:
+    if bool(names) == (choice.query is not None or bool(choice.where)):
+        reason = "say which missions: with -m, or by a search with --query or --where"
+        raise InvalidInput(what="The command", reason=reason)
+    if names:
+        targets = [mission for name in names for mission in find_missions(client, name, choice.project)]
+        return [*{mission.id: mission for mission in targets}.values()]
+    targets = [*client.missions.list(query=mission_query(client, choice))]
+    if not targets:
+        raise NothingToDo(reason="No mission matches")
+    return targets
+
+
+def _show_launched(
+    client: Client,
+    missions: Sequence[MissionRead],
+    outcomes: Sequence[RunCreated | RunRefused],
+    *,
+    follow_them: bool,
+    as_json: bool,
+) -> None:
+    made = [outcome.run for outcome in outcomes if isinstance(outcome, RunCreated)]
+    names = {mission.id: f"{mission.project.name}/{mission.name}" for mission in missions}
+    failures = []
+    for outcome in outcomes:
+        if isinstance(outcome, RunRefused):
+            failures.append(from_problem(outcome.problem))
+            note(f"{names[outcome.mission_id]}: {failures[-1]}")
+    if follow_them:
+        made = [*_follow_all(client, made, as_json=as_json)]
+    elif made:
+        if not as_json:
+            show_runs(made)
+        reused = [run for run in made if run.reuses_id is not None]
+        for run in reused:
+            note(f"{mission_name(run)}: results of the run {run.reuses_id} hold; --force runs anew.")
+        if len(made) == 1 and not reused:
+            note(f"`klein run logs -f {made[0].id}` follows it.")
+    if as_json:
+        now = {run.id: run for run in made}
+        items = [RunCreated(run=now[item.run.id]) if isinstance(item, RunCreated) else item for item in outcomes]
+        show_json({"items": items})
+    if code := exit_code_of(failures) or (_exit_code(made) if follow_them else 0):
+        raise typer.Exit(code)
+
+
+def _follow_all(client: Client, runs: Sequence[RunRead], *, as_json: bool) -> list[RunDetail]:
+    """Show runs until they end, one after the other, then their results."""
+    ended: list[RunDetail] = []
+    for run in runs:
+        if len(runs) > 1:
+            note(f"— {mission_name(run)}: {action_name(run.action)}, run {run.id}")
+        ended.append(follow(client, run.id))
+    if not as_json:
+        show_runs(ended)
+    if len(ended) == 1 and not as_json:
+        matching = ReportFilter(run_id=ended[0].id)
+        show_results([*client.runs.metrics(matching)], [*client.runs.findings(matching)])
+    if len(ended) == 1 and ended[0].artifact_count:
+        note(f"`klein run artifacts {ended[0].id} --download DIR` fetches what it left.")
+    return ended
+
+
+def _exit_code(runs: Iterable[RunRead]) -> int:
+    return 0 if all(run.state is RunState.done for run in runs) else ExitCode.run_failed
+
+
+app = Noun("Manage runs of actions on missions.")
+RunArgument = Annotated[str, argument("RUN", "Id of the run.")]
+RunFilterArgument = Annotated[Text, argument("RUN", "Id of a run.")]
+CodeOption = Annotated[Text, option("--name", "GLOB", "Select by name, such as 'imu.*'.")]
 
 
 @app.command("list")
 def list_(
     project: ProjectsOption = None,
     mission: MissionsOption = None,
-    action: Annotated[str | None, typer.Option("--action", metavar="GLOB", help="Of actions of this name.")] = None,
-    state: Annotated[list[RunState] | None, typer.Option("--state", help="May be given several times.")] = None,
-    active: Annotated[bool, typer.Option("--active", help="Only those that are not over.")] = False,
-    mine: Annotated[bool, typer.Option("--mine", help="Only those that you made.")] = False,
+    action: Annotated[Text, option("--action", "GLOB", "Select runs of actions with a matching name.")] = None,
+    state: Annotated[list[RunState] | None, option("--state", None, "Select by state; repeatable.")] = None,
+    active: Annotated[bool, flag("--active", "Select only runs that have not ended.")] = False,
+    mine: Annotated[bool, flag("--mine", "Select only your own runs.")] = False,
     limit: Limit = None,
-    count: Annotated[bool, typer.Option("--count", help="Only say how many.")] = False,
+    count: Count = False,
     as_json: AsJson = False,
 ) -> None:
     """List runs, latest first."""
@@ -52,8 +224,7 @@ def list_(
         criteria |= ids_of(client, project, mission)
         matching = checked(RunFilter, "The filter", **{key: value for key, value in criteria.items() if value})
         if count:
-            number = client.runs.count(matching)
-            show_json({"total": number}) if as_json else line(str(number))
+            show_count(client.runs.count(matching), as_json)
             return
         rows = [*client.runs.list(matching, limit=limit or _SHOWN)]
     show_json_list(rows) if as_json else show_runs(rows)
@@ -63,7 +234,7 @@ def list_(
 
 @app.command("info")
 def info(run: RunArgument, as_json: AsJson = False) -> None:
-    """Show a run: how it ended and why, what it used, and what it proposes for its mission."""
+    """Show a run: its state and reason, its use of resources, and the metadata that it proposes."""
     with connect() as client:
         selected = client.runs.get(run)
     show_json(selected) if as_json else show_run(selected)
@@ -72,34 +243,29 @@ def info(run: RunArgument, as_json: AsJson = False) -> None:
 @app.command("logs")
 def logs(
     run: RunArgument,
-    follow_it: Annotated[bool, typer.Option("--follow", "-f", help="Until it is over; then as it ended.")] = False,
+    follow_it: Annotated[bool, flag("--follow -f", "Print until the run ends, and exit as it ended.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Print what a run has written."""
+    """Print the log of a run."""
     with connect() as client:
         selected = client.runs.get(run)
         if follow_it and not as_json:
-            over = follow(client, selected.id)
-            last_word(over)
-            raise typer.Exit(code_of([over]))
+            raise typer.Exit(_exit_code([follow(client, selected.id)]))
         if as_json:
             text = "".join(entry.text for entry in client.runs.log(selected.id, follow=follow_it))
             selected = client.runs.wait(selected.id) if follow_it else selected
             show_json({"run_id": str(selected.id), "state": selected.state.value, "text": text})
-            raise typer.Exit(code_of([selected]) if follow_it else 0)
+            raise typer.Exit(_exit_code([selected]) if follow_it else 0)
         for piece in client.runs.log(selected.id):
             write_log(piece.text, sys.stdout)
 
 
 @app.command("cancel")
-def cancel(
-    runs: Annotated[list[str], typer.Argument(metavar="RUN", help="Ids.", show_default=False)],
-    as_json: AsJson = False,
-) -> None:
-    """End runs: those that wait at once, those that go on within seconds."""
+def cancel(runs: Annotated[list[str], argument("RUN", "Ids of runs.")], as_json: AsJson = False) -> None:
+    """Cancel runs. Queued runs end at once, running ones within seconds."""
     with connect() as client:
-        selected = [client.runs.get(entry) for entry in runs]
-        ended = [client.runs.cancel(entry.id) for entry in selected]
+        selected = [client.runs.get(ref) for ref in runs]
+        ended = [client.runs.cancel(run.id) for run in selected]
     show_json_list(ended) if as_json else show_runs(ended)
 
 
@@ -107,131 +273,97 @@ def cancel(
 def retry(
     run: RunArgument, force: ForceOption = False, follow_it: FollowOption = False, as_json: AsJson = False
 ) -> None:
-    """Run the same version again, with the same parameters on the same mission: a new run."""
+    """Run the same version again, as a new run with the same parameters on the same mission."""
     with connect() as client:
         made = client.runs.retry(client.runs.get(run).id, force=force)
         if follow_it:
-            (made,) = follow_all(client, [made], as_json=as_json)
+            (made,) = _follow_all(client, [made], as_json=as_json)
     if as_json:
         show_json(made)
     elif not follow_it:
         show_runs([made])
     if follow_it:
-        raise typer.Exit(code_of([made]))
+        raise typer.Exit(_exit_code([made]))
 
 
 @app.command("artifacts")
 def artifacts(
     run: RunArgument,
-    paths: Annotated[Many, typer.Argument(metavar="GLOB", help="Only these.", show_default=False)] = None,
-    download: Annotated[
-        Path | None, typer.Option("--download", metavar="DIR", help="Fetch them into a folder, verified.")
-    ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that differ.")] = False,
+    paths: Annotated[Many, argument("GLOB", "Globs that paths match.")] = None,
+    download: Annotated[Path | None, option("--download", "DIR", "Download them to DIR, verified.")] = None,
+    overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """List the files that a run left, or fetch them."""
+    """List or download the files that a run created."""
     with connect() as client:
         selected = client.runs.get(run)
-        rows = [
+        rows: list[ArtifactRead] = [
             row
             for row in client.runs.artifacts(selected.id)
             if not paths or any(fnmatchcase(row.path, glob) for glob in paths)
         ]
         if download is None:
-            cells = [(row.path, size(row.size_bytes), row.sha256, row.file_id) for row in rows]
-            show_json_list(rows) if as_json else table(["path", "size", "sha256", "file of the mission"], cells)
+            headers = ["path", "size", "sha256", "file of the mission"]
+            show_rows(rows, as_json, headers, lambda row: (row.path, size(row.size_bytes), row.sha256, row.file_id))
             return
         if not rows:
             raise NothingToDo(reason="No artifact matches")
-        from kleinkram.cli.transfer_view import watching
-
-        began_at = time.monotonic()
-        try:
-            with watching() as watcher:
-                report = client.runs.download_artifacts(
-                    selected.id, download, artifacts=rows, overwrite=overwrite, watcher=watcher
-                )
-        except KeyboardInterrupt:
-            raise Interrupted from None
-    elapsed_s = time.monotonic() - began_at
-    if as_json:
-        show_json({"elapsed_s": elapsed_s, **plain_report(report)})
-    say_left_out(report.left_out)
-    say_summary(report, elapsed_s)
-    if code := exit_code_of([*report.failures, *report.left_out]):
-        raise typer.Exit(code)
+        report, elapsed_s = run_transfer(
+            lambda watcher: client.runs.download_artifacts(
+                selected.id, download, artifacts=rows, overwrite=overwrite, watcher=watcher
+            )
+        )
+    for error in report.left_out:
+        note(str(error))
+    end_transfer(report, elapsed_s, as_json)
 
 
 @app.command("findings")
 def findings(
-    run: Annotated[str | None, typer.Argument(metavar="RUN", help="Of one run.", show_default=False)] = None,
+    run: RunFilterArgument = None,
     project: ProjectsOption = None,
     mission: MissionsOption = None,
     name: CodeOption = None,
-    severity: Annotated[list[Severity] | None, typer.Option("--severity", help="May be given several times.")] = None,
+    severity: Annotated[list[Severity] | None, option("--severity", None, "Select by severity; repeatable.")] = None,
     limit: Limit = None,
     as_json: AsJson = False,
 ) -> None:
-    """List what runs have noticed: of one, of a mission, of a project, or of all."""
+    """List the findings of one run, a mission, a project, or of all."""
     with connect() as client:
-        matching = _saying(client, run, project, mission, code=name, severity=severity)
-        rows = [*client.runs.findings(matching, limit=limit)]
-    if as_json:
-        show_json_list(rows)
-        return
-    table(
-        ["mission", "action", "severity", "finding", "message", "file", "topic", "at", "run"],
-        [
-            (
-                row.mission.name,
-                action_name(row.action),
-                row.finding.severity.value,
-                row.finding.code,
-                row.finding.message,
-                row.finding.file,
-                row.finding.topic,
-                instant(row.finding.time_ns),
-                row.run_id,
-            )
-            for row in rows
-        ],
-    )
+        matching = _report_filter(client, run, project, mission, code=name, severity=severity)
+        headers = ["mission", "action", "severity", "finding", "message", "file", "topic", "at", "run"]
+        show_rows(client.runs.findings(matching, limit=limit), as_json, headers, _finding_cells)
+
+
+def _finding_cells(row: FindingRead) -> tuple[object, ...]:
+    finding = row.finding
+    what = (finding.severity.value, finding.code, finding.message, finding.file, finding.topic)
+    return row.mission.name, action_name(row.action), *what, instant(finding.time_ns), row.run_id
 
 
 @app.command("metrics")
 def metrics(
-    run: Annotated[str | None, typer.Argument(metavar="RUN", help="Of one run.", show_default=False)] = None,
+    run: RunFilterArgument = None,
     project: ProjectsOption = None,
     mission: MissionsOption = None,
     name: CodeOption = None,
     limit: Limit = None,
     as_json: AsJson = False,
 ) -> None:
-    """List the numbers that runs have found: of one, of a mission, of a project, or of all."""
+    """List the metrics of one run, a mission, a project, or of all."""
     with connect() as client:
-        rows = [*client.runs.metrics(_saying(client, run, project, mission, code=name), limit=limit)]
-    if as_json:
-        show_json_list(rows)
-        return
-    table(
-        ["mission", "action", "metric", "value", "unit", "file", "run"],
-        [
-            (
-                row.mission.name,
-                action_name(row.action),
-                row.metric.name,
-                row.metric.value,
-                row.metric.unit,
-                row.metric.file,
-                row.run_id,
-            )
-            for row in rows
-        ],
-    )
+        matching = _report_filter(client, run, project, mission, code=name)
+        headers = ["mission", "action", "metric", "value", "unit", "file", "run"]
+        show_rows(client.runs.metrics(matching, limit=limit), as_json, headers, _metric_cells)
 
 
-def _saying(client: Client, run: str | None, project: Many, mission: Many, **more: object) -> ReportFilter:
+def _metric_cells(row: MetricRead) -> tuple[object, ...]:
+    metric = row.metric
+    what = (metric.name, metric.value, metric.unit, metric.file)
+    return row.mission.name, action_name(row.action), *what, row.run_id
+
+
+def _report_filter(client: Client, run: Text, project: Many, mission: Many, **more: object) -> ReportFilter:
     criteria: dict[str, object] = {**more, **ids_of(client, project, mission)}
     if run is not None:
         criteria["run_id"] = client.runs.get(run).id

@@ -1,13 +1,32 @@
-"""How runs look: in lists, one by one, and what they said."""
+"""How runs look: tables, details, logs with only colours of their own, and following a run on stderr."""
 
-from collections.abc import Iterable, Sequence
+import contextlib
+import re
+import sys
+import threading
+import uuid
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, TextIO
 
-from kleinkram.cli.render import details, line, note, table
+import typer
+
+from kleinkram.cli.errors import ExitCode
+from kleinkram.cli.render import details, escape, line, note, table
 from kleinkram.cli.units import count, duration, instant, size
+from kleinkram.client import Client
+from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.reports import Finding, Metric
 from kleinkram.contract.runs import ActionRef, FindingRead, MetricRead, RunDetail, RunRead, RunState
 
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.status import Status
+
 _NS = 10**9
+_REST_OF_LOG_S = 30.0  # the longest wait for the end of a log once its run has ended
+# Source: ECMA-48, section 8.3.117, SGR: colours and weights of letters.
+_COLOUR = re.compile(r"(\x1b\[[0-9;]*m)")
+_PLAIN = "\x1b[0m"
 
 
 def action_name(action: ActionRef) -> str:
@@ -20,8 +39,8 @@ def mission_name(run: RunRead) -> str:
     return f"{run.mission.project.name}/{run.mission.name}"
 
 
-def standing(run: RunRead) -> str:
-    """Return what a run is at, or how it ended, in a few words."""
+def status_text(run: RunRead) -> str:
+    """Return the state of a run with its progress or its reason."""
     if run.state is RunState.queued:
         return f"queued: {run.waits_for}" if run.waits_for else "queued"
     if run.state is RunState.failed and run.reason is not None:
@@ -36,7 +55,7 @@ def standing(run: RunRead) -> str:
 
 
 def show_runs(runs: Iterable[RunRead]) -> None:
-    """Print runs of any missions as a table, and why those that wait do."""
+    """Print runs of any missions as a table, and why queued ones wait."""
     rows = [*runs]
     table(
         ["project", "mission", "action", "state", "took", "findings", "metrics", "artifacts", "made", "by", "run"],
@@ -45,7 +64,7 @@ def show_runs(runs: Iterable[RunRead]) -> None:
                 run.mission.project.name,
                 run.mission.name,
                 action_name(run.action),
-                _short(run),
+                run.state.value if run.state in {RunState.queued, RunState.collecting} else status_text(run),
                 _took(run),
                 *_counts(run),
                 run.created_at,
@@ -60,21 +79,20 @@ def show_runs(runs: Iterable[RunRead]) -> None:
 
 
 def show_run(run: RunDetail) -> None:
-    """Print all that is known of a run but for its log and what it said."""
+    """Print everything about a run but its log, metrics and findings."""
     usage = run.usage
+    person = f" by {run.cause.person.name}" if run.cause.person else ""
+    _, metrics, artifacts = _counts(run)
     details(
         [
             ("run", run.id),
             ("action", action_name(run.action)),
             ("mission", mission_name(run)),
-            ("state", standing(run)),
+            ("state", status_text(run)),
             ("told", run.message),
             ("results of", run.reuses_id),
             ("retry of", run.cause.retry_of_id),
-            (
-                "made",
-                f"{run.created_at:%Y-%m-%d %H:%M:%S}Z" + (f" by {run.cause.person.name}" if run.cause.person else ""),
-            ),
+            ("made", f"{run.created_at:%Y-%m-%d %H:%M:%S}Z{person}"),
             ("started", run.started_at),
             ("ended", run.ended_at),
             ("took", _took(run)),
@@ -85,9 +103,9 @@ def show_run(run: RunDetail) -> None:
             ("inputs", f"{count(run.input_count, 'file')}, {size(run.input_bytes)}"),
             *((f"  {name}", value) for name, value in run.parameters.items()),
             ("used", usage and f"{usage.cpu_s:.1f} s of cores, {size(usage.peak_memory_bytes)} of memory at most"),
-            ("artifacts", _counts(run)[2]),
-            ("metrics", _counts(run)[1]),
-            ("findings", ", ".join(f"{count} {severity.value}" for severity, count in run.finding_counts.items())),
+            ("artifacts", artifacts),
+            ("metrics", metrics),
+            ("findings", ", ".join(f"{number} {severity.value}" for severity, number in run.finding_counts.items())),
             *((f"proposed {name}", value) for name, value in run.metadata.items()),
             *(("problem", problem) for problem in run.problems),
         ]
@@ -95,7 +113,7 @@ def show_run(run: RunDetail) -> None:
 
 
 def show_results(metrics: Sequence[MetricRead], findings: Sequence[FindingRead]) -> None:
-    """Print what one run said."""
+    """Print the metrics and findings of one run."""
     if metrics:
         line("")
         show_metrics([entry.metric for entry in metrics])
@@ -120,12 +138,8 @@ def show_findings(findings: Iterable[Finding]) -> None:
     )
 
 
-def _short(run: RunRead) -> str:
-    return str(run.state.value) if run.state in {RunState.queued, RunState.collecting} else standing(run)
-
-
 def _counts(run: RunRead) -> tuple[int | None, int | None, int | None]:
-    """Return how many findings, metrics and artifacts a run has; a run that reuses another's has that one's."""
+    """Return the counts of findings, metrics and artifacts; none for a run that reuses the results of another."""
     if run.reuses_id is not None:
         return None, None, None
     return sum(run.finding_counts.values()), run.metric_count, run.artifact_count
@@ -135,3 +149,106 @@ def _took(run: RunRead) -> str | None:
     if run.started_at is None or run.ended_at is None:
         return None
     return duration(int((run.ended_at - run.started_at).total_seconds() * _NS))
+
+
+def harmless(text: str) -> str:
+    """Return text with all control characters escaped but line feeds, tabs and colours, which end with each line.
+
+    A progress bar that redraws itself after carriage returns becomes its last state.
+    """
+    lines = []
+    for written in text.split("\n"):
+        parts = _COLOUR.split(written.rstrip("\r").rpartition("\r")[2])
+        shown = "".join(part if at % 2 else "\t".join(map(escape, part.split("\t"))) for at, part in enumerate(parts))
+        lines.append(shown + _PLAIN if len(parts) > 1 else shown)
+    return "\n".join(lines)
+
+
+def write_log(text: str, stream: TextIO) -> None:
+    """Write the output of a run: escaped to a terminal, unchanged to a file or pipe."""
+    stream.write(harmless(text) if stream.isatty() else text)
+    stream.flush()
+
+
+class RunView:
+    """Shows a run on stderr while it lasts: its log, and its state in a line below, or a line at each change."""
+
+    def __init__(self, console: "Console | None" = None, status: "Status | None" = None) -> None:
+        self._console = console
+        self._status = status
+        self._last = ""
+
+    def show_state(self, run: RunDetail) -> None:
+        """Show the current state."""
+        where = f" on {run.runner}" if run.runner and run.state is not RunState.queued else ""
+        if self._status is not None:
+            from rich.markup import escape as escape_markup
+
+            self._status.update(escape_markup(escape(status_text(run) + where)))
+            return
+        now = run.state.value if run.state is RunState.running else status_text(run)
+        if now != self._last and run.ended_at is None:
+            note(now + where)
+        self._last = now
+
+    def show_log(self, text: str) -> None:
+        """Show more of the log."""
+        if self._console is None:
+            write_log(text, sys.stderr)
+            return
+        from rich.text import Text
+
+        self._console.print(Text.from_ansi(harmless(text.removesuffix("\n"))), soft_wrap=True)
+
+
+def follow(client: Client, run_id: uuid.UUID) -> RunDetail:
+    """Show a run until it ends, and how it ended; Ctrl-C ends the command with exit code 130, and not the run."""
+    try:
+        with _viewing() as view:
+            run = _follow(client, run_id, view)
+    except KeyboardInterrupt:
+        note(f"The run goes on. `klein run logs -f {run_id}` follows it again, `klein run cancel {run_id}` ends it.")
+        raise typer.Exit(ExitCode.interrupted) from None
+    for problem in run.problems:
+        note(problem)
+    if run.reuses_id is not None:
+        note(f"The results are those of the run {run.reuses_id}: same version, parameters, inputs. --force runs anew.")
+    if run.state is not RunState.done:
+        note(f"{run.state.value}: {run.message}" if run.message else run.state.value)
+    return run
+
+
+def _follow(client: Client, run_id: uuid.UUID, view: RunView) -> RunDetail:
+    failures: list[KleinkramError] = []
+
+    def show_log() -> None:
+        attempt = 0
+        try:
+            for piece in client.runs.log(run_id, follow=True):
+                if attempt and piece.attempt != attempt:
+                    note(f"Its runner was lost: attempt {piece.attempt} begins anew.")
+                attempt = piece.attempt
+                view.show_log(piece.text)
+        except KleinkramError as error:
+            failures.append(error)
+
+    # A daemon: Ctrl-C may come in the middle of a request that waits.
+    log = threading.Thread(target=show_log, daemon=True)
+    log.start()
+    run = client.runs.wait(run_id, seen=view.show_state)
+    log.join(timeout=_REST_OF_LOG_S)
+    for failure in failures:
+        raise failure
+    return run
+
+
+@contextlib.contextmanager
+def _viewing() -> Iterator[RunView]:
+    if not sys.stderr.isatty():
+        yield RunView()
+        return
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    with console.status("asking") as status:
+        yield RunView(console, status)

@@ -1,7 +1,4 @@
-"""`klein runner …`: be a runner, and see which there are.
-
-`runner` is imported when a command runs, never before: a list must not pay for it.
-"""
+"""`klein runner …`. The package `runner` is imported only when a command runs."""
 
 import os
 import platform
@@ -10,23 +7,20 @@ from pathlib import Path
 from typing import Annotated
 
 import platformdirs
-import typer
 
 from kleinkram import connect
 from kleinkram.cli.commands import Noun
-from kleinkram.cli.options import AsJson
-from kleinkram.cli.render import moment, show_json_list, table
+from kleinkram.cli.options import AsJson, Many, Text, flag, option
+from kleinkram.cli.render import moment, show_rows
 from kleinkram.cli.units import parse_size, size
-from kleinkram.contract.runners import RunnerToken
+from kleinkram.contract.runners import RunnerRead
 
-app = Noun("Runners: machines that run actions.")
-
-
+app = Noun("Run and list runners: machines that run actions.")
 _FOLDER = "kleinkram-runner"
 
 
 class ExecutorOption(str, Enum):
-    """How it runs actions."""
+    """How a runner runs actions."""
 
     auto = "auto"
     docker = "docker"
@@ -35,34 +29,34 @@ class ExecutorOption(str, Enum):
 
 @app.command("start")
 def start(
-    name: Annotated[str | None, typer.Option("--name", metavar="NAME", help="Default: this machine's.")] = None,
-    url: Annotated[str | None, typer.Option("--url", metavar="U", help="The server. Default: the usual one.")] = None,
+    name: Annotated[Text, option("--name", "NAME", "Name the runner. Default: the name of this machine.")] = None,
+    url: Annotated[Text, option("--url", "U", "Set the server. Default: the one in use.")] = None,
     token_file: Annotated[
-        Path | None, typer.Option(metavar="F", help="Holds its token, mode 0600. Default: KLEINKRAM_RUNNER_TOKEN.")
+        Path | None,
+        option("--token-file", "F", "Read its token from a file with mode 0600. Default: KLEINKRAM_RUNNER_TOKEN."),
     ] = None,
-    label: Annotated[
-        list[str] | None, typer.Option("--label", metavar="L", help="What actions may ask for; may be repeated.")
+    label: Annotated[Many, option("--label", "L", "Add a label that actions can ask for; repeatable.")] = None,
+    cores: Annotated[float | None, option("--cores", "N", "Limit the cores for runs. Default: all.", min=0.1)] = None,
+    memory: Annotated[Text, option("--memory", "SIZE", "Limit the memory for runs. Default: 80 %.")] = None,
+    disk: Annotated[Text, option("--disk", "SIZE", "Limit the disk for runs. Default: half of the free space.")] = None,
+    cache: Annotated[
+        Text, option("--cache", "SIZE", "Limit the cache of inputs. Default: 30 % of the free space.")
     ] = None,
-    cores: Annotated[float | None, typer.Option(metavar="N", min=0.1, help="For runs. Default: all.")] = None,
-    memory: Annotated[str | None, typer.Option(metavar="SIZE", help="For runs. Default: 80 %.")] = None,
-    disk: Annotated[str | None, typer.Option(metavar="SIZE", help="For runs. Default: half of what is free.")] = None,
-    cache: Annotated[str | None, typer.Option(metavar="SIZE", help="For inputs. Default: 30 % of the same.")] = None,
-    gpus: Annotated[int, typer.Option(metavar="N", min=0, help="For runs.")] = 0,
+    gpus: Annotated[int, option("--gpus", "N", "Set the number of GPUs for runs.", min=0)] = 0,
     executor: Annotated[
-        ExecutorOption, typer.Option(help="auto: containers where an engine answers.")
+        ExecutorOption, option("--executor", None, "Choose how to run actions; auto: in containers if possible.")
     ] = ExecutorOption.auto,
     default_image: Annotated[
-        str | None, typer.Option(metavar="IMAGE", help="What scripts run on. Default: kleinkram/action-python.")
+        Text, option("--default-image", "IMAGE", "Set the image of scripts. Default: kleinkram/action-python.")
     ] = None,
     registry: Annotated[
-        list[str] | None,
-        typer.Option("--registry", metavar="R", help="Images come only from here; may be repeated. Default: anywhere."),
+        Many, option("--registry", "R", "Allow images only from this registry; repeatable. Default: from anywhere.")
     ] = None,
-    data_dir: Annotated[Path | None, typer.Option(metavar="D", help="Its folder: runs and inputs.")] = None,
-    once: Annotated[bool, typer.Option("--once", help="End after one run.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Write its log as lines of JSON.")] = False,
+    data_dir: Annotated[Path | None, option("--data-dir", "D", "Set the folder of its runs and inputs.")] = None,
+    once: Annotated[bool, flag("--once", "End after one run.")] = False,
+    as_json: Annotated[bool, flag("--json", "Write its log as lines of JSON.")] = False,
 ) -> None:
-    """Run actions on this machine. Ctrl-C ends it and its runs; SIGTERM leaves them to the next one."""
+    """Run actions on this machine. Ctrl-C ends the runner and its runs; SIGTERM leaves its runs to the next one."""
     from kleinkram.client.config import find_endpoint
     from kleinkram.runner.__main__ import DEFAULT_IMAGE, Arguments, ExecutorChoice
 
@@ -83,45 +77,26 @@ def start(
         once=once,
         log_format="json" if as_json else "text",
     )
-    # It stays for long: as a process of its own kind it needs less memory than this one.
+    # It runs for long: as a process of its own it needs less memory than this one.
     command = arguments.command()
     os.execv(command[0], command)  # noqa: S606  (our own interpreter, no shell)
 
 
 @app.command("list")
 def list_(as_json: AsJson = False) -> None:
-    """List the runners, for admins."""
+    """List the runners; for admins."""
     with connect() as client:
-        rows = [*client.runners.list()]
-    if as_json:
-        show_json_list(rows)
-        return
-    table(
-        ["name", "seen", "runs", "executor", "cores", "memory", "gpus", "labels", "token", "version", "id"],
-        [
-            (
-                row.name,
-                "now" if row.is_alive else moment(row.last_seen_at),
-                row.active_runs,
-                row.abilities.executor,
-                f"{row.capacity.cores:g}",
-                size(row.capacity.memory_bytes),
-                row.capacity.gpus,
-                ", ".join(row.labels) or None,
-                _token(row.token),
-                row.version,
-                row.id,
-            )
-            for row in rows
-        ],
-    )
+        headers = ["name", "seen", "runs", "executor", "cores", "memory", "gpus", "labels", "token", "version", "id"]
+        show_rows(client.runners.list(), as_json, headers, _cells)
 
 
-def _token(token: RunnerToken | None) -> str | None:
-    """Return the name of a runner's token, and what it is limited to."""
-    if token is None:
-        return None
-    limits = [f"project {entry.name}" for entry in token.projects or []] + [
-        f"label {entry}" for entry in token.labels or []
-    ]
-    return f"{token.name} (only {', '.join(limits)})" if limits else token.name
+def _cells(row: RunnerRead) -> tuple[object, ...]:
+    token = None
+    if row.token is not None:
+        limits = [f"project {place.name}" for place in row.token.projects or []]
+        limits += [f"label {label}" for label in row.token.labels or []]
+        token = f"{row.token.name} (only {', '.join(limits)})" if limits else row.token.name
+    seen = "now" if row.is_alive else moment(row.last_seen_at)
+    resources = (f"{row.capacity.cores:g}", size(row.capacity.memory_bytes), row.capacity.gpus)
+    labels = ", ".join(row.labels) or None
+    return row.name, seen, row.active_runs, row.abilities.executor, *resources, labels, token, row.version, row.id

@@ -1,27 +1,38 @@
-"""`klein search` and `klein stats`"""
+"""`klein search`, `klein stats` and `klein lineage`"""
 
 import csv
 import enum
 import sys
-from collections.abc import Iterable
 from dataclasses import replace
 from typing import Annotated
 
-import typer
-
 from kleinkram import connect
-from kleinkram.cli.file import show_found
-from kleinkram.cli.filters import Choice, Many, file_filter, mission_query, with_choice
-from kleinkram.cli.mission import show_missions
-from kleinkram.cli.options import AsJson, Limit
-from kleinkram.cli.render import note, show_json, show_json_list, table
+from kleinkram.cli.filters import Choice, file_filter, mission_query, with_choice
+from kleinkram.cli.mission import show_found, show_missions
+from kleinkram.cli.options import (
+    AsJson,
+    Count,
+    FileArgument,
+    Limit,
+    Many,
+    MissionOption,
+    ProjectOption,
+    Text,
+    argument,
+    flag,
+    option,
+)
+from kleinkram.cli.render import details, line, note, show_count, show_json, show_json_list, show_rows, table
+from kleinkram.cli.run_view import action_name, mission_name, status_text
 from kleinkram.cli.units import size
-from kleinkram.client import Client
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.files import FileSort
-from kleinkram.contract.overviews import StatsRead, StatsRow
+from kleinkram.contract.overviews import StatsRow
 from kleinkram.contract.query import render
-from kleinkram.contract.search import FacetsRead, TopicFound
+from kleinkram.contract.runs import LineageFile, LineageRead
+
+_GROUPS = frozenset(("project", "mission", "topic", "type", "month", "format"))
+_NS_PER_HOUR = 3600 * 1_000_000_000
 
 
 class Shown(str, enum.Enum):
@@ -36,108 +47,140 @@ class Shown(str, enum.Enum):
 @with_choice
 def search(
     choice: Choice,
-    words: Annotated[
-        str | None,
-        typer.Argument(metavar="QUERY", help="Words and terms: 'alps topic:/imu meta.speed>3'.", show_default=False),
-    ] = None,
-    show: Annotated[Shown, typer.Option("--show", help="What to list.")] = Shown.files,
-    path: Annotated[Many, typer.Option("--path", metavar="GLOB", help="Path in the mission.")] = None,
-    sort: Annotated[FileSort | None, typer.Option("--sort", help="Order of files; a - turns it round.")] = None,
+    words: Annotated[Text, argument("QUERY", "Words and terms: 'alps topic:/imu meta.speed>3'.")] = None,
+    show: Annotated[Shown, option("--show", None, "Choose what to list.")] = Shown.files,
+    path: Annotated[Many, option("--path", "GLOB", "Select by path in the mission.")] = None,
+    sort: Annotated[FileSort | None, option("--sort", None, "Set the order of files; a leading - reverses it.")] = None,
     limit: Limit = None,
-    count: Annotated[bool, typer.Option("--count", help="Only say how many.")] = False,
+    count: Count = False,
     as_json: AsJson = False,
 ) -> None:
-    """Find files, missions or topics, in all projects: by text, metadata, topic, type, time, size and more.
+    """Find files, missions or topics in all projects by text, metadata, topic, type, time, size and more.
 
-    QUERY is what the search page of the web shows, and can do all that the options can: words that are found in names,
-    notes, metadata, labels and topics, and terms: project: mission: path: topic: type: label: format: content: state:
-    month: after: before: size> duration< meta.FIELD: and -TERM for what is left out.
+    QUERY is the query of the search page of the web. It can do all that the options can. Words match names, notes,
+    metadata, labels and topics. Terms are project: mission: path: topic: type: label: format: content: state: month:
+    after: before: size> duration< meta.FIELD: and -TERM to exclude.
     """
     if words is not None:
         if choice.query is not None:
             raise InvalidInput(what="The command", reason="say the query once, by itself or with --query")
         choice = replace(choice, query=words)
+    paths = path or []
     with connect() as client:
         if show is Shown.facets:
-            _show_facets(client.search.facets(render(file_filter(client, choice, path or []))), as_json)
-        elif count:
-            number = _count(client, choice, show, path or [])
-            show_json({"total": number}) if as_json else typer.echo(str(number))
+            facets = client.search.facets(render(file_filter(client, choice, paths)))
+            if as_json:
+                show_json(facets)
+                return
+            rows = [(row.name, item.value, item.file_count, item.query) for row in facets.facets for item in row.values]
+            table(["facet", "value", "files", "query"], rows)
+            if not facets.is_whole:
+                note(f"To save time only {facets.file_count} files were counted; say more to find fewer.")
         elif show is Shown.missions:
-            missions = [*client.missions.list(query=mission_query(client, choice, path or []), limit=limit)]
+            query = mission_query(client, choice, paths)
+            if count:
+                show_count(client.missions.count(query=query), as_json)
+                return
+            missions = [*client.missions.list(query=query, limit=limit)]
             show_json_list(missions) if as_json else show_missions(missions)
         elif show is Shown.topics:
-            topics = client.files.topics_found(file_filter(client, choice, path or []))[:limit]
-            show_json_list(topics) if as_json else _show_topics(topics)
+            topics = client.files.topics_found(file_filter(client, choice, paths))
+            if count:
+                show_count(len(topics), as_json)
+                return
+            show_rows(
+                topics[:limit],
+                as_json,
+                ["topic", "type", "files", "messages"],
+                lambda row: (row.name, row.message_type, row.file_count, row.message_count),
+            )
         else:
-            files = [*client.files.list(file_filter(client, choice, path or []), sort=sort, limit=limit)]
+            matching = file_filter(client, choice, paths)
+            if count:
+                show_count(client.files.count(matching), as_json)
+                return
+            files = [*client.files.list(matching, sort=sort, limit=limit)]
             show_json_list(files) if as_json else show_found(files)
-
-
-def _count(client: Client, choice: Choice, show: Shown, paths: list[str]) -> int:
-    if show is Shown.missions:
-        return client.missions.count(query=mission_query(client, choice, paths))
-    if show is Shown.topics:
-        return len(client.files.topics_found(file_filter(client, choice, paths)))
-    return client.files.count(file_filter(client, choice, paths))
-
-
-def _show_topics(topics: Iterable[TopicFound]) -> None:
-    rows = [(row.name, row.message_type, row.file_count, row.message_count) for row in topics]
-    table(["topic", "type", "files", "messages"], rows)
-
-
-def _show_facets(read: FacetsRead, as_json: bool) -> None:
-    if as_json:
-        show_json(read)
-        return
-    rows = [(row.name, value.value, value.file_count, value.query) for row in read.facets for value in row.values]
-    table(["facet", "value", "files", "query"], rows)
-    if not read.is_whole:
-        note(f"To save time only {read.file_count} files were counted; say more to find fewer.")
-
-
-_GROUPS = frozenset(("project", "mission", "topic", "type", "month", "format"))
-_NS_PER_HOUR = 3600 * 1_000_000_000
 
 
 @with_choice
 def stats(
     choice: Choice,
     by: Annotated[
-        str,
-        typer.Option("--by", metavar="GROUP", help="project, mission, topic, type, month, format or a metadata FIELD."),
+        str, option("--by", "GROUP", "Group by project, mission, topic, type, month, format or a metadata FIELD.")
     ] = "project",
-    as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV on stdout.")] = False,
+    as_csv: Annotated[bool, flag("--csv", "Print CSV on stdout.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Count hours, bytes, files, messages and missions, grouped; of all files, or of those that the options choose."""
+    """Count the hours, bytes, files, messages and missions of all files, or of those that the options select."""
     if as_csv and as_json:
         raise InvalidInput(what="The command", reason="say --csv or --json, not both")
+    group = by if by in _GROUPS or by.startswith("metadata.") else f"metadata.{by}"
     with connect() as client:
-        read = client.stats.get(_grouping(by), file_filter(client, choice))
+        read = client.stats.get(group, file_filter(client, choice))
     if as_json:
         show_json(read)
     elif as_csv:
-        _write_csv(read)
+        writer = csv.writer(sys.stdout, lineterminator="\n")
+        writer.writerow([read.by, "missions", "files", "recordings", "duration_ns", "size_bytes", "messages"])
+        for row in read.rows:
+            counts = [row.missions, row.files, row.recordings, row.duration_ns, row.size_bytes, row.messages]
+            writer.writerow([row.group or "", *counts])
     else:
-        rows = [_row(row.group or "(none)", row) for row in read.rows]
-        table([by, "missions", "files", "recordings", "hours", "size", "messages"], [*rows, _row("total", read.total)])
+        rows = [_stats_cells(row.group or "(none)", row) for row in read.rows]
+        headers = [by, "missions", "files", "recordings", "hours", "size", "messages"]
+        table(headers, [*rows, _stats_cells("total", read.total)])
 
 
-def _grouping(by: str) -> str:
-    """Return how to group; what is no group by itself is the name of a field."""
-    return by if by in _GROUPS or by.startswith("metadata.") else f"metadata.{by}"
-
-
-def _row(group: str, row: StatsRow) -> tuple[object, ...]:
+def _stats_cells(group: str, row: StatsRow) -> tuple[object, ...]:
     hours = f"{row.duration_ns / _NS_PER_HOUR:.4f}"
-    return (group, row.missions, row.files, row.recordings, hours, size(row.size_bytes), row.messages)
+    return group, row.missions, row.files, row.recordings, hours, size(row.size_bytes), row.messages
 
 
-def _write_csv(read: StatsRead) -> None:
-    writer = csv.writer(sys.stdout, lineterminator="\n")
-    writer.writerow([read.by, "missions", "files", "recordings", "duration_ns", "size_bytes", "messages"])
-    for row in read.rows:
-        counts = [row.missions, row.files, row.recordings, row.duration_ns, row.size_bytes, row.messages]
-        writer.writerow([row.group or "", *counts])
+def lineage(
+    file: FileArgument, project: ProjectOption = None, mission: MissionOption = None, as_json: AsJson = False
+) -> None:
+    """Show which run created a file and from what, and which runs read it and what they created."""
+    with connect() as client:
+        read = client.files.lineage(client.files.get(file, mission=mission, project=project).id)
+    show_json(read) if as_json else _show_lineage(read)
+
+
+def _show_lineage(read: LineageRead) -> None:
+    line(f"{read.file.path}  sha256 {read.file.sha256}")
+    line("")
+    if read.made_by is None:
+        line("Uploaded: no run made it.")
+    else:
+        run = read.made_by.run
+        line("Made by")
+        details(
+            [
+                ("run", run.id),
+                ("action", action_name(run.action)),
+                ("version", run.version_id),
+                ("image", run.image_digest),
+                ("runner", run.runner),
+                ("started", run.started_at),
+                ("ended", run.ended_at),
+                *((f"  {name}", value) for name, value in run.parameters.items()),
+            ]
+        )
+        line("")
+        table(["of the file", "sha256", "id"], [(_path(row), row.sha256, row.id) for row in read.made_by.inputs])
+    if read.read_by:
+        line("")
+        line("Read by")
+        cells = []
+        for row in read.read_by:
+            state = (status_text(row.run), row.run.ended_at)
+            made = [_path(file) for file in row.files] or None
+            action = action_name(row.run.action)
+            cells.append((mission_name(row.run), action, *state, made, row.artifact_count, row.run.id))
+        table(["mission", "action", "state", "ended", "files made", "artifacts", "run"], cells)
+    if read.truncated:
+        note("More runs read it; `klein run list` has all.")
+
+
+def _path(file: LineageFile) -> str:
+    return file.path if file.id is not None else f"{file.path} (not there any more, or not yours to see)"

@@ -1,4 +1,4 @@
-"""Sizes, rates and times between people and numbers."""
+"""Sizes, rates and times: reading what a person types, and printing what a person reads."""
 
 import datetime
 from collections.abc import Callable
@@ -16,11 +16,7 @@ def count(number: int, noun: str, plural: str = "") -> str:
 
 
 def parse_size(text: str) -> int:
-    """Return bytes of `200MB`, `10M`, `8MiB`, `1500`; units are decimal unless they say `i`.
-
-    Raises:
-        InvalidInput: it is none of these.
-    """
+    """Return the bytes of `200MB`, `10M`, `8MiB`, `1500`; units are decimal unless they contain an `i`."""
     try:
         return int(read_size(text.strip().removesuffix("/s")))
     except ValueError as error:
@@ -28,11 +24,7 @@ def parse_size(text: str) -> int:
 
 
 def parse_rate(text: str | None) -> float | None:
-    """Return bytes a second of `10M`; None for no limit.
-
-    Raises:
-        InvalidInput: it is none, or zero.
-    """
+    """Return the bytes per second of `10M`; None for no limit."""
     if text is None:
         return None
     rate = parse_size(text)
@@ -42,35 +34,18 @@ def parse_rate(text: str | None) -> float | None:
 
 
 def parse_time(text: str | None) -> datetime.datetime | None:
-    """Return a time of `2026-05-01` or `2026-05-01T10:00:00+02:00`; UTC unless it says otherwise.
-
-    Raises:
-        InvalidInput: it is none.
-    """
-    if text is None:
-        return None
+    """Return the time of `2026-05-01` or `2026-05-01T10:00:00+02:00`; UTC where no zone is given."""
     try:
-        return read_time(text)
+        return None if text is None else read_time(text)
     except ValueError as error:
         raise InvalidInput(what=f"The time {text!r}", reason=str(error)) from None
 
 
-def ending(until: str | None, days: int | None, now: Callable[[], datetime.datetime]) -> datetime.datetime | None:
-    """Return when something ends that was said to end at a time, or in some days; None where nothing was said.
-
-    `now` is the server's clock, which days are counted by: this machine's may be wrong.
-
-    Raises:
-        InvalidInput: both were said, or the time is none.
-    """
+def expiry(until: str | None, days: int | None, now: Callable[[], datetime.datetime]) -> datetime.datetime | None:
+    """Return the end that `--until` or `--days` names, or None. `now` is the clock of the server, which counts days."""
     if until is not None and days is not None:
         raise InvalidInput(what="The end", reason="say --until or --days, not both")
-    return parse_time(until) if days is None else in_days(days, now)
-
-
-def in_days(days: int, now: Callable[[], datetime.datetime]) -> datetime.datetime:
-    """Return the time in so many days, by a server's clock."""
-    return now() + datetime.timedelta(days=days)
+    return parse_time(until) if days is None else now() + datetime.timedelta(days=days)
 
 
 def size(size_bytes: int | None) -> str | None:
@@ -122,7 +97,7 @@ def instant(nanoseconds: int | None) -> str | None:
 
 
 def span(start_ns: int | None, end_ns: int | None) -> str | None:
-    """Return how long it is from start to end."""
+    """Return the time from start to end."""
     return None if start_ns is None or end_ns is None else duration(end_ns - start_ns)
 
 

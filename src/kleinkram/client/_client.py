@@ -28,12 +28,10 @@ if TYPE_CHECKING:
 
     from kleinkram.client.actions import Actions
     from kleinkram.client.files import Files
-    from kleinkram.client.missions import Missions
+    from kleinkram.client.missions import Missions, Projects
     from kleinkram.client.people import Access, Groups, People
-    from kleinkram.client.projects import Projects
     from kleinkram.client.recordings import Recordings
-    from kleinkram.client.runners import Runners
-    from kleinkram.client.runs import Runs
+    from kleinkram.client.runs import Runners, Runs
     from kleinkram.client.search import Search, Stats
     from kleinkram.client.server import Admin, Audit, Events, Home, Me, Service, Trash
     from kleinkram.client.tokens import Shares, Tokens
@@ -41,10 +39,12 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger("kleinkram")
 
-# The modules of the nouns that have none of their own name.
+# The modules of nouns that are not named after them.
 _MODULES = {
     "access": "people",
     "groups": "people",
+    "projects": "missions",
+    "runners": "runs",
     "shares": "tokens",
     "stats": "search",
     **dict.fromkeys(("admin", "audit", "events", "home", "me", "service", "trash"), "server"),
@@ -97,18 +97,15 @@ class Client:
         connections: int = 4,
         bytes_per_s: float | None = None,
     ) -> "TransferReport":
-        """Upload files and folders into a mission, and return how each ended; the same call again sends only the rest.
+        """Upload files and folders to a mission, and return the result for each; the same call again sends the rest.
 
-        A folder keeps its tree, as with `klein upload`. With `create`, the mission is made where there is none, with
-        this metadata.
+        A folder keeps its tree, as with `klein upload`. With `create`, a missing mission is created with this metadata.
 
         Raises:
             NotFound: there is no such mission, and `create` was not given.
             MetadataInvalid: the metadata of the new mission does not satisfy its project.
-            InvalidInput: a path does not exist.
-            PathsCollide: two files would have the same path.
             NothingToDo: there is no file in these paths.
-            ServerUnreachable, StoreUnreachable: one of them stayed away.
+            ServerUnreachable, StoreUnreachable: one of them stayed unavailable.
         """
         from kleinkram.client.transfer import plan_upload
         from kleinkram.client.transfer.upload import upload
@@ -139,34 +136,34 @@ class Client:
         bytes_per_s: float | None = None,
         **fields: "Unpack[FileFields]",
     ) -> "TransferReport":
-        """Download files below a folder, each verified before it gets its name, and return how each ended.
+        """Download files to a folder, each verified before it gets its name, and return the result for each.
 
         Args:
-            what: a file or its id, a mission, or several; the text of a query, or a filter. Or say which by keywords,
-                as in `download(dest="data", project="alpine", mission="ridge", topic="*imu*")`.
-            dest: the folder; it is made where it is missing.
+            what: a file or its id, a mission, or several; the text of a query, or a filter. Or select by keywords, as
+                in `download(dest="data", project="alpine", mission="ridge", topic="*imu*")`.
+            dest: the folder; it is created if it is missing.
             nested: write to PROJECT/MISSION/PATH below it.
-            overwrite: replace files that are there with other content.
+            overwrite: replace existing files that differ.
             connections: transfers at the same time.
-            bytes_per_s: at most so fast.
+            bytes_per_s: the rate limit.
             **fields: those of `FileFields`.
 
         Raises:
-            NothingToDo: no file matches, or nothing was said.
+            NothingToDo: no file matches, or nothing was selected.
             PathsCollide: two files would have the same place.
             DiskFull, DestinationRefused: the folder cannot take them.
-            ServerUnreachable, StoreUnreachable: one of them stayed away.
+            ServerUnreachable, StoreUnreachable: one of them stayed unavailable.
         """
         from kleinkram.client.transfer import plan_download
         from kleinkram.client.transfer.download import download
 
-        files = self._files_of(what, fields)
+        files = self._select_files(what, fields)
         if not files:
             raise NothingToDo(reason="No file matches")
         plan = plan_download(files, Path(as_paths(dest)[0]), nested=nested)
         return download(self, plan, overwrite=overwrite, connections=connections, bytes_per_s=bytes_per_s)
 
-    def _files_of(self, what: "Condition | Ref | Iterable[Ref]", fields: "FileFields") -> "list[FileRead]":
+    def _select_files(self, what: "Condition | Ref | Iterable[Ref]", fields: "FileFields") -> "list[FileRead]":
         from kleinkram.contract.files import FileFilter, FileRead
         from kleinkram.contract.missions import MissionRead
         from kleinkram.contract.names import is_id
@@ -187,17 +184,17 @@ class Client:
         return files
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle which server it is (`Endpoint` says how the token travels); connections are made anew."""
+        """Pickle the endpoint (see there for its token), without connections."""
         return Client, (self.endpoint,)
 
     def __repr__(self) -> str:
         return f"<Client of {self.endpoint.url}>"
 
     def _repr_html_(self) -> str:
-        """Return which server it is, for notebooks."""
+        """Return the server, for notebooks."""
         return f"<p>Kleinkram at <b>{escape(self.endpoint.url)}</b> ({escape(self.endpoint.name)})</p>"
 
-    if not TYPE_CHECKING:  # or any attribute would be one
+    if not TYPE_CHECKING:  # type checkers read the annotations
 
         def __getattr__(self, noun: str) -> object:
             kind = Client.__annotations__.get(noun)
@@ -224,11 +221,7 @@ class Client:
 
 
 def as_paths(paths: "AnyPath | Sequence[AnyPath]") -> "list[AnyPath]":
-    """Return one path or several as a list; a text is one path, and keeps the slash at its end.
-
-    Raises:
-        InvalidInput: it is none.
-    """
+    """Return one path or several as a list; a text is one path, and keeps the slash at its end."""
     several: object = [paths] if isinstance(paths, str | os.PathLike) else paths
     if not isinstance(several, Iterable) or not all(isinstance(item, str | os.PathLike) for item in several):
         raise InvalidInput(what=f"The path {paths!r}", reason="give a path, or several")
@@ -238,11 +231,8 @@ def as_paths(paths: "AnyPath | Sequence[AnyPath]") -> "list[AnyPath]":
 def connect(url: str | None = None, token: str | None = None) -> Client:
     """Return a client for a server: the one given, else the one configured, else this user's own instance.
 
-    No request is made yet. See `kleinkram.client.config` for the order of places that are asked. The address of a link
-    is a server with the link's secret. Where no token is known, one comes as a stranger, who reads public projects.
-
-    Raises:
-        NotConfigured: no server is known.
+    No request is made yet. `url` may be the address of a link, which includes its secret. Without a token, only public
+    projects can be read. `kleinkram.client.config.find_endpoint` defines the order; NotConfigured if it finds none.
     """
     endpoint = find_endpoint(url, token)
     if endpoint.token is None:

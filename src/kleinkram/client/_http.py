@@ -1,6 +1,6 @@
-"""The one door to the API: a request goes in as a model, comes out as a model or as a named error.
+"""Requests to the API: a model goes in; a model or a named error comes out. Safe to share between threads.
 
-Never moves the bytes of files; those go straight to the store (`transfer/`). Safe to share between threads.
+The bytes of files go straight to the store (`transfer/`).
 """
 
 import datetime
@@ -9,9 +9,11 @@ import json
 import logging
 import math
 import os
+import random
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from email.utils import parsedate_to_datetime
 from typing import Any, TypeVar
 from urllib.parse import urlencode
@@ -21,14 +23,8 @@ from pydantic import BaseModel, ValidationError
 
 import kleinkram
 from kleinkram.client._network import WatchedPools
-from kleinkram.client._retry import Backoff
 from kleinkram.client.config import TOKEN_VARIABLE, Endpoint
-from kleinkram.client.errors import (
-    AnswerNotUnderstood,
-    ServerUnreachable,
-    StoreUnreachable,
-    remember_request,
-)
+from kleinkram.client.errors import AnswerNotUnderstood, ServerUnreachable, StoreUnreachable, remember_request
 from kleinkram.contract.errors import KleinkramError, NotAuthenticated
 from kleinkram.contract.problems import ProblemDocument, first_problem, from_problem
 
@@ -38,30 +34,73 @@ _log = logging.getLogger("kleinkram.http")
 CONNECT_TIMEOUT_S = 10.0
 READ_TIMEOUT_S = 60.0
 PATIENCE_S = 4.0
-# Whoever follows events waits for longer than a server takes to start again.
+# For those who follow events: longer than a server takes to start again.
 _RESTART_S = 60.0
 _RETRIED_STATUS = frozenset({429, 502, 503, 504})
 _TOO_OFTEN = 429
-# Without a problem document they are the words of a proxy whose server is away.
+# Without a problem document, these come from a proxy whose server is unavailable.
 _OF_PROXIES = frozenset({502, 503, 504})
 _SAME_TIME = datetime.timedelta(seconds=5)
 _NEVER_SENT = (urllib3.exceptions.NewConnectionError, urllib3.exceptions.ConnectTimeoutError)
 
 
+FIRST_WAIT_S = 0.25
+LONGEST_WAIT_S = 4.0
+# How long in all a request obeys `Retry-After`: a rate limit ends within a minute.
+LONGEST_RETRY_AFTER_S = 90.0
+
+
+class Backoff:
+    """The waits between tries: growing, with jitter, for `patience_s` in all. Not shared between threads.
+
+    `wait` waits (seconds); a transfer passes one that a Ctrl-C ends.
+    """
+
+    def __init__(self, patience_s: float, wait: Callable[[float], object] | None = None) -> None:
+        self._began_at = time.monotonic()
+        self._ends_at = self._began_at + patience_s
+        self._next_s = FIRST_WAIT_S
+        self._retry_after_left_s = LONGEST_RETRY_AFTER_S
+        self._wait = wait or time.sleep
+
+    def lasting_s(self) -> float:
+        """Return how long it has been tried."""
+        return time.monotonic() - self._began_at
+
+    def excuse(self, waited_s: float) -> None:
+        """Add time in which something else was waited for."""
+        self._ends_at += waited_s
+
+    def wait_retry_after(self, wait_s: float) -> bool:
+        """Wait as long as the server says, beyond the patience; return False, without waiting, if that is too long."""
+        if not 0 < wait_s <= self._retry_after_left_s:
+            return False
+        self._retry_after_left_s -= wait_s
+        self._ends_at += wait_s
+        self._wait(wait_s)
+        return True
+
+    def pause(self, at_least_s: float = 0.0) -> bool:
+        """Wait before the next try; return False, without waiting, when patience has run out."""
+        wait_s = max(at_least_s, self._next_s * random.uniform(0.5, 1.0))  # noqa: S311  jitter is no secret
+        self._next_s = min(self._next_s * 2, LONGEST_WAIT_S)
+        if time.monotonic() + wait_s > self._ends_at:
+            return False
+        self._wait(wait_s)
+        return True
+
+
 def query_of(model: BaseModel | None, **more: object) -> list[tuple[str, str]]:
-    """Return what a filter says as query parameters: lists repeated, what is not said left out."""
-    said: dict[str, object] = model.model_dump(mode="json", exclude_defaults=True) if model else {}
+    """Return a filter as query parameters: lists repeated, unset fields left out."""
+    fields: dict[str, object] = model.model_dump(mode="json", exclude_defaults=True) if model else {}
     pairs: list[tuple[str, str]] = []
-    for key, value in {**said, **more}.items():
-        values = value if isinstance(value, list) else [value]
-        pairs += [(key, _text(one)) for one in values if one is not None]
+    for key, value in {**fields, **more}.items():
+        for one in value if isinstance(value, list) else [value]:
+            if isinstance(one, bool):
+                pairs.append((key, "true" if one else "false"))
+            elif one is not None:
+                pairs.append((key, str(one.value if isinstance(one, enum.Enum) else one)))
     return pairs
-
-
-def _text(value: object) -> str:
-    if isinstance(value, enum.Enum):
-        return str(value.value)
-    return ("true" if value else "false") if isinstance(value, bool) else str(value)
 
 
 class Api:
@@ -80,7 +119,7 @@ class Api:
         return Api, (self.endpoint,)
 
     def now(self) -> datetime.datetime:
-        """Return what time it is at the server (aware), as its last answer told: all that ends, ends by its clock."""
+        """Return the time at the server (aware), by its last answer: its clock decides what has expired."""
         return datetime.datetime.now(datetime.timezone.utc) + self._server_ahead
 
     def close(self) -> None:
@@ -88,21 +127,17 @@ class Api:
         self._pool.clear()
 
     def get(self, path: str, kind: type[T], query: list[tuple[str, str]] | None = None) -> T:
-        """Return what a path answers; tried again when the server is briefly away."""
+        """GET a path; retried while the server is briefly unavailable."""
         return self.understood(kind, f"GET {path}", self._request("GET", path, query=query or []))
 
     def stream(self, path: str, kind: type[T], query: list[tuple[str, str]] | None = None) -> Iterator[T]:
-        """Yield what a path answers line by line, as it comes; tried again only before its first line.
-
-        Raises:
-            ServerUnreachable: the answer broke off.
-        """
+        """Yield the answer of a path line by line; raise ServerUnreachable where it breaks off."""
         answer = self._answer("GET", path, query=query or [], whole=False)
         try:
             for line in answer:
                 yield self.understood(kind, f"GET {path}", line)
         except urllib3.exceptions.HTTPError as error:
-            raise self._unreachable(error) from error
+            raise ServerUnreachable(url=self.endpoint.url, reason=reason_of(error)) from error
         finally:
             answer.close()
 
@@ -113,26 +148,26 @@ class Api:
         )
         name = ""
         try:
-            for line in _lines(answer):
-                field, _, value = line.partition(": ")
-                if field == "event":
-                    name = value
-                elif field == "id":
-                    yield "id", value
-                elif field == "data":
-                    yield name, value
+            rest = b""
+            for piece in answer.stream():
+                *lines, rest = (rest + piece).split(b"\n")
+                for line in lines:
+                    field, _, value = line.decode().partition(": ")
+                    if field == "event":
+                        name = value
+                    elif field == "id":
+                        yield "id", value
+                    elif field == "data":
+                        yield name, value
         except urllib3.exceptions.HTTPError:
-            return  # to be followed again from the last id
+            return  # the caller follows again from the last id
         finally:
             answer.close()
 
     def send(
         self, method: str, path: str, kind: type[T], body: BaseModel | None = None, *, etag: str | None = None
     ) -> T:
-        """Ask for a change and return its answer; not tried again once the server may have seen it.
-
-        With an `etag`, only where what is changed is still that.
-        """
+        """Send a change; not retried once the server may have seen it. With an `etag`, only if it still has that."""
         answer = self._request(method, path, body=body, idempotent=False, etag=etag)
         return self.understood(kind, f"{method} {path}", answer)
 
@@ -145,39 +180,35 @@ class Api:
         patience_s: float = PATIENCE_S,
         wait: Callable[[float], object] | None = None,
     ) -> T:
-        """POST something that may be said twice (asking for links, signing), for as long as patience lasts."""
+        """POST something idempotent, such as signing; retried for as long as patience lasts."""
         answer = self._request("POST", path, body=body, patience_s=patience_s, wait=wait)
         return self.understood(kind, f"POST {path}", answer)
 
-    def tell(
-        self,
-        path: str,
-        body: BaseModel,
-        *,
-        patience_s: float = PATIENCE_S,
-        wait: Callable[[float], object] | None = None,
-    ) -> None:
-        """POST something that may be said twice and has no answer."""
-        self._request("POST", path, body=body, patience_s=patience_s, wait=wait)
-
     def patch(self, path: str, kind: type[T], body: BaseModel, *, etag: str | None = None) -> T:
-        """Change a noun: only fields that were set in `body` travel. With an `etag`, only where it is still that."""
+        """PATCH with the fields that were set in `body`. With an `etag`, only if it still has that."""
         answer = self._request("PATCH", path, body=body, etag=etag)
         return self.understood(kind, f"PATCH {path}", answer)
 
     def delete(self, path: str, query: list[tuple[str, str]] | None = None) -> bytes:
-        """Delete a noun and return the answer's body."""
+        """DELETE, and return the answer's body."""
         return self._request("DELETE", path, query=query or [], idempotent=False)
 
-    def post_empty(self, path: str) -> bytes:
-        """POST without a body, to something that may be asked for twice, and return the answer's body."""
-        return self._request("POST", path)
+    def post(
+        self,
+        path: str,
+        body: BaseModel | None = None,
+        *,
+        patience_s: float = PATIENCE_S,
+        wait: Callable[[float], object] | None = None,
+    ) -> bytes:
+        """POST something idempotent, and return the answer's body."""
+        return self._request("POST", path, body=body, patience_s=patience_s, wait=wait)
 
     def understood(self, kind: type[T], what: str, answer: bytes) -> T:
         """Return an answer's body as a model.
 
         Raises:
-            AnswerNotUnderstood: it is not one; server and client are of different versions, or it is no Kleinkram.
+            AnswerNotUnderstood: it is not one: the server has another version, or is no Kleinkram.
         """
         try:
             return kind.model_validate_json(answer)
@@ -205,23 +236,24 @@ class Api:
         whole: bool = True,
         etag: str | None = None,
     ) -> urllib3.BaseHTTPResponse:
-        backoff: Backoff | None = None
+        backoff: Backoff | None = None  # begins at the first failure: an answer may break off after long
         url = self._base + path
         patience_s = patience_s if self._is_patient else 0.0
         content = None if body is None else body.model_dump_json(exclude_unset=True).encode()
         while True:
             request_id = uuid.uuid4().hex
-            said = {"X-Request-Id": request_id} | ({} if etag is None else {"If-Match": f'"{etag}"'})
+            fields = {"X-Request-Id": request_id} | ({} if etag is None else {"If-Match": f'"{etag}"'})
             try:
-                answer = self._once(method, f"{url}?{urlencode(query)}" if query else url, content, said, whole)
+                answer = self._once(method, f"{url}?{urlencode(query)}" if query else url, content, fields, whole)
             except urllib3.exceptions.HTTPError as error:
-                backoff = backoff or _backoff(patience_s, wait)
+                backoff = backoff or Backoff(patience_s, wait)
                 if (idempotent or isinstance(error, _NEVER_SENT)) and backoff.pause():
                     continue
-                raise remember_request(self._unreachable(error), request_id) from error
+                unreachable = ServerUnreachable(url=self.endpoint.url, reason=reason_of(error))
+                raise remember_request(unreachable, request_id) from error
             if answer.status < 300:
                 return answer
-            backoff = backoff or _backoff(patience_s, wait)
+            backoff = backoff or Backoff(patience_s, wait)
             if answer.status == _TOO_OFTEN and backoff.wait_retry_after(_retry_after_s(answer.headers)):
                 continue  # nothing was done yet, so this holds for changes too
             if answer.status in _RETRIED_STATUS and idempotent and backoff.pause(_retry_after_s(answer.headers)):
@@ -229,13 +261,9 @@ class Api:
             raise self._failure(f"{method} {path}", answer, request_id)
 
     def _once(
-        self, method: str, target: str, content: bytes | None, said: Mapping[str, str], whole: bool
+        self, method: str, target: str, content: bytes | None, fields: Mapping[str, str], whole: bool
     ) -> urllib3.BaseHTTPResponse:
-        headers = {
-            "User-Agent": f"klein/{kleinkram.__version__}",
-            "Accept": "application/json",
-            **said,
-        }
+        headers = {"User-Agent": f"klein/{kleinkram.__version__}", "Accept": "application/json", **fields}
         if self.endpoint.token is not None:
             headers["Authorization"] = f"Bearer {self.endpoint.token}"
         if content is not None:
@@ -249,65 +277,42 @@ class Api:
         finally:
             path = target.removeprefix(self.endpoint.url).partition("?")[0]  # a query may hold what is secret
             milliseconds = (time.monotonic() - began_at) * 1000
-            _log.debug("%s %s: %s in %.0f ms (request %s)", method, path, status, milliseconds, said["X-Request-Id"])
-        self._hear(answer.headers.get("Date"))
+            _log.debug("%s %s: %s in %.0f ms (request %s)", method, path, status, milliseconds, fields["X-Request-Id"])
+        with suppress(ValueError):  # a date that a proxy made up
+            date = answer.headers.get("Date")
+            server_time = parsedate_to_datetime(date) if date else None
+            if server_time is not None and server_time.tzinfo is not None:
+                ahead = server_time - datetime.datetime.now(datetime.timezone.utc)
+                # A date is in whole seconds, and old by the time that it took to come.
+                self._server_ahead = ahead if abs(ahead) > _SAME_TIME else datetime.timedelta(0)
         return answer
 
-    def _hear(self, date: str | None) -> None:
-        try:
-            told = parsedate_to_datetime(date) if date else None
-        except ValueError:  # a proxy's invention
-            return
-        if told is not None and told.tzinfo is not None:
-            ahead = told - datetime.datetime.now(datetime.timezone.utc)
-            # A date is in whole seconds, and old by the time that it took to come.
-            self._server_ahead = ahead if abs(ahead) > _SAME_TIME else datetime.timedelta(0)
-
-    def _unreachable(self, error: urllib3.exceptions.HTTPError) -> ServerUnreachable:
-        return ServerUnreachable(url=self.endpoint.url, reason=reason_of(error))
-
-    def _strange(self, what: str, answer: urllib3.BaseHTTPResponse) -> KleinkramError:
-        if answer.status in _OF_PROXIES:
-            return ServerUnreachable(url=self.endpoint.url, reason=f"what stands before it says {answer.status}")
-        return self._not_understood(what, f"status {answer.status}{_said(answer.data)}")
-
     def _failure(self, what: str, answer: urllib3.BaseHTTPResponse, request_id: str) -> KleinkramError:
+        error: KleinkramError
         try:
             problem = ProblemDocument.model_validate_json(answer.data)
         except ValidationError:
-            return remember_request(self._strange(what, answer), answer.headers.get("X-Request-Id", request_id))
+            if answer.status in _OF_PROXIES:
+                reason = f"what stands before it says {answer.status}"
+                error = ServerUnreachable(url=self.endpoint.url, reason=reason)
+            else:
+                error = self._not_understood(what, f"status {answer.status}{_detail(answer.data)}")
+            return remember_request(error, answer.headers.get("X-Request-Id", request_id))
         error = from_problem(problem)
         if isinstance(error, NotAuthenticated):
-            error = NotAuthenticated(error.reason + _whose(self.endpoint), server=self.endpoint.url)
+            token = self.endpoint.token
+            is_from_environment = token is not None and token == os.environ.get(TOKEN_VARIABLE)
+            source = f" (it is the one in {TOKEN_VARIABLE})" if is_from_environment else ""
+            error = NotAuthenticated(error.reason + source, server=self.endpoint.url)
         return remember_request(error, problem.request_id or request_id)
 
 
-def _backoff(patience_s: float, wait: Callable[[float], object] | None) -> Backoff:
-    """Begin to be patient: at the first failure, since an answer that was waited for may break off after long."""
-    return Backoff(patience_s, wait) if wait else Backoff(patience_s)
-
-
-def _lines(answer: urllib3.BaseHTTPResponse) -> Iterator[str]:
-    """Yield the lines of an answer, each as soon as it is there."""
-    rest = b""
-    for piece in answer.stream():
-        *lines, rest = (rest + piece).split(b"\n")
-        yield from (line.decode() for line in lines)
-
-
-def _whose(endpoint: Endpoint) -> str:
-    """Return where a token that is not welcome came from, where signing in would not replace it."""
-    given = endpoint.token is not None and endpoint.token == os.environ.get(TOKEN_VARIABLE)
-    return f" (it is the one in {TOKEN_VARIABLE})" if given else ""
-
-
-def _said(body: bytes) -> str:
-    """Return what a failure that this client has no class for says of itself: a newer server's, or a proxy's."""
-    try:
+def _detail(body: bytes) -> str:
+    """Return the detail of a failure without a class here: of a newer server, or a proxy."""
+    detail = None
+    with suppress(ValueError):
         problem = json.loads(body)
-    except ValueError:
-        return " without a word that it knows"
-    detail = problem.get("detail") if isinstance(problem, dict) else None
+        detail = problem.get("detail") if isinstance(problem, dict) else None
     return f", {detail}" if isinstance(detail, str) else " without a word that it knows"
 
 

@@ -1,9 +1,9 @@
 """Connections that notice when the network under them is gone.
 
-A robot that moves gets another address, or loses its network for a while. Its connections then hang, because nobody
-resets them. Two things end such a connection within 15 seconds: the kernel, when the other side acknowledges nothing
-that was sent and answers no keepalive probe; and `NetworkMonitor`, sooner, when this machine no longer has the address
-that the connection was made from, or when a new connection to the same place is answered while this one is not.
+When a robot moves, it gets another address or loses its network, and its connections hang. Two things end such a
+connection within 15 seconds: the kernel, when the peer acknowledges nothing and answers no keepalive probe; and
+`NetworkMonitor`, sooner, when this machine no longer has the address of the connection, or when a new connection to the
+same peer is answered while this one is not.
 """
 
 import errno
@@ -21,20 +21,14 @@ from typing_extensions import Self
 from urllib3.connection import HTTPConnection, HTTPSConnection
 from urllib3.connectionpool import HTTPConnectionPool, HTTPSConnectionPool
 
-# What users are told. The kernel's timers below end between 13 and 15 seconds after the last answer.
+# As shown to users: the kernel's timers below end 13 to 15 seconds after the last answer.
 SILENCE_S = 15
 # Linux has all but TCP_KEEPALIVE, which is what macOS calls TCP_KEEPIDLE.
-_TCP_OPTIONS = {
-    "TCP_KEEPIDLE": 5,
-    "TCP_KEEPALIVE": 5,
-    "TCP_KEEPINTVL": 3,
-    "TCP_KEEPCNT": 3,
-    "TCP_USER_TIMEOUT": 13_000,
-}
-# The other side acknowledges, and takes nothing: a store whose disk is busy. Linux counts that as silence, too.
+_TCP_OPTIONS = {"TCP_KEEPIDLE": 5, "TCP_KEEPALIVE": 5, "TCP_KEEPINTVL": 3, "TCP_KEEPCNT": 3, "TCP_USER_TIMEOUT": 13_000}
+# For a peer that acknowledges and takes nothing, such as a store with a busy disk: Linux counts that as silence, too.
 _BUSY_TIMEOUT_MS = 120_000
 _LOOK_EVERY_S = 0.25
-# Bytes that are not acknowledged for so long are worth trying another connection beside them.
+# When bytes are not acknowledged for so long, another connection is tried.
 _STALLED_S = 2.0
 _TRIAL_S = 1.0
 # Where `struct tcp_info` of Linux (linux/tcp.h) has tcpi_unacked, tcpi_last_ack_recv in milliseconds, and
@@ -46,7 +40,7 @@ _open_connections: "weakref.WeakValueDictionary[int, WatchedConnection]" = weakr
 
 
 def socket_options() -> list[tuple[int, int, int]]:
-    """Return the options of a connection that the kernel is to end when the other side is silent."""
+    """Return the socket options with which the kernel ends a connection whose peer is silent."""
     tcp = {name: getattr(socket, name) for name in _TCP_OPTIONS if hasattr(socket, name)}
     return [
         *HTTPConnection.default_socket_options,
@@ -56,7 +50,7 @@ def socket_options() -> list[tuple[int, int, int]]:
 
 
 def has_address(address: tuple[Any, ...]) -> bool:  # Any: the shape of a socket's name depends on its family
-    """Say whether this machine still has the address of a socket's own end."""
+    """Say whether this machine still has the local address of a socket."""
     host, _, *rest = address
     family = socket.AF_INET6 if rest else socket.AF_INET
     try:
@@ -68,8 +62,8 @@ def has_address(address: tuple[Any, ...]) -> bool:  # Any: the shape of a socket
 
 
 def _connections() -> "list[WatchedConnection]":
-    """Return the open connections; they may change while one reads the list."""
-    return [connection for each in _open_connections.valuerefs() if (connection := each()) is not None]
+    """Return the open connections; they may change meanwhile."""
+    return [connection for ref in _open_connections.valuerefs() if (connection := ref()) is not None]
 
 
 class WatchedConnection(HTTPConnection):
@@ -88,13 +82,13 @@ class WatchedConnection(HTTPConnection):
                 _open_connections[id(self)] = self
 
     def close(self) -> None:
-        with _lock:  # nobody may shut down a socket whose number is somebody else's by then
+        with _lock:  # the number of a closed socket may belong to another one
             _open_connections.pop(id(self), None)
         super().close()
 
     @property
     def is_connected(self) -> bool:
-        """Whether the pool may use it once more."""
+        """Whether the pool may use it again."""
         return super().is_connected and not self.is_stranded()
 
     def is_stranded(self) -> bool:
@@ -102,19 +96,23 @@ class WatchedConnection(HTTPConnection):
         return self._own_address is not None and not has_address(self._own_address)
 
     def end_if_stranded(self) -> str | None:
-        """Wake whoever waits for a connection that is stranded, and return the lost address."""
+        """Shut down a stranded connection, and return the lost address."""
         address = self._own_address
         return str(address[0]) if address is not None and self.is_stranded() and self.shut_down() else None
 
     def stalled_s(self) -> float:
-        """Return for how long bytes on their way have not been acknowledged; 0 where the kernel does not say."""
+        """Return for how long sent bytes have not been acknowledged; 0 where the kernel does not say."""
         sock = self.sock
         if sys.platform != "linux" or sock is None:
             return 0.0
         try:
             info = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO.size)
             unacknowledged, last_ms, unsent_bytes = _TCP_INFO.unpack(info.ljust(_TCP_INFO.size, b"\0"))
-            self._tolerate_busy_peer(sock, is_busy=unacknowledged == 0 and unsent_bytes > 0)
+            is_busy = unacknowledged == 0 and unsent_bytes > 0
+            if is_busy is not self._is_busy:  # a busy peer is there: have the kernel wait longer
+                timeout_ms = _BUSY_TIMEOUT_MS if is_busy else _TCP_OPTIONS["TCP_USER_TIMEOUT"]
+                sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, timeout_ms)
+                self._is_busy = is_busy
         except OSError:
             return 0.0
         now = time.monotonic()
@@ -125,15 +123,8 @@ class WatchedConnection(HTTPConnection):
         since = self._unacknowledged_since
         return 0.0 if since is None else min(now - since, last_ms / 1000)
 
-    def _tolerate_busy_peer(self, sock: socket.socket, *, is_busy: bool) -> None:
-        """Have the kernel wait longer for another side that is there, and takes nothing at present."""
-        if is_busy is not self._is_busy:
-            timeout_ms = _BUSY_TIMEOUT_MS if is_busy else _TCP_OPTIONS["TCP_USER_TIMEOUT"]
-            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, timeout_ms)
-            self._is_busy = is_busy
-
     def peer(self) -> tuple[str, int] | None:
-        """Return the address of the other side."""
+        """Return the address of the peer."""
         sock = self.sock
         try:
             return sock.getpeername()[:2] if sock else None
@@ -141,10 +132,10 @@ class WatchedConnection(HTTPConnection):
             return None
 
     def shut_down(self) -> bool:
-        """Wake whoever waits for this connection: it is at its end. Only while it is known to be open."""
-        self._own_address = None  # said once; the pool sees by itself that the socket is at its end
+        """End a connection that is known to be open, and wake the thread that waits for it."""
+        self._own_address = None  # reported once; the pool notices the closed socket by itself
         try:
-            # Under TLS too: there is nobody to take leave of.
+            # Also under TLS: no peer would receive a close notification.
             socket.socket.shutdown(self.sock, socket.SHUT_RDWR)
         except (OSError, TypeError):
             return False  # ended meanwhile
@@ -172,10 +163,10 @@ class WatchedPools(urllib3.PoolManager):
 
 
 class NetworkMonitor:
-    """Ends connections of this process that will never be answered, while it runs. A context manager, with one thread.
+    """Ends connections of this process that will never be answered. A context manager, with one thread.
 
-    `lost` is called from that thread: with each address that this machine has lost, or with None where the address is
-    the same and the way is another, as behind a router that has changed its network.
+    `lost` is called from that thread: with each address that this machine has lost, or with None where only the route
+    changed, as behind a router that has changed its network.
     """
 
     def __init__(self, lost: Callable[[str | None], None]) -> None:
@@ -195,8 +186,9 @@ class NetworkMonitor:
     def _watch(self) -> None:
         while not self._over.wait(_LOOK_EVERY_S):
             with _lock:
-                ended = {address for each in _connections() if (address := each.end_if_stranded())}
-                stalled = {peer for each in _connections() if each.stalled_s() > _STALLED_S and (peer := each.peer())}
+                opened = _connections()
+                ended = {address for one in opened if (address := one.end_if_stranded())}
+                stalled = {peer for one in opened if one.stalled_s() > _STALLED_S and (peer := one.peer())}
             for address in ended:
                 self._lost(address)
             self._answered_at = {peer: moment for peer, moment in self._answered_at.items() if peer in stalled}
@@ -204,10 +196,9 @@ class NetworkMonitor:
                 self._try_another(peer)
 
     def _try_another(self, peer: tuple[str, int]) -> None:
-        """Connect to where connections are stalled, and end these when it is answered and they stay silent.
+        """Open a connection to the peer of stalled ones, and end these when it is answered and they stay silent.
 
-        TCP sends again after ever longer pauses, each as long as the silence before it. So a connection that is alive
-        is given as long again, once the way is open.
+        TCP retransmits after pauses as long as the silence before. So a live connection gets as long again.
         """
         if peer not in self._answered_at:
             try:
@@ -217,7 +208,7 @@ class NetworkMonitor:
             self._answered_at[peer] = time.monotonic()
         answered_s = time.monotonic() - self._answered_at[peer]
         with _lock:
-            dead = [each for each in _connections() if each.peer() == peer and answered_s > each.stalled_s() / 2 > 0]
-            dead = [each for each in dead if each.stalled_s() > 2 * _STALLED_S and each.shut_down()]
+            dead = [one for one in _connections() if one.peer() == peer and answered_s > one.stalled_s() / 2 > 0]
+            dead = [one for one in dead if one.stalled_s() > 2 * _STALLED_S and one.shut_down()]
         if dead:
             self._lost(None)

@@ -1,4 +1,4 @@
-"""Shared by all nouns: validating requests, resolving references (id, name, glob) and lists that load page by page."""
+"""Shared by all nouns: validated requests, references (id, name, glob), and lists that load page by page."""
 
 from __future__ import annotations
 
@@ -6,18 +6,20 @@ import datetime
 import enum
 import itertools
 import uuid
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from html import escape
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar, cast
 
 from pydantic import BaseModel, ValidationError
 
-from kleinkram.client._http import Api, query_of
+from kleinkram.client._http import PATIENCE_S, Api, query_of
 from kleinkram.client.errors import InvalidInput, ReadingMissing
 from kleinkram.contract.base import MAX_PAGE_SIZE, Page
 from kleinkram.contract.errors import AmbiguousName, NotFound
 from kleinkram.contract.names import is_id, name_key
 from kleinkram.contract.problems import in_plain_words
+from kleinkram.contract.projects import Deleted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,34 +33,21 @@ _EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.timezone.utc)
 
 
 def checked(kind: type[T], what: str, /, **fields: object) -> T:
-    """Return a request model of these fields.
-
-    Raises:
-        InvalidInput: they are not what the model takes; says which and why.
-    """
+    """Return a request model of these fields; raise InvalidInput for the first that it does not take."""
     try:
         return kind.model_validate(fields)
     except ValidationError as error:
-        raise invalid(what, error) from None
-
-
-def invalid(what: str, error: ValidationError) -> InvalidInput:
-    """Return the named error for fields that a model does not take, about the first that is wrong."""
-    where = " ".join(str(part) for part in error.errors(include_url=False)[0]["loc"])
-    return InvalidInput(what=f"{what} ({where})" if where else what, reason=in_plain_words(error))
+        where = " ".join(str(part) for part in error.errors(include_url=False)[0]["loc"])
+        raise InvalidInput(what=f"{what} ({where})" if where else what, reason=in_plain_words(error)) from None
 
 
 def as_datetime(what: str, time: object) -> datetime.datetime | None:
-    """Return a time given as nanoseconds since 1970, a datetime (UTC without a zone), or ISO text; None for None.
-
-    Raises:
-        InvalidInput: it is none of these.
-    """
+    """Return a time given as nanoseconds since 1970, a datetime (UTC without a zone), or ISO text; None for None."""
     if time is None:
         return None
     if isinstance(time, datetime.datetime):
         return time if time.tzinfo else time.replace(tzinfo=datetime.timezone.utc)
-    from kleinkram.recordings.messages import to_ns  # who gives no time does not pay for the readers
+    from kleinkram.recordings.messages import to_ns  # slow to import
 
     try:
         moment: datetime.datetime = _EPOCH + datetime.timedelta(microseconds=to_ns(cast(Time, time)) // 1000)
@@ -72,6 +61,7 @@ def as_datetime(what: str, time: object) -> datetime.datetime | None:
 RowT = TypeVar("RowT")
 
 _SHOWN_CANDIDATES = 20
+_SHOWN = 20
 
 
 class HasId(Protocol):
@@ -82,16 +72,13 @@ class HasId(Protocol):
         """Its id."""
 
 
+NounT = TypeVar("NounT", bound=HasId)
 Ref = str | uuid.UUID | HasId
 """What stands for a noun: its name, its id (a UUID or text), or the noun itself."""
 
 
 def known_id(ref: Ref, noun: str) -> uuid.UUID | None:
-    """Return the id that a reference is or has; None for a name.
-
-    Raises:
-        InvalidInput: it is none of these.
-    """
+    """Return the id that a reference is or has; None for a name."""
     if isinstance(ref, str):
         return uuid.UUID(ref) if is_id(ref) else None
     noun_id = ref if isinstance(ref, uuid.UUID) else getattr(ref, "id", None)
@@ -101,11 +88,7 @@ def known_id(ref: Ref, noun: str) -> uuid.UUID | None:
 
 
 def refs_of(noun: str, value: object) -> list[object]:
-    """Return one reference or several as a list.
-
-    Raises:
-        InvalidInput: there is none, which would stand for all.
-    """
+    """Return one reference or several as a list; raise InvalidInput for none, which would mean all."""
     several = [*value] if isinstance(value, list | tuple | set | frozenset) else [value]
     if not several:
         raise InvalidInput(what=f"The filter ({noun})", reason="it names none; leave it out where all are meant")
@@ -113,7 +96,7 @@ def refs_of(noun: str, value: object) -> list[object]:
 
 
 def is_glob(ref: str) -> bool:
-    """Say whether a reference may stand for many."""
+    """Say whether a reference may match several."""
     return "*" in ref or "?" in ref
 
 
@@ -126,22 +109,58 @@ def resolve_one(
         NotFound: none does.
         AmbiguousName: several do; lists them by `label`.
     """
-    noun_id = list(rows)
-    exact = [row for row in noun_id if name_key(name(row)) == name_key(ref)]
-    if not exact and is_glob(ref):
-        exact = noun_id
-    if not exact:
+    candidates = [*rows]
+    matches = [row for row in candidates if name_key(name(row)) == name_key(ref)]
+    if not matches and is_glob(ref):
+        matches = candidates
+    if not matches:
         raise NotFound(noun=noun, ref=ref)
-    if len(exact) > 1:
-        raise AmbiguousName(noun=noun, ref=ref, candidates=[label(row) for row in exact[:_SHOWN_CANDIDATES]])
-    return exact[0]
+    if len(matches) > 1:
+        raise AmbiguousName(noun=noun, ref=ref, candidates=[label(row) for row in matches[:_SHOWN_CANDIDATES]])
+    return matches[0]
 
 
-_SHOWN = 20
+class ApiResource:
+    """A noun of the API, such as `client.files`."""
+
+    def __init__(self, api: Api) -> None:
+        self._api = api
+
+    def _to_trash(self, path: str, *, dry_run: bool) -> Deleted:
+        answer = self._api.delete(path, query_of(None, dry_run=dry_run or None))
+        return self._api.understood(Deleted, f"DELETE {path}", answer)
+
+
+class RetryingResource(ApiResource):
+    """A noun whose idempotent requests are retried for `patience_s`; `wait` waits meanwhile (seconds)."""
+
+    def __init__(
+        self, api: Api, *, patience_s: float = PATIENCE_S, wait: Callable[[float], object] | None = None
+    ) -> None:
+        super().__init__(api)
+        self._patience_s = patience_s
+        self._wait = wait
+
+    def _repeat(self, path: str, kind: type[T], body: BaseModel) -> T:
+        return self._api.repeat(path, kind, body, patience_s=self._patience_s, wait=self._wait)
+
+
+class NamedResource(ApiResource, ABC, Generic[NounT]):
+    """A noun that has names. Wherever one is meant, its name, its id, or the noun itself will do."""
+
+    _noun: str
+
+    @abstractmethod
+    def get(self, ref: Ref) -> NounT:
+        """Return the one with this id or name."""
+
+    def id_of(self, ref: Ref) -> uuid.UUID:
+        """Return the id of a noun; asks the server only for a name."""
+        return known_id(ref, self._noun) or self.get(ref).id
 
 
 class Listing(Iterator[T], Generic[T]):
-    """The rows of a list, fetched while they are read. Each `for` begins again, with what the server has then."""
+    """The rows of a list, fetched while they are read. Each `for` asks the server again."""
 
     def __init__(self, rows: Callable[[], Iterator[T]]) -> None:
         self._rows = rows
@@ -155,12 +174,9 @@ class Listing(Iterator[T], Generic[T]):
         return next(self._reading)
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return all rows as a pandas frame: a column a field, those inside of others with dots (`mission.name`).
+        """Return all rows as a pandas frame with a column per field; nested fields have dots (`mission.name`).
 
         Ids are text; fields in `_at` are times (UTC); log times and other integers that may be missing are `Int64`.
-
-        Raises:
-            ReadingMissing: pandas is not installed.
         """
         try:
             import pandas
@@ -202,23 +218,22 @@ def _flat(name: str, value: object) -> dict[str, object]:
 
 
 def html_table(rows: list[dict[str, object]], *, more: bool = False) -> str:
-    """Return rows as an HTML table without ids; whatever they hold is escaped."""
-    names = [name for name in dict.fromkeys(itertools.chain.from_iterable(rows)) if not _is_id(name)]
+    """Return rows as an HTML table without ids; all text is escaped."""
+    names = [
+        name
+        for name in dict.fromkeys(itertools.chain.from_iterable(rows))
+        if not (name.rpartition(".")[2] in {"id", "etag"} or name.endswith(("_id", "_ids")))
+    ]
     heading = "".join(f"<th>{escape(name)}</th>" for name in names)
     body = "".join(f"<tr>{''.join(f'<td>{_cell(row.get(name))}</td>' for name in names)}</tr>" for row in rows)
     rest = "<p>and more</p>" if more else "" if rows else "<p>Nothing found.</p>"
     return f"<table><tr>{heading}</tr>{body}</table>{rest}"
 
 
-def _is_id(name: str) -> bool:
-    return name.rpartition(".")[2] in {"id", "etag"} or name.endswith(("_id", "_ids"))
-
-
 def _cell(value: object) -> str:
-    shown = (
-        "" if value is None else f"{value:%Y-%m-%d %H:%M:%SZ}" if isinstance(value, datetime.datetime) else str(value)
-    )
-    return escape(shown)
+    if isinstance(value, datetime.datetime):
+        return escape(f"{value:%Y-%m-%d %H:%M:%SZ}")
+    return "" if value is None else escape(str(value))
 
 
 def pages(api: Api, path: str, kind: type[T], query: list[tuple[str, str]], *, limit: int | None = None) -> Listing[T]:

@@ -1,11 +1,23 @@
-"""Actions, for programs: definitions of what to run on the data of a mission, in versions that never change."""
+"""Actions: definitions of what to run on the data of a mission, in versions that never change; and their manifests.
 
+A manifest is a folder with `action.yaml`, or one script that describes itself in its first comment. `if_match` is the
+ETag that an action must still have to be changed, else EditConflict.
+"""
+
+import re
+import sys
 import uuid
+from pathlib import Path
+from typing import Any
 
-from kleinkram.client._http import Api, query_of
-from kleinkram.client._nouns import Listing, Ref, checked, known_id, pages, resolve_one
-from kleinkram.client.projects import Projects
+from pydantic import ValidationError
+
+from kleinkram.client._http import query_of
+from kleinkram.client._nouns import Listing, NamedResource, Ref, checked, known_id, pages, resolve_one
+from kleinkram.client.errors import InvalidInput
+from kleinkram.client.missions import Projects
 from kleinkram.contract.actions import (
+    MAX_SCRIPT_CHARACTERS,
     ActionCreate,
     ActionDefinition,
     ActionFilter,
@@ -15,28 +27,32 @@ from kleinkram.contract.actions import (
     VersionCreate,
 )
 from kleinkram.contract.errors import NotFound
+from kleinkram.contract.problems import first_problem
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+MANIFEST = "action.yaml"
+MAIN = "main.py"
+_MAX_BYTES = 1_000_000
+_MAX_DEPTH = 50
+# Source: PEP 723, "Inline script metadata", its reference implementation.
+_BLOCK = re.compile(r"(?m)^# /// script$\s(?P<content>(^#(| .*)$\s)+)^# ///$")
 
 
-class Actions:
+class Actions(NamedResource[ActionRead]):
     """`client.actions`."""
 
-    def __init__(self, api: Api) -> None:
-        self._api = api
+    _noun = "action"
 
     def list(
-        self,
-        *,
-        name: str | None = None,
-        project: Ref | None = None,
-        archived: bool = False,
-        limit: int | None = None,
+        self, *, name: str | None = None, project: Ref | None = None, archived: bool = False, limit: int | None = None
     ) -> Listing[ActionRead]:
-        """Yield actions by name, which may be a glob; of a project: its own, and the whole lab's.
+        """Yield actions by name, which may be a glob; with a project, its own and the whole lab's.
 
-        Those that are archived are listed alone.
-
-        Raises:
-            NotFound: there is no such project.
+        Archived actions are listed alone.
         """
         matching = checked(
             ActionFilter, "The filter", name=name, project_id=self._project_id(project), archived=archived
@@ -44,7 +60,7 @@ class Actions:
         return pages(self._api, "/actions", ActionRead, query_of(matching), limit=limit)
 
     def get(self, ref: Ref, *, project: Ref | None = None) -> ActionRead:
-        """Return the action with this id, or with this name: of a project and the whole lab's, where one is given.
+        """Return the action with this id, or this name: with a project, among its own and the whole lab's.
 
         Raises:
             NotFound: there is none.
@@ -57,70 +73,102 @@ class Actions:
         rows = [*self.list(name=ref, project=project_id)] or [*self.list(name=ref, project=project_id, archived=True)]
         return resolve_one("action", ref, rows, name=lambda row: row.name, label=action_label)
 
-    def create(
-        self, definition: ActionDefinition, *, project: Ref | None = None, project_id: Ref | None = None
-    ) -> ActionRead:
+    def create(self, definition: ActionDefinition, *, project: Ref | None = None) -> ActionRead:
         """Publish an action in a project, or for the whole lab, as its version 1.
 
-        `kleinkram.client.manifest.read_manifest` makes a definition of a script or of a folder with `action.yaml`.
+        `read_manifest` returns the definition of a script or of a folder with `action.yaml`.
 
         Raises:
             NameTaken: there is one of that name; `add_version` publishes its next version.
-            Forbidden: that takes WRITE on the project; for the lab, the right to make projects.
+            Forbidden: it requires WRITE on the project; for the lab, the right to create projects.
         """
-        where = self._project_id(project if project is not None else project_id)
-        body = checked(ActionCreate, "The action", project_id=where, definition=definition)
+        body = checked(ActionCreate, "The action", project_id=self._project_id(project), definition=definition)
         return self._api.send("POST", "/actions", ActionRead, body)
 
     def add_version(self, action_id: Ref, definition: ActionDefinition, *, if_match: str | None = None) -> ActionRead:
-        """Publish the next version of an action, under the name that it has; earlier ones stay and can be run.
-
-        With `if_match`, the `etag` of what was looked at, it is refused where somebody else came first.
-
-        Raises:
-            Forbidden: it is not yours to change.
-            EditConflict: it is of another ETag by now.
-        """
+        """Publish the next version of an action, under its name; earlier ones stay and can be run."""
         body = checked(VersionCreate, "The version", definition=definition)
-        return self._api.send("POST", f"/actions/{self._id(action_id)}/versions", ActionRead, body, etag=if_match)
+        return self._api.send("POST", f"/actions/{self.id_of(action_id)}/versions", ActionRead, body, etag=if_match)
 
     def versions(self, action_id: Ref) -> Listing[ActionVersionRead]:
         """Yield the versions of an action, latest first."""
-        return pages(self._api, f"/actions/{self._id(action_id)}/versions", ActionVersionRead, [])
+        return pages(self._api, f"/actions/{self.id_of(action_id)}/versions", ActionVersionRead, [])
 
     def version(self, action: ActionRead, number: int | None = None) -> ActionVersionRead:
-        """Return a version of an action by its number; without one, the latest.
-
-        Raises:
-            NotFound: it has no such version.
-        """
+        """Return a version of an action by its number; without one, the latest."""
         if number is None or number == action.latest.number:
             return action.latest
-        matches = next((entry for entry in self.versions(action.id) if entry.number == number), None)
-        if matches is None:
-            raise NotFound(noun="version", ref=f"{action.name}@{number}")
-        return matches
+        for version in self.versions(action.id):
+            if version.number == number:
+                return version
+        raise NotFound(noun="version", ref=f"{action.name}@{number}")
 
     def archive(self, action_id: Ref, *, archived: bool = True, if_match: str | None = None) -> ActionRead:
-        """Take an action out of lists, so that nobody runs it anew, or put it back; its runs stay.
-
-        With `if_match`, the `etag` of what was looked at, it is refused where somebody else came first.
-
-        Raises:
-            Forbidden: it is not yours to change.
-            EditConflict: it is of another ETag by now.
-        """
+        """Remove an action from lists, so that nobody runs it again, or list it again; its runs stay."""
         body = checked(ActionUpdate, "The action", archived=archived)
-        return self._api.patch(f"/actions/{self._id(action_id)}", ActionRead, body, etag=if_match)
+        return self._api.patch(f"/actions/{self.id_of(action_id)}", ActionRead, body, etag=if_match)
 
     def _project_id(self, project: Ref | None) -> uuid.UUID | None:
         return None if project is None else Projects(self._api).id_of(project)
 
-    def _id(self, action: Ref) -> uuid.UUID:
-        return known_id(action, "action") or self.get(action).id
-
 
 def action_label(action: ActionRead) -> str:
-    """Return how an action is listed among candidates."""
+    """Return an action as it is listed among candidates."""
     place = f"{action.project.name}/{action.name}" if action.project else f"{action.name} of the whole lab"
     return f"{place} ({action.id})"
+
+
+def read_manifest(path: Path) -> ActionDefinition:
+    """Return the action of a folder with `action.yaml` (else `main.py`), of such a file, or of a Python script.
+
+    A script's PEP 723 header may have a table `[tool.kleinkram]` with all fields of `action.yaml`; the default name is
+    that of the file. Its `dependencies` are installed, as PEP 723 defines.
+
+    Raises:
+        InvalidInput: it is missing, or not a definition.
+    """
+    file = path
+    if path.is_dir():
+        file = path / (MAIN if (path / MAIN).exists() and not (path / MANIFEST).exists() else MANIFEST)
+    try:
+        with file.open("rb") as stream:
+            text = stream.read(_MAX_BYTES).decode()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
+        raise InvalidInput(what=str(file), reason=f"cannot be read as an action: {reason}") from error
+    fields = _of_script(file, text) if file.suffix == ".py" else _of_yaml(file, text)
+    try:
+        return ActionDefinition.model_validate(fields)
+    except ValidationError as error:
+        raise InvalidInput(what=str(file), reason=first_problem(error, "the action")) from error
+
+
+def _of_yaml(file: Path, text: str) -> dict[str, Any]:
+    from ruamel.yaml.error import YAMLError  # slow to import
+
+    from kleinkram.recordings.yaml_depth import shallow_yaml
+
+    try:
+        fields = shallow_yaml("safe", max_depth=_MAX_DEPTH).load(text)
+    except (YAMLError, ValueError, RecursionError) as error:
+        raise InvalidInput(what=str(file), reason=f"is not YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(fields, dict):
+        raise InvalidInput(what=str(file), reason="it is not a mapping of names to values")
+    return fields
+
+
+def _of_script(file: Path, text: str) -> dict[str, Any]:
+    if len(text) > MAX_SCRIPT_CHARACTERS:
+        raise InvalidInput(what=str(file), reason=f"has {len(text)} characters; {MAX_SCRIPT_CHARACTERS} are allowed")
+    blocks = _BLOCK.findall(text.replace("\r\n", "\n"))
+    if len(blocks) > 1:
+        raise InvalidInput(what=str(file), reason="has two headers '# /// script'")
+    header: dict[str, Any] = {}
+    if blocks:
+        lines = (line.removeprefix("#").removeprefix(" ") for line in blocks[0][0].splitlines())
+        try:
+            header = tomllib.loads("\n".join(lines))
+        except tomllib.TOMLDecodeError as error:
+            raise InvalidInput(what=str(file), reason=f"its header is not TOML: {error}") from error
+    fields = header.get("tool", {}).get("kleinkram", {})
+    return {"name": file.stem, **fields, "script": text, "dependencies": header.get("dependencies", [])}

@@ -35,7 +35,7 @@ _OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
 
 class SavedEndpoint(BaseModel):
-    """One server: the token for it, and, where that was asked, whose it is and until when it is good."""
+    """One server with its token, and, if known, the account and the end of the token."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -43,11 +43,11 @@ class SavedEndpoint(BaseModel):
     token: str
     person: str | None = None
     expires_at: datetime.datetime | None = None
-    # Made by `klein login` for this machine, rather than brought along: signing in again does away with it.
+    # Created by `klein login` for this machine: signing in again revokes it.
     is_own: bool = False
 
     def __repr_args__(self) -> Iterator[tuple[str | None, object]]:
-        """Leave the token out of what is printed of it."""
+        """Leave the token out of the representation."""
         yield from ((name, value) for name, value in super().__repr_args__() if name != "token")
 
 
@@ -62,17 +62,12 @@ class SavedEndpoints(BaseModel):
 
 
 def endpoints_file() -> Path:
-    """Return where the endpoints are kept."""
+    """Return the path of the file of endpoints."""
     return Path(platformdirs.user_config_dir(APPLICATION)) / "endpoints.json"
 
 
 def load_endpoints() -> SavedEndpoints:
-    """Return the saved endpoints; none when there is no file yet.
-
-    Raises:
-        ConfigurationBroken: the file cannot be read.
-        CredentialsExposed: others can read or change it.
-    """
+    """Return the saved endpoints; CredentialsExposed where others can read or change the file."""
     path = endpoints_file()
     try:
         with path.open("rb") as file:
@@ -87,10 +82,10 @@ def load_endpoints() -> SavedEndpoints:
 
 
 def add_endpoint(name: str, endpoint: SavedEndpoint, *, choose: bool = False) -> SavedEndpoints:
-    """Save an endpoint under a name, instead of what is saved for that server there; chosen if the first, or asked for.
+    """Save an endpoint under a name; it is used from now on if it is the first, or with `choose`.
 
     Raises:
-        InvalidInput: the URL is none, or the name or token is empty.
+        InvalidInput: the URL is not valid, or the name or token is empty.
         EndpointTaken: the name is that of another server.
     """
     if not name or not endpoint.token:
@@ -105,22 +100,14 @@ def add_endpoint(name: str, endpoint: SavedEndpoint, *, choose: bool = False) ->
 
 
 def use_endpoint(name: str) -> SavedEndpoints:
-    """Choose the endpoint that commands use from now on.
-
-    Raises:
-        NoSuchEndpoint: none has that name.
-    """
+    """Choose the endpoint that commands use from now on."""
     with _changing() as saved:
         require_endpoint(saved, name)
         return _save(saved.model_copy(update={"current": name}))
 
 
 def remove_endpoint(name: str, *, token: str | None = None) -> SavedEndpoints:
-    """Forget an endpoint and its token; with `token`, only if it still is the one saved.
-
-    Raises:
-        NoSuchEndpoint: none has that name.
-    """
+    """Remove an endpoint and its token; with `token`, only if that is still the one saved."""
     with _changing() as saved:
         existing = require_endpoint(saved, name)
         if token is not None and existing.token != token:
@@ -131,18 +118,14 @@ def remove_endpoint(name: str, *, token: str | None = None) -> SavedEndpoints:
 
 
 def require_endpoint(saved: SavedEndpoints, name: str) -> SavedEndpoint:
-    """Return the endpoint of a name.
-
-    Raises:
-        NoSuchEndpoint: none has it.
-    """
+    """Return the endpoint of a name; raise NoSuchEndpoint if there is none."""
     if name not in saved.endpoints:
         raise NoSuchEndpoint(name=name, known=", ".join(sorted(saved.endpoints)) or "none")
     return saved.endpoints[name]
 
 
 def name_for(url: str, saved: SavedEndpoints) -> str:
-    """Return the name under which a server is saved, else its host, with its port where that is not the usual one."""
+    """Return the name under which a server is saved, else its host and port."""
     for name, endpoint in saved.endpoints.items():
         if endpoint.url == url:
             return name
@@ -150,11 +133,7 @@ def name_for(url: str, saved: SavedEndpoints) -> str:
 
 
 def normal_url(url: str) -> str:
-    """Return a server's URL without a slash at its end.
-
-    Raises:
-        InvalidInput: it is not an http or https URL.
-    """
+    """Return a server's URL without a slash at its end; raise InvalidInput unless it is an http or https URL."""
     try:
         parts = urlsplit(url)
         usable = parts.scheme in {"http", "https"} and bool(parts.hostname) and (parts.port is None or parts.port > 0)
@@ -167,7 +146,7 @@ def normal_url(url: str) -> str:
 
 
 def short_reason(error: Exception) -> str:
-    """Return why a file cannot be used, without what stands in it: that may be a secret."""
+    """Return why a file cannot be used, without its content, which may be secret."""
     if isinstance(error, ValidationError):
         return first_problem(error)
     return getattr(error, "strerror", None) or str(error)
@@ -175,7 +154,7 @@ def short_reason(error: Exception) -> str:
 
 @contextmanager
 def _changing() -> Iterator[SavedEndpoints]:
-    """Give what is saved, while no other process changes it."""
+    """Yield the saved endpoints, locked against other processes."""
     path = endpoints_file()
     try:
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -227,14 +206,14 @@ class Endpoint:
 
     name: str
     url: str
-    # None: as nobody in particular, who may read what is public, and ask for a token.
+    # None: anonymous, for what is public and for signing in.
     token: str | None = field(repr=False)
     source: EndpointSource
-    # Said by the caller, or in the address of a link: known nowhere else.
+    # The token comes from the caller, or from the address of a link: it cannot be found again.
     has_explicit_token: bool = False
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle without the token where it can be read again from this user's configuration; else with it."""
+        """Pickle without the token where this user's configuration has it; else with it."""
         token = self.token if self.has_explicit_token else None
         return _find_again, (self.name, self.url, token, self.source, self.token is not None)
 
@@ -245,35 +224,46 @@ class _Instance(BaseModel):
 
 
 def data_dir() -> Path:
-    """Return where `klein up` keeps this user's instance."""
+    """Return the folder of this user's instance of `klein up`."""
     override = os.environ.get(DATA_DIR_VARIABLE)
     return Path(override) if override else Path(platformdirs.user_data_dir(APPLICATION))
 
 
 def state_dir() -> Path:
-    """Return where journals of transfers are kept."""
+    """Return the state directory, which holds the journals of transfers."""
     return Path(platformdirs.user_state_dir(APPLICATION))
 
 
 def find_endpoint(url: str | None = None, token: str | None = None) -> Endpoint:
-    """Return the endpoint to use.
+    """Return the endpoint to use: the one given, of the environment, chosen, or this user's own instance.
 
     Raises:
         NotConfigured: there is none.
         ConfigurationBroken: a file that should name it cannot be read.
         CredentialsExposed: others can read the file of tokens.
     """
-    endpoint = _find_endpoint(url, token)
+    if url:
+        endpoint = _with_token("(given)", url, token, EndpointSource.argument)
+    elif override := os.environ.get(URL_VARIABLE):
+        known = token or os.environ.get(TOKEN_VARIABLE)
+        endpoint = _with_token("(environment)", override, known, EndpointSource.environment)
+    else:
+        saved = load_endpoints()
+        if saved.current and (chosen := saved.endpoints.get(saved.current)):
+            endpoint = Endpoint(saved.current, chosen.url, token or chosen.token, EndpointSource.chosen)
+        elif (local := find_local()) is not None:
+            endpoint = local if token is None else replace(local, token=token)
+        else:
+            raise NotConfigured(
+                reason=f"no endpoint was chosen, and there is no instance of `klein up` in {data_dir()} "
+                f"(where it was started with --data-dir D, set {DATA_DIR_VARIABLE}=D)"
+            )
     is_explicit = endpoint.token is not None and (endpoint.token == token or f"{SHARE_PAGE}#" in (url or ""))
     return replace(endpoint, has_explicit_token=is_explicit)
 
 
 def _find_again(name: str, url: str, token: str | None, source: EndpointSource, had_token: bool) -> Endpoint:
-    """Return a pickled endpoint, with the token that is configured for it here.
-
-    Raises:
-        NotConfigured: it had a token, and none is configured here.
-    """
+    """Return a pickled endpoint, with the token that is configured for it here."""
     if token is not None:
         return replace(find_endpoint(url, token), name=name, source=source)
     endpoint: Endpoint | None = None
@@ -288,30 +278,8 @@ def _find_again(name: str, url: str, token: str | None, source: EndpointSource, 
     return endpoint
 
 
-def _find_endpoint(url: str | None, token: str | None) -> Endpoint:
-    if url:
-        return _with_token("(given)", url, token, EndpointSource.argument)
-    if override := os.environ.get(URL_VARIABLE):
-        known = token or os.environ.get(TOKEN_VARIABLE)
-        return _with_token("(environment)", override, known, EndpointSource.environment)
-    saved = load_endpoints()
-    if saved.current and (chosen := saved.endpoints.get(saved.current)):
-        return Endpoint(saved.current, chosen.url, token or chosen.token, EndpointSource.chosen)
-    local = find_local()
-    if local is None:
-        raise NotConfigured(
-            reason=f"no endpoint was chosen, and there is no instance of `klein up` in {data_dir()} "
-            f"(where it was started with --data-dir D, set {DATA_DIR_VARIABLE}=D)"
-        )
-    return local if token is None else Endpoint(local.name, local.url, token, local.source)
-
-
 def find_local() -> Endpoint | None:
-    """Return the instance that `klein up` has announced in the data directory, or None.
-
-    Raises:
-        ConfigurationBroken: it is announced, but its files cannot be read.
-    """
+    """Return the instance of `klein up` in the data directory, or None."""
     path = data_dir() / "instance.json"
     try:
         instance = _Instance.model_validate_json(path.read_bytes())
@@ -325,14 +293,12 @@ def find_local() -> Endpoint | None:
 
 def _with_token(name: str, override: str, token: str | None, source: EndpointSource) -> Endpoint:
     base, _, secret = override.partition(f"{SHARE_PAGE}#")  # a link's address is also its secret
-    # What is known for another server is not shown to the link's.
+    # A token for another server is not sent to the link's.
     url, token = normal_url(base), secret or token
-    if token:
-        return Endpoint(name, url, token, source)
-    local = find_local()
-    if local is not None and local.url == url:
-        return Endpoint(name, url, local.token, source)
-    for saved in load_endpoints().endpoints.values():
-        if saved.url == url:
-            return Endpoint(name, url, saved.token, source)
-    return Endpoint(name, url, None, source)
+    if not token:
+        local = find_local()
+        if local is not None and local.url == url:
+            token = local.token
+        else:
+            token = next((saved.token for saved in load_endpoints().endpoints.values() if saved.url == url), None)
+    return Endpoint(name, url, token, source)

@@ -1,10 +1,11 @@
-"""Failures that only a client can have: no server, no configuration, files of this machine that are not as they were.
+"""Failures of the client: no server, no configuration, local files. Those of the server are in `contract.errors`.
 
-Failures that the server names are raised as the classes of `kleinkram.contract.errors`; both kinds share one base.
-A class's docstring is its sentence; its fields fill the braces.
+The docstring of a class is its sentence; its fields fill the braces.
 """
 
 from dataclasses import dataclass
+
+from typing_extensions import dataclass_transform
 
 from kleinkram.contract.errors import KleinkramError
 
@@ -22,26 +23,28 @@ def remember_request(error: KleinkramError, request_id: str | None) -> Kleinkram
     return error
 
 
+@dataclass_transform(eq_default=False)
 class ClientError(KleinkramError):
     """Something went wrong on this machine."""
 
+    def __init_subclass__(cls) -> None:
+        """Make each failure a dataclass."""
+        dataclass(eq=False)(cls)
 
-@dataclass(eq=False)
+
 class NotConfigured(ClientError):
     """No server is known: {reason}. Start one with `klein up`, or sign in to one with `klein login URL`, or name one by KLEINKRAM_URL and KLEINKRAM_TOKEN."""  # noqa: E501  one sentence
 
     reason: str
 
 
-@dataclass(eq=False)
 class ConfigurationBroken(ClientError):
-    """{file} cannot be used: {reason}. Mend or remove it."""
+    """{file} cannot be used: {reason}. Repair or remove it."""
 
     file: str
     reason: str
 
 
-@dataclass(eq=False)
 class NoSuchEndpoint(ClientError):
     """There is no endpoint {name!r}; known are: {known}. `klein login` makes one."""
 
@@ -49,30 +52,26 @@ class NoSuchEndpoint(ClientError):
     known: str
 
 
-@dataclass(eq=False)
 class EndpointTaken(ClientError):
-    """The endpoint {name!r} is {url}. Give another --name, or let it go first with `klein logout {name}`."""
+    """The endpoint {name!r} is {url}. Give another --name, or remove it first with `klein logout {name}`."""
 
     name: str
     url: str
 
 
-@dataclass(eq=False)
 class CredentialsExposed(ClientError):
-    """{file} holds tokens, and others on this machine may read or change it (its mode is {mode}). Mend it with `chmod 600`; if somebody may have looked, `klein logout --all` ends what is in it, and `klein login` begins anew."""  # noqa: E501  one sentence
+    """{file} holds tokens, and others on this machine may read or change it (its mode is {mode}). Change it with `chmod 600`; if somebody may have read it, `klein logout --all` revokes the tokens, and `klein login` signs in again."""  # noqa: E501  one sentence
 
     file: str
     mode: str
 
 
-@dataclass(eq=False)
 class NoBrowser(ClientError):
     """There is no browser here that could be opened. `klein login {url} --device` shows a code to type on another machine."""  # noqa: E501  one sentence
 
     url: str
 
 
-@dataclass(eq=False)
 class ServerUnreachable(ClientError):
     """The server at {url} does not answer ({reason}). Is it running (`klein doctor`), and is this the right one (`klein endpoint`)?"""  # noqa: E501  one sentence
 
@@ -80,7 +79,6 @@ class ServerUnreachable(ClientError):
     reason: str
 
 
-@dataclass(eq=False)
 class AnswerNotUnderstood(ClientError):
     """{url} answered {what} in a way that this client ({client_version}) does not understand: {reason}. Is it a Kleinkram server, and of the same version?"""  # noqa: E501  one sentence
 
@@ -90,7 +88,6 @@ class AnswerNotUnderstood(ClientError):
     reason: str
 
 
-@dataclass(eq=False)
 class StoreUnreachable(ClientError):
     """The object store at {store} is away or full ({reason}). The server hands out this address; `klein doctor` says whether it can be reached from here."""  # noqa: E501  one sentence
 
@@ -98,7 +95,6 @@ class StoreUnreachable(ClientError):
     reason: str
 
 
-@dataclass(eq=False)
 class TransferFailed(ClientError):
     """{path!r} could not be transferred: {reason}. Run the same command again; what has arrived stays."""
 
@@ -106,12 +102,10 @@ class TransferFailed(ClientError):
     reason: str
 
 
-@dataclass(eq=False)
 class StoreTroubled(TransferFailed):
     """{path!r} could not be transferred: for minutes, {reason}. Run the same command again when the store is well; what has arrived stays."""  # noqa: E501  one sentence
 
 
-@dataclass(eq=False)
 class FileChanged(ClientError):
     """{path!r} changed while it was read ({reason}), so it was not uploaded. Wait until nothing writes to it, then run the same command again."""  # noqa: E501  one sentence
 
@@ -119,7 +113,6 @@ class FileChanged(ClientError):
     reason: str
 
 
-@dataclass(eq=False)
 class StillRecording(ClientError):
     """{path!r} was left out: {reason}. When the recording has ended run the same command again, or give --include-active."""  # noqa: E501  one sentence
 
@@ -127,7 +120,6 @@ class StillRecording(ClientError):
     reason: str
 
 
-@dataclass(eq=False)
 class NotAFile(ClientError):
     """{path!r} was left out: it is {kind}, not a file or folder."""
 
@@ -135,7 +127,6 @@ class NotAFile(ClientError):
     kind: str
 
 
-@dataclass(eq=False)
 class FileUnreadable(ClientError):
     """{path!r} cannot be read: {reason}."""
 
@@ -143,7 +134,6 @@ class FileUnreadable(ClientError):
     reason: str
 
 
-@dataclass(eq=False)
 class NameUnusable(ClientError):
     """{path!r} cannot be the name of a file in a mission: it {reason}. Rename it, then run the same command again."""
 
@@ -151,7 +141,6 @@ class NameUnusable(ClientError):
     reason: str
 
 
-@dataclass(eq=False)
 class PathsCollide(ClientError):
     """{first} and {second} would both become {path}: {remedy}."""
 
@@ -161,21 +150,18 @@ class PathsCollide(ClientError):
     remedy: str = "give them apart, or rename one"
 
 
-@dataclass(eq=False)
 class NothingToDo(ClientError):
     """{reason}."""
 
     reason: str
 
 
-@dataclass(eq=False)
 class UploadElsewhere(ClientError):
     """{path!r} is being uploaded by another klein process on this machine. Wait for it to end."""
 
     path: str
 
 
-@dataclass(eq=False)
 class DestinationRefused(ClientError):
     """{path!r} was not written: {reason}."""
 
@@ -183,14 +169,12 @@ class DestinationRefused(ClientError):
     reason: str
 
 
-@dataclass(eq=False)
 class DestinationDiffers(ClientError):
     """{path!r} is here already with other content, and was left as it is. Give --overwrite to replace it, or another --dest."""  # noqa: E501  one sentence
 
     path: str
 
 
-@dataclass(eq=False)
 class DiskFull(ClientError):
     """There is no room for {path!r}: {reason}. What has arrived was kept; make room and run the same command again."""
 
@@ -198,7 +182,6 @@ class DiskFull(ClientError):
     reason: str
 
 
-@dataclass(eq=False)
 class VerifyFailed(ClientError):
     """The bytes of {path!r} are not what the server promised: {reason}. Nothing was kept; run the command again."""
 
@@ -206,7 +189,6 @@ class VerifyFailed(ClientError):
     reason: str
 
 
-@dataclass(eq=False)
 class InvalidInput(ClientError):
     """{what} is not usable: {reason}."""
 
@@ -214,14 +196,12 @@ class InvalidInput(ClientError):
     reason: str
 
 
-@dataclass(eq=False)
 class ReadingMissing(ClientError):
     """{what} is not installed, and this needs it: `pip install 'open-kleinkram[reading]'`."""
 
     what: str
 
 
-@dataclass(eq=False)
 class TimedOut(ClientError):
     """{what} was not finished after {seconds:g} s. It goes on in the server; look again later."""
 

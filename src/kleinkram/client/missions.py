@@ -1,33 +1,105 @@
-"""Missions, for programs."""
+"""Projects and missions. `if_match` is the ETag that something must still have to be changed, else EditConflict."""
 
 import uuid
 from collections.abc import Iterator
 
 from typing_extensions import Unpack
 
-from kleinkram.client._http import Api, query_of
-from kleinkram.client._nouns import Listing, Ref, checked, count, known_id, pages, resolve_one
+from kleinkram.client._http import query_of
+from kleinkram.client._nouns import Listing, NamedResource, Ref, checked, count, known_id, pages, resolve_one
 from kleinkram.client.errors import InvalidInput
-from kleinkram.client.projects import Projects
 from kleinkram.client.search import MissionFields, as_mission_filter
 from kleinkram.contract.errors import NotFound
-from kleinkram.contract.metadata import Metadata
+from kleinkram.contract.metadata import Metadata, MetadataFields
 from kleinkram.contract.missions import (
     MissionCreate,
     MissionFilter,
     MissionOrder,
     MissionRead,
+    MissionTemplate,
     MissionUpdate,
 )
 from kleinkram.contract.overviews import MAX_MISSION_TOPICS, MissionTimeline, MissionTopics, TimelineFile
-from kleinkram.contract.projects import Deleted
+from kleinkram.contract.projects import Deleted, ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 
 
-class Missions:
+class Projects(NamedResource[ProjectRead]):
+    """`client.projects`."""
+
+    _noun = "project"
+
+    def list(
+        self,
+        *,
+        name: str | None = None,
+        text: str | None = None,
+        sort: ProjectSort | str | None = None,
+        limit: int | None = None,
+    ) -> Listing[ProjectRead]:
+        """Yield projects, by name unless `sort` says otherwise; `name` may be a glob, `text` is found anywhere."""
+        query = query_of(None, name=name, text=text, sort=sort)
+        return pages(self._api, "/projects", ProjectRead, query, limit=limit)
+
+    def count(self, *, name: str | None = None, text: str | None = None) -> int:
+        """Return how many projects match."""
+        return count(self._api, "/projects", ProjectRead, query_of(None, name=name, text=text))
+
+    def get(self, ref: Ref) -> ProjectRead:
+        """Return the project with this id or name; raise AmbiguousName for a glob that matches several."""
+        if (project_id := known_id(ref, "project")) is not None:
+            return self._api.get(f"/projects/{project_id}", ProjectRead)
+        rows = self.list(name=str(ref))
+        return resolve_one("project", str(ref), rows, name=lambda row: row.name, label=project_label)
+
+    def create(
+        self,
+        name: str,
+        *,
+        description: str = "",
+        fields_yaml: str | None = None,
+        metadata_fields: MetadataFields | None = None,
+    ) -> ProjectRead:
+        """Create a project; `fields_yaml`, the text of a `fields.yaml`, or `metadata_fields` declare its fields.
+
+        Raises:
+            NameTaken: there is one of that name.
+            FieldsInvalid: lists every problem of the fields.
+            YamlInvalid: the YAML cannot be read.
+        """
+        fields = {"fields_yaml": fields_yaml, "metadata_fields": metadata_fields}
+        body = checked(ProjectCreate, "The project", name=name, description=description, **fields)
+        return self._api.send("POST", "/projects", ProjectRead, body)
+
+    def update(
+        self, project_id: Ref, *, if_match: str | None = None, **changes: str | bool | int | MetadataFields | None
+    ) -> ProjectRead:
+        """Change some fields of `ProjectUpdate` and return the project; a quota of None removes it.
+
+        Raises:
+            NameTaken, FieldsInvalid, YamlInvalid, InvalidInput: as in `create`.
+            Forbidden: only owners can publish, and only admins can set quotas.
+        """
+        body = checked(ProjectUpdate, "The project", **changes)
+        return self._api.patch(f"/projects/{self.id_of(project_id)}", ProjectRead, body, etag=if_match)
+
+    def delete(self, project_id: Ref, *, dry_run: bool = False) -> Deleted:
+        """Move a project and all in it to the trash; with `dry_run`, only return what would go."""
+        return self._to_trash(f"/projects/{self.id_of(project_id)}", dry_run=dry_run)
+
+    def template(self, project_id: Ref) -> MissionTemplate:
+        """Return the metadata form for the next mission, as YAML and as fields, prefilled from the last one."""
+        return self._api.get(f"/projects/{self.id_of(project_id)}/template", MissionTemplate)
+
+
+def project_label(project: ProjectRead) -> str:
+    """Return a project as it is listed among candidates."""
+    return f"{project.name} ({project.id})"
+
+
+class Missions(NamedResource[MissionRead]):
     """`client.missions`."""
 
-    def __init__(self, api: Api) -> None:
-        self._api = api
+    _noun = "mission"
 
     def list(
         self,
@@ -40,11 +112,8 @@ class Missions:
     ) -> Listing[MissionRead]:
         """Yield the missions that match, by name unless `sort` says otherwise: also by metadata, as in `meta.robot`.
 
-        Say which by keywords, as in `list(project="alpine", topic="*imu*")` (those of `MissionFields`), or by a filter.
-        With the text of a `query`, those that it finds: by what they say themselves, or by their files.
-
-        Raises:
-            InvalidQuery: the query cannot be read, or a comparison cannot be made.
+        Select by keywords, as in `list(project="alpine", topic="*imu*")` (those of `MissionFields`), by a filter, or by
+        the text of a `query`, which also matches the files of a mission.
         """
         parameters = query_of(as_mission_filter(matching, fields), query=query, sort=sort)
         return pages(self._api, "/missions", MissionRead, parameters, limit=limit)
@@ -52,13 +121,11 @@ class Missions:
     def count(
         self, matching: MissionFilter | None = None, *, query: str | None = None, **fields: Unpack[MissionFields]
     ) -> int:
-        """Return how many missions match, and are found by the `query`."""
+        """Return how many missions match."""
         return count(self._api, "/missions", MissionRead, query_of(as_mission_filter(matching, fields), query=query))
 
     def get(self, ref: Ref, *, project: Ref | None = None) -> MissionRead:
-        """Return the mission with this id, or with this name (in that project, where one is given).
-
-        `"PROJECT/MISSION"` names both. Wherever a mission is meant, any of these will do, or the mission itself.
+        """Return the mission with this id, or this name (in that project); `"PROJECT/MISSION"` names both.
 
         Raises:
             NotFound: there is none, or no such project.
@@ -74,17 +141,13 @@ class Missions:
         return resolve_one("mission", name, rows, name=lambda row: row.name, label=mission_label)
 
     def id_of(self, ref: Ref, *, project: Ref | None = None) -> uuid.UUID:
-        """Return the id of a mission that is named; one that is known is not asked for.
-
-        Raises:
-            NotFound, AmbiguousName: as in `get`.
-        """
+        """Return the id of a mission; asks the server only for a name."""
         return known_id(ref, "mission") or self.get(ref, project=project).id
 
     def within(self, project: Ref) -> MissionFilter:
         """Return the filter on the missions of a project, by its id or name.
 
-        Who has rights on missions alone sees no project, but its name beside them; they may say that name, too.
+        Someone with rights on missions alone cannot see the project, but its name beside them; that name works, too.
 
         Raises:
             NotFound: there is no such project, and no mission of one.
@@ -100,19 +163,17 @@ class Missions:
             return matching
 
     def timeline(self, mission_id: Ref) -> Iterator[TimelineFile]:
-        """Yield when each file of a mission was recorded, by path: few bytes a file, ten thousand files a request."""
-        cursor: str | None = None
+        """Yield when each file of a mission was recorded, by path, ten thousand files per request."""
+        path, cursor = f"/missions/{self.id_of(mission_id)}/timeline", None
         while True:
-            page = self._api.get(
-                f"/missions/{self.id_of(mission_id)}/timeline", MissionTimeline, query_of(None, cursor=cursor)
-            )
+            page = self._api.get(path, MissionTimeline, query_of(None, cursor=cursor))
             yield from page.items
             cursor = page.next
             if cursor is None:
                 return
 
     def topics(self, mission_id: Ref, *, bins: int = 256) -> MissionTopics:
-        """Return the topics of all recordings of a mission, by name and type, with their messages in few bins.
+        """Return the topics of all recordings of a mission, by name and type, with message counts in `bins`.
 
         `bins` is at most 512; 0 leaves them out.
         """
@@ -128,54 +189,46 @@ class Missions:
         self,
         name: str,
         *,
-        project_id: Ref | None = None,
         project: Ref | None = None,
         metadata_yaml: str | None = None,
         metadata: Metadata | None = None,
         notes: str = "",
     ) -> MissionRead:
-        """Make a mission; the server judges its metadata against the project's fields.
-
-        Say the metadata as a document, `metadata_yaml`, which is kept to the letter, or as values, `metadata`.
+        """Create a mission, with metadata as a document, `metadata_yaml`, which is kept to the letter, or as values.
 
         Raises:
-            MetadataInvalid: names every missing or wrong field at once; nothing was made.
-            YamlInvalid: the YAML cannot be read; says where.
+            MetadataInvalid: lists every missing or wrong field; nothing was created.
+            YamlInvalid: the YAML cannot be read.
             NameTaken: the project has a mission of that name.
-            InvalidInput: the name is not usable.
         """
         metadata_fields = {"metadata_yaml": metadata_yaml, "metadata": metadata}
         body = checked(MissionCreate, "The mission", name=name, notes=notes, **metadata_fields)
-        where = project if project is not None else project_id
-        if where is None:
+        if project is None:
             raise InvalidInput(what="The mission", reason="say in which project, by project=")
-        return self._api.send("POST", f"/projects/{Projects(self._api).id_of(where)}/missions", MissionRead, body)
+        return self._api.send("POST", f"/projects/{Projects(self._api).id_of(project)}/missions", MissionRead, body)
 
     def update(
         self, mission_id: Ref, *, if_match: str | None = None, **changes: str | bool | uuid.UUID | Metadata
     ) -> MissionRead:
-        """Change what is given (the fields of `MissionUpdate`) and return the mission; a `project_id` moves it.
+        """Change some fields of `MissionUpdate` and return the mission; a `project_id` moves it.
 
-        `metadata` changes the fields that it names, and None takes one away; `metadata_yaml` is all of it anew.
-        With `if_match`, the `etag` of what was looked at, a change is refused where somebody else came first.
+        `metadata` changes the fields that it names, and None removes one; `metadata_yaml` replaces all of it.
 
         Raises:
             MetadataInvalid, YamlInvalid, NameTaken, InvalidInput: as in `create`.
-            EditConflict: it is of another ETag by now.
         """
         body = checked(MissionUpdate, "The mission", **changes)
         return self._api.patch(f"/missions/{self.id_of(mission_id)}", MissionRead, body, etag=if_match)
 
     def complete(self, mission_id: Ref) -> MissionRead:
-        """Say that all of the mission is uploaded."""
+        """Mark a mission as completely uploaded."""
         return self.update(mission_id, completed=True)
 
     def delete(self, mission_id: Ref, *, dry_run: bool = False) -> Deleted:
-        """Move a mission and its files to the trash; with `dry_run`, only say what would go."""
-        answer = self._api.delete(f"/missions/{self.id_of(mission_id)}", query_of(None, dry_run=dry_run or None))
-        return self._api.understood(Deleted, "DELETE mission", answer)
+        """Move a mission and its files to the trash; with `dry_run`, only return what would go."""
+        return self._to_trash(f"/missions/{self.id_of(mission_id)}", dry_run=dry_run)
 
 
 def mission_label(mission: MissionRead) -> str:
-    """Return how a mission is listed among candidates."""
+    """Return a mission as it is listed among candidates."""
     return f"{mission.project.name}/{mission.name} ({mission.id})"

@@ -1,29 +1,77 @@
-"""Recordings, for programs: logical captures made of one or more files, listed, and read where they are."""
+"""Recordings: captures made of one or more files, listed, and read from the store in ranges."""
 
 import uuid
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from kleinkram.client._http import Api
-from kleinkram.client._nouns import Listing, Ref, known_id, pages, resolve_one
+from kleinkram.client._nouns import ApiResource, Listing, Ref, known_id, pages, resolve_one
 from kleinkram.client.errors import InvalidInput
 from kleinkram.client.files import Files
 from kleinkram.client.missions import Missions
-from kleinkram.contract.errors import NotFound
-from kleinkram.contract.files import FileFilter, FileRead, RecordingRead
+from kleinkram.contract.errors import KleinkramError, NotFound
+from kleinkram.contract.files import DownloadLink, FileFilter, FileRead, RecordingRead
 from kleinkram.contract.names import is_id
 
 if TYPE_CHECKING:
     from kleinkram.recordings import Recording
+    from kleinkram.recordings.http_source import HttpSource
 
 _METADATA = "metadata.yaml"
+_MAX_LINKS = 500
 
 
-class Recordings:
+class RemoteFiles:
+    """The files of one recording as sources of bytes: presigned ranges, signed again when they expire.
+
+    What `Recording.open` takes. Safe to share between threads.
+    """
+
+    def __init__(self, files: Files, file_ids: Sequence[uuid.UUID]) -> None:
+        from kleinkram.recordings.http_source import HttpConnections  # only reading needs it
+        from kleinkram.recordings.limits import PARALLEL_READS
+
+        self._files = files
+        self._file_ids = file_ids
+        self._connections = HttpConnections(PARALLEL_READS)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle the ids of the files, without connections and signed URLs."""
+        return RemoteFiles, (self._files, self._file_ids)
+
+    def sources(self) -> "Sequence[HttpSource]":
+        """Return a source for each file, in the order given; FileUnavailable for a damaged one."""
+        links: list[DownloadLink] = []
+        for at in range(0, len(self._file_ids), _MAX_LINKS):
+            links += self._files.links(self._file_ids[at : at + _MAX_LINKS]).items
+        return [self._source(link) for link in links]
+
+    def close(self) -> None:
+        """Close the connections to the store."""
+        self._connections.close()
+
+    def _source(self, link: DownloadLink) -> "HttpSource":
+        from kleinkram.recordings.http_source import HttpSource
+
+        def sign_again() -> str:
+            return self._files.links([link.file_id]).items[0].url
+
+        def ask_for_check() -> None:
+            with suppress(KleinkramError):  # without the right to ask, read on
+                self._files.verify(link.file_id)
+
+        return HttpSource(
+            link.url,
+            size_bytes=link.size_bytes,
+            name=link.path,
+            connections=self._connections,
+            renew=sign_again,
+            check=ask_for_check,
+        )
+
+
+class Recordings(ApiResource):
     """`client.recordings`."""
-
-    def __init__(self, api: Api) -> None:
-        self._api = api
 
     def list(self, mission: Ref, *, project: Ref | None = None) -> Listing[RecordingRead]:
         """Yield the recordings of a mission."""
@@ -31,11 +79,7 @@ class Recordings:
         return pages(self._api, f"/missions/{mission_id}/recordings", RecordingRead, [])
 
     def get(self, recording_id: str | uuid.UUID) -> RecordingRead:
-        """Return one recording.
-
-        Raises:
-            NotFound: there is none with this id.
-        """
+        """Return one recording."""
         if (source := known_id(recording_id, "recording")) is None:
             raise InvalidInput(what=f"The recording {recording_id!r}", reason="give its id; `open` takes names")
         return self._api.get(f"/recordings/{source}", RecordingRead)
@@ -48,27 +92,24 @@ class Recordings:
         project: Ref | None = None,
         most_bytes: int | None = None,
     ) -> "Recording":
-        """Open a recording on the server for reading, as `recordings.reading.Recording.open` does a local one.
+        """Open a recording on the server for reading, as `recordings.Recording.open` does a local one.
 
-        Only what is asked for is fetched, straight from the store: the index when it is opened, then the chunks that
-        hold what is wanted. Use it in a `with`.
+        Only the needed ranges are fetched, straight from the store: the index when it is opened, then the chunks that
+        are read. Use it in a `with`.
 
         Args:
             what: a recording, a file, the id of either; or the name of a recording in a mission, or a file's path.
-            mission: where a name or path is looked for.
-            project: of the mission.
-            most_bytes: a file without index is not read whole if it has more bytes than this; None: 1 GiB.
+            mission: the mission of a name or path.
+            project: the project of the mission.
+            most_bytes: a file without index is not read whole if it is larger than this; None: 1 GiB.
 
         Raises:
-            NotFound: there is no such recording or file.
-            TooCostly: a file would have to be read whole, and has more bytes than are allowed.
-            AmbiguousName: several missions have a file of that path.
+            TooCostly: a file would have to be read whole, and is larger than allowed.
             FileUnavailable: the store's copy is lost or corrupt.
-            NotARecording: it holds no messages that are read.
+            NotARecording: it holds no messages that can be read.
             SourceError: the store does not give the bytes.
         """
-        from kleinkram.client._remote import RemoteFiles
-        from kleinkram.recordings import Recording  # only who reads pays for importing it
+        from kleinkram.recordings import Recording  # slow to import
 
         source = self._find(what, mission, project)
         if isinstance(source, FileRead):
@@ -78,10 +119,7 @@ class Recordings:
         return Recording.open(RemoteFiles(Files(self._api), ids), most_bytes=most_bytes)
 
     def _find(
-        self,
-        what: RecordingRead | FileRead | str | uuid.UUID,
-        mission: Ref | None,
-        project: Ref | None,
+        self, what: RecordingRead | FileRead | str | uuid.UUID, mission: Ref | None, project: Ref | None
     ) -> RecordingRead | FileRead:
         if isinstance(what, RecordingRead | FileRead):
             return what
@@ -91,15 +129,15 @@ class Recordings:
             except NotFound:
                 return Files(self._api).get(what)
         if mission is not None:
-            named = self.list(Missions(self._api).get(mission, project=project).id)
+            rows = self.list(Missions(self._api).get(mission, project=project).id)
             try:
-                return resolve_one("recording", what, named, name=lambda row: row.name, label=_label)
+                return resolve_one("recording", what, rows, name=lambda row: row.name, label=_label)
             except NotFound:
                 pass
         return Files(self._api).get(what, mission=mission, project=project)
 
     def _metadata_of(self, recording: RecordingRead) -> Sequence[uuid.UUID]:
-        """Return the id of the metadata.yaml beside the members: it says what the data files do not."""
+        """Return the id of the metadata.yaml beside the members: it has what the data files lack."""
         if recording.kind != "rosbag2" or not recording.paths:
             return []
         folder = recording.paths[0].rpartition("/")[0]

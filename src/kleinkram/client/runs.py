@@ -1,4 +1,8 @@
-"""Runs, for programs: launch, follow, end, and fetch what they said and left."""
+"""Runs: launch, follow, cancel, and fetch their results; and the requests of runners.
+
+Requests of runners about runs are idempotent, so they are retried while the server is unavailable. A claim is not:
+where its answer was lost, the server assigns the run again, since the next claim does not list it as active.
+"""
 
 import time
 import uuid
@@ -8,15 +12,43 @@ from typing import TYPE_CHECKING, TypeVar, cast
 
 from typing_extensions import TypedDict, Unpack
 
-from kleinkram.client._http import Api, query_of
-from kleinkram.client._nouns import Listing, Ref, checked, count, known_id, pages, refs_of
+from kleinkram.client._http import PATIENCE_S, Api, query_of
+from kleinkram.client._nouns import (
+    ApiResource,
+    Listing,
+    Ref,
+    RetryingResource,
+    checked,
+    count,
+    known_id,
+    pages,
+    refs_of,
+)
 from kleinkram.client.actions import Actions
 from kleinkram.client.errors import InvalidInput, TimedOut
-from kleinkram.client.missions import Missions
-from kleinkram.client.projects import Projects
+from kleinkram.client.missions import Missions, Projects
+from kleinkram.client.uploads import Uploads
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.files import BlobState, DownloadLink
 from kleinkram.contract.reports import Severity
+from kleinkram.contract.runners import (
+    ArtifactUploadsCreate,
+    Attempt,
+    ClaimReply,
+    ClaimRequest,
+    HeartbeatReplies,
+    Heartbeats,
+    InputsRequest,
+    InputUrls,
+    LogChunkConfirm,
+    LogChunkCreate,
+    LogChunkUpload,
+    RunAssignment,
+    RunFinish,
+    RunFinished,
+    RunnerRead,
+    RunnerRegistration,
+)
 from kleinkram.contract.runs import (
     MAX_LAUNCHED,
     ArtifactRead,
@@ -27,6 +59,7 @@ from kleinkram.contract.runs import (
     LogChunkRead,
     MetricRead,
     ReportFilter,
+    RunContext,
     RunCreated,
     RunDetail,
     RunFilter,
@@ -37,6 +70,7 @@ from kleinkram.contract.runs import (
     RunsCreated,
     RunState,
 )
+from kleinkram.contract.uploads import UploadDecisions, UploadFile
 
 if TYPE_CHECKING:
     from kleinkram.client.transfer import TransferReport, Watcher
@@ -50,7 +84,7 @@ _LOOK_EVERY_S = 1.0
 
 
 class RunFields(TypedDict, total=False):
-    """The keywords that say which runs: `RunFilter`'s, with places by name, id, or as they are; one or several."""
+    """The keywords that select runs: those of `RunFilter`, with one value or several; places by name, id or object."""
 
     project: Ref | Sequence[Ref]
     mission: Ref | Sequence[Ref]
@@ -60,8 +94,8 @@ class RunFields(TypedDict, total=False):
     mine: bool
 
 
-class SayingFields(TypedDict, total=False):
-    """The keywords that say which findings or metrics: `ReportFilter`'s, with places as in `RunFields`."""
+class ReportFields(TypedDict, total=False):
+    """The keywords that select findings or metrics: those of `ReportFilter`, with places as in `RunFields`."""
 
     run: Ref
     project: Ref | Sequence[Ref]
@@ -73,11 +107,8 @@ class SayingFields(TypedDict, total=False):
 FilterKind = TypeVar("FilterKind", RunFilter, ReportFilter)
 
 
-class Runs:
+class Runs(ApiResource):
     """`client.runs`."""
-
-    def __init__(self, api: Api) -> None:
-        self._api = api
 
     def launch(
         self,
@@ -88,20 +119,15 @@ class Runs:
         parameters: ParameterValues | None = None,
         force: bool = False,
     ) -> Sequence[RunCreated | RunRefused]:
-        """Run an action on each of some missions, and return how it went with each, in order, however many they are.
+        """Run an action on each of some missions, and return the outcome for each, in order.
 
-        The action is a published one by its id, in its latest version unless another is named; or a definition, which
-        is run without being published. Results of an earlier good run with the very same version, parameters and inputs
-        are taken over, and the run is `done` at once, unless `force`. A mission on which it may not run has a
-        `RunRefused`, and keeps no other from being run.
-
-        Raises:
-            InvalidInput: the request cannot be made of these.
-            NotFound: there is no such action, or no such version of it.
+        The action is a published one, in its latest version unless `version` is given; or a definition, which is run
+        without being published. Results of an earlier successful run with the same version, parameters and inputs are
+        reused, and the run is `done` at once, unless `force`. A mission on which it may not run has a `RunRefused`.
         """
         what = "definition" if isinstance(action, ActionDefinition) else "action_id"
         if not isinstance(action, ActionDefinition):
-            action = known_id(action, "action") or Actions(self._api).get(action).id
+            action = Actions(self._api).id_of(action)
         requested: dict[str, object] = {what: action, "parameters": parameters or {}, "force": force}
         if version is not None:
             requested["version"] = version
@@ -123,26 +149,13 @@ class Runs:
         return count(self._api, "/runs", RunRead, query_of(self._filter(RunFilter, matching, fields)))
 
     def get(self, run_id: Ref) -> RunDetail:
-        """Return a run with its definition, previews, proposed metadata and what it used.
-
-        Raises:
-            NotFound: there is none with this id.
-            InvalidInput: it is no id.
-        """
+        """Return a run with its definition, previews, proposed metadata and used resources."""
         return self._api.get(f"/runs/{_run_id(run_id)}", RunDetail)
 
     def wait(
-        self,
-        run_id: Ref,
-        *,
-        timeout_s: float | None = None,
-        seen: Callable[[RunDetail], None] | None = None,
+        self, run_id: Ref, *, timeout_s: float | None = None, seen: Callable[[RunDetail], None] | None = None
     ) -> RunDetail:
-        """Return a run once it is over, well or not; `seen` is called with it whenever it was looked at.
-
-        Raises:
-            TimedOut: it was not over by then; it goes on.
-        """
+        """Return a run once it has ended; `seen` is called with each state. On TimedOut the run goes on."""
         began_at, pause_s = time.monotonic(), _FIRST_LOOK_S
         while True:
             run = self.get(run_id)
@@ -156,22 +169,22 @@ class Runs:
             pause_s = min(pause_s * 1.5, _LOOK_EVERY_S)
 
     def cancel(self, run_id: Ref) -> RunRead:
-        """Have a run ended, and return it: its runner does so within seconds. Nothing happens to one that is over."""
-        return self._api.understood(RunRead, "cancel", self._api.post_empty(f"/runs/{_run_id(run_id)}/cancel"))
+        """Cancel a run, and return it; its runner ends it within seconds. A run that has ended stays."""
+        return self._api.understood(RunRead, "cancel", self._api.post(f"/runs/{_run_id(run_id)}/cancel"))
 
     def retry(self, run_id: Ref, *, force: bool = False) -> RunRead:
-        """Make a new run of the same version with the same parameters on the same mission, and return it.
+        """Create a run of the same version with the same parameters on the same mission, and return it.
 
-        It reads the files that match now. With `force`, it takes over no results of an earlier one.
+        It reads the files that match now. With `force`, no earlier results are reused.
         """
         return self._api.send("POST", f"/runs/{_run_id(run_id)}/retry?force={str(force).lower()}", RunRead)
 
     def inputs(self, run_id: Ref) -> Listing[RunInput]:
-        """Yield the files that a run was given, by path."""
+        """Yield the inputs of a run, by path."""
         return pages(self._api, f"/runs/{_run_id(run_id)}/inputs", RunInput, [])
 
     def artifacts(self, run_id: Ref) -> Listing[ArtifactRead]:
-        """Yield the files that a run left, by path; of one that took over results, those of the earlier one."""
+        """Yield the artifacts of a run, by path; of a run that reuses results, those of the earlier one."""
         return pages(self._api, f"/runs/{_run_id(run_id)}/artifacts", ArtifactRead, [])
 
     def artifact_urls(self, run_id: Ref, artifact_ids: Sequence[uuid.UUID]) -> Sequence[ArtifactUrl]:
@@ -188,18 +201,16 @@ class Runs:
         overwrite: bool = False,
         watcher: "Watcher | None" = None,
     ) -> "TransferReport":
-        """Download what a run left, or some of it, into a folder and return how each ended.
+        """Download artifacts of a run, all or some, to a folder and return the result for each.
 
         As `transfer.download`: each is verified before it gets its name, and the same call again resumes.
-
-        Raises:
-            DiskFull: there is no room for all of it.
-            ServerUnreachable, StoreUnreachable: one of them stayed away.
         """
-        from kleinkram.client.transfer.destination import plan_artifacts  # transfers know the client
+        from kleinkram.client.transfer.destination import DownloadPlan  # imports the client
         from kleinkram.client.transfer.download import fetch
 
-        plan = plan_artifacts(self.artifacts(run_id) if artifacts is None else artifacts, dest)
+        plan = DownloadPlan()
+        for artifact in self.artifacts(run_id) if artifacts is None else artifacts:
+            plan.add(artifact, dest, artifact.path)
 
         def links(ids: Sequence[uuid.UUID]) -> Sequence[DownloadLink]:
             return [_as_link(entry) for entry in self.artifact_urls(run_id, ids)]
@@ -207,29 +218,27 @@ class Runs:
         return fetch(links, self._api.endpoint.url, plan, overwrite=overwrite, watcher=watcher)
 
     def findings(
-        self, matching: ReportFilter | None = None, *, limit: int | None = None, **fields: Unpack[SayingFields]
+        self, matching: ReportFilter | None = None, *, limit: int | None = None, **fields: Unpack[ReportFields]
     ) -> Listing[FindingRead]:
-        """Yield what runs have noticed."""
-        return pages(
-            self._api, "/findings", FindingRead, query_of(self._filter(ReportFilter, matching, fields)), limit=limit
-        )
+        """Yield the findings of runs."""
+        query = query_of(self._filter(ReportFilter, matching, fields))
+        return pages(self._api, "/findings", FindingRead, query, limit=limit)
 
     def metrics(
-        self, matching: ReportFilter | None = None, *, limit: int | None = None, **fields: Unpack[SayingFields]
+        self, matching: ReportFilter | None = None, *, limit: int | None = None, **fields: Unpack[ReportFields]
     ) -> Listing[MetricRead]:
-        """Yield the numbers that runs have found; the filter's `code` is a metric's name."""
-        return pages(
-            self._api, "/run-metrics", MetricRead, query_of(self._filter(ReportFilter, matching, fields)), limit=limit
-        )
+        """Yield the metrics of runs; the filter's `code` is the name of a metric."""
+        query = query_of(self._filter(ReportFilter, matching, fields))
+        return pages(self._api, "/run-metrics", MetricRead, query, limit=limit)
 
     def log(self, run_id: Ref, *, follow: bool = False) -> Iterator[LogChunkRead]:
-        """Yield what a run has written, from the beginning, in pieces of whole lines; with `follow`, until it is over.
+        """Yield the log of a run in pieces of whole lines; with `follow`, until the run ends.
 
-        Where a lost runner made it begin anew, the pieces of the next attempt follow, and `attempt` says so.
+        Where the run begins again after its runner was lost, the pieces of the next attempt follow.
         """
         attempt, offset, wait_s = 0, 0, 0.0
         while True:
-            requested_offset = time.monotonic()
+            requested_at = time.monotonic()
             query = query_of(None, offset=offset, wait_s=wait_s)
             piece = self._api.get(f"/runs/{_run_id(run_id)}/log", LogChunkRead, query)
             begins_anew = piece.attempt != attempt and offset > 0
@@ -241,18 +250,13 @@ class Runs:
             if piece.is_over or not (piece.text or follow):
                 return
             wait_s = _LOG_WAIT_S if follow else 0.0
-            if not piece.text and time.monotonic() - requested_offset < _LOG_PAUSE_S:
+            if not piece.text and time.monotonic() - requested_at < _LOG_PAUSE_S:
                 time.sleep(_LOG_PAUSE_S)
 
     def _filter(
         self, kind: type[FilterKind], matching: FilterKind | None, fields: Mapping[str, object]
     ) -> FilterKind | None:
-        """Return the filter that keywords and a filter say together.
-
-        Raises:
-            InvalidInput: a keyword is unknown, or its value is not usable.
-            NotFound: there is no such project or mission.
-        """
+        """Return the filter of keywords and a filter together."""
         if not fields:
             return matching
         selected = dict(fields)
@@ -262,7 +266,11 @@ class Runs:
             selected["project_ids"] = projects
         if (value := selected.pop("mission", None)) is not None:
             within = projects[0] if len(projects) == 1 else None
-            selected["mission_ids"] = [self._mission_id(cast(Ref, ref), within) for ref in refs_of("mission", value)]
+            ids = []
+            for ref in cast(list[Ref], refs_of("mission", value)):
+                is_qualified = isinstance(ref, str) and "/" in ref
+                ids.append(Missions(self._api).id_of(ref, project=None if is_qualified else within))
+            selected["mission_ids"] = ids
         if (run := selected.pop("run", None)) is not None:
             selected["run_id"] = known_id(cast(Ref, run), "run") or run
         for name in ("state", "severity"):
@@ -270,10 +278,6 @@ class Runs:
                 selected[name] = [selected[name]]
         requested = matching.model_dump(exclude_defaults=True) if matching else {}
         return checked(kind, "The filter", **requested, **selected)
-
-    def _mission_id(self, ref: Ref, project_id: uuid.UUID | None) -> uuid.UUID:
-        says_project = isinstance(ref, str) and "/" in ref
-        return Missions(self._api).id_of(ref, project=None if says_project else project_id)
 
 
 def _run_id(ref: Ref) -> uuid.UUID:
@@ -293,3 +297,82 @@ def _as_link(artifact: ArtifactUrl) -> DownloadLink:
         url=artifact.url,
         expires_at=artifact.expires_at,
     )
+
+
+class Runners(RetryingResource):
+    """`client.runners`."""
+
+    def with_patience(self, patience_s: float, wait: Callable[[float], object]) -> "Runners":
+        """Return a client with another retry timeout."""
+        return Runners(self._api, patience_s=patience_s, wait=wait)
+
+    def list(self) -> Listing[RunnerRead]:
+        """List all runners."""
+        return pages(self._api, "/runners", RunnerRead, [])
+
+    def register(self, registration: RunnerRegistration) -> RunnerRead:
+        """Register a runner, or update its description."""
+        return self._repeat("/runners", RunnerRead, registration)
+
+    def claim(self, runner_id: uuid.UUID, request: ClaimRequest) -> RunAssignment | None:
+        """Wait for a run and return it; None where there is none."""
+        return self._api.send("POST", f"/runners/{runner_id}/claims", ClaimReply, request).run
+
+    def send_heartbeats(self, runner_id: uuid.UUID, heartbeats: Heartbeats) -> HeartbeatReplies:
+        """Send the states of all runs, and renew their leases."""
+        return self._api.send("POST", f"/runners/{runner_id}/heartbeats", HeartbeatReplies, heartbeats)
+
+    def get_context(self, run_id: uuid.UUID, attempt: Attempt) -> RunContext:
+        """Return the content of `/in/mission.json`."""
+        return self._api.get(f"/runner/runs/{run_id}/context", RunContext, [("attempt", str(attempt))])
+
+    def sign_inputs(self, run_id: uuid.UUID, request: InputsRequest) -> InputUrls:
+        """Return URLs of inputs."""
+        path = f"/runner/runs/{run_id}/inputs"
+        return self._repeat(path, InputUrls, request)
+
+    def create_log_chunk(self, run_id: uuid.UUID, chunk: LogChunkCreate) -> LogChunkUpload:
+        """Return where to PUT a chunk of the log."""
+        path = f"/runner/runs/{run_id}/log-chunks"
+        return self._repeat(path, LogChunkUpload, chunk)
+
+    def confirm_log_chunk(self, run_id: uuid.UUID, chunk: LogChunkConfirm) -> None:
+        """Confirm that a chunk of the log was uploaded."""
+        path = f"/runner/runs/{run_id}/log-chunks/confirm"
+        self._api.post(path, chunk, patience_s=self._patience_s, wait=self._wait)
+
+    def uploads(self, run_id: uuid.UUID, attempt: Attempt) -> "ArtifactUploads":
+        """Return the upload protocol for artifacts of a run."""
+        return ArtifactUploads(self._api, run_id, attempt, patience_s=self._patience_s, wait=self._wait)
+
+    def finish(self, run_id: uuid.UUID, finish: RunFinish) -> RunFinished:
+        """Report the end of a run."""
+        path = f"/runner/runs/{run_id}/finish"
+        return self._repeat(path, RunFinished, finish)
+
+
+class ArtifactUploads(Uploads):
+    """The upload protocol for artifacts: `begin` takes the id of the run."""
+
+    def __init__(
+        self,
+        api: Api,
+        run_id: uuid.UUID,
+        attempt: Attempt,
+        *,
+        patience_s: float = PATIENCE_S,
+        wait: Callable[[float], object] | None = None,
+    ) -> None:
+        super().__init__(api, patience_s=patience_s, wait=wait)
+        self._run_id = run_id
+        self._attempt = attempt
+
+    def with_patience(self, patience_s: float, wait: Callable[[float], object]) -> "ArtifactUploads":
+        """Return a client with another retry timeout."""
+        return ArtifactUploads(self._api, self._run_id, self._attempt, patience_s=patience_s, wait=wait)
+
+    def begin(self, mission_id: uuid.UUID, files: Sequence[UploadFile]) -> UploadDecisions:
+        """Announce up to 200 artifacts of the run and return what to do with each, in the order given."""
+        body = ArtifactUploadsCreate(attempt=self._attempt, files=[*files])
+        path = f"/runner/runs/{mission_id}/uploads"
+        return self._repeat(path, UploadDecisions, body)

@@ -6,10 +6,9 @@ from typing import cast
 
 from typing_extensions import TypedDict, Unpack
 
-from kleinkram.client._http import Api, query_of
-from kleinkram.client._nouns import Ref, Time, as_datetime, checked, known_id, refs_of
+from kleinkram.client._http import query_of
+from kleinkram.client._nouns import ApiResource, Ref, Time, as_datetime, checked, known_id, refs_of
 from kleinkram.client.errors import InvalidInput
-from kleinkram.client.projects import Projects
 from kleinkram.contract.amounts import read_size
 from kleinkram.contract.files import FileFilter, FileSort
 from kleinkram.contract.missions import MissionFilter
@@ -21,34 +20,8 @@ from kleinkram.contract.search import FacetsRead, FileQuery, SearchRead
 Condition = FileFilter | str | None
 
 
-class Search:
-    """`client.search`."""
-
-    def __init__(self, api: Api) -> None:
-        self._api = api
-
-    def find(self, query: str = "", *, sort: FileSort | str | None = None, limit: int | None = None) -> SearchRead:
-        """Return the first missions, files (latest first) and topics that a query finds, and how many there are.
-
-        `client.files.list(query)` and `client.missions.list(query=query)` yield all of them.
-
-        Raises:
-            InvalidQuery: the query cannot be read; says which word, at which column, and what is possible.
-        """
-        parameters = query_of(None, query=query, sort=sort, limit=limit)
-        return self._api.get("/search", SearchRead, parameters)
-
-    def facets(self, query: str = "") -> FacetsRead:
-        """Return how the files that a query finds divide, and the query with each value chosen.
-
-        Raises:
-            InvalidQuery: as in `find`.
-        """
-        return self._api.get("/search/facets", FacetsRead, query_of(None, query=query))
-
-
 class MissionFields(TypedDict, total=False):
-    """The keywords that say which missions: `MissionFilter`'s, of which one or several may be said."""
+    """The keywords that select missions: those of `MissionFilter`, with one value or several."""
 
     text: str
     project: Ref | Sequence[Ref]
@@ -63,7 +36,7 @@ class MissionFields(TypedDict, total=False):
 
 
 class FileFields(TypedDict, total=False):
-    """The keywords that say which files: `FileFilter`'s, of which one or several may be said.
+    """The keywords that select files: those of `FileFilter`, with one value or several.
 
     `project` and `mission` are a name, a glob, an id, the noun itself, or several. Sizes are bytes, or text like "1GB".
     """
@@ -96,7 +69,7 @@ _SINGLE_VALUED = frozenset({"text", "recording_id", "completed", "satisfied", "m
 
 
 def as_filter(condition: Condition, fields: FileFields = _NO_FIELDS) -> FileFilter | None:
-    """Return the filter that is wanted: of the text of a query, of keywords, of both, or as it is.
+    """Return the filter of a query's text, of keywords, of both, or a filter unchanged.
 
     Raises:
         InvalidQuery: the query cannot be read.
@@ -114,11 +87,7 @@ def as_filter(condition: Condition, fields: FileFields = _NO_FIELDS) -> FileFilt
 
 
 def as_mission_filter(condition: MissionFilter | None, fields: MissionFields) -> MissionFilter | None:
-    """Return the filter of missions that keywords and a filter say together.
-
-    Raises:
-        InvalidInput: a keyword is unknown, or its value is not usable.
-    """
+    """Return the filter of missions of keywords and a filter together."""
     if not (condition is None or isinstance(condition, MissionFilter)):
         raise InvalidInput(what=f"The filter {condition!r}", reason="give keywords, or a MissionFilter")
     if not fields:
@@ -126,9 +95,8 @@ def as_mission_filter(condition: MissionFilter | None, fields: MissionFields) ->
     values = _read_fields(fields)
     if isinstance(names := values.get("name"), list):
         values = {**{key: value for key, value in values.items() if key != "name"}, "missions": names}
-    return checked(
-        MissionFilter, "The filter", **(condition.model_dump(exclude_defaults=True) if condition else {}), **values
-    )
+    earlier = condition.model_dump(exclude_defaults=True) if condition else {}
+    return checked(MissionFilter, "The filter", **earlier, **values)
 
 
 def _read_fields(fields: Mapping[str, object]) -> dict[str, object]:
@@ -143,7 +111,10 @@ def _read_fields(fields: Mapping[str, object]) -> dict[str, object]:
         elif name in {"recorded_after", "recorded_before"}:
             values[name] = as_datetime(name, value)
         elif name.endswith("_size_bytes") and isinstance(value, str):
-            values[name] = _size(name, value)
+            try:
+                values[name] = int(read_size(value))
+            except ValueError as error:
+                raise InvalidInput(what=f"The filter ({name})", reason=str(error)) from None
         elif name in _SINGLE_VALUED or name.endswith("_bytes") or name == "name":
             values[name] = value
         else:
@@ -152,15 +123,15 @@ def _read_fields(fields: Mapping[str, object]) -> dict[str, object]:
 
 
 def _missions(value: object, *, has_project: bool) -> dict[str, object]:
-    """Return the part of a filter that says which missions; one may be `"PROJECT/MISSION"`."""
-    several = refs_of("mission", value)
-    named = [ref for ref in several if isinstance(ref, str) and "/" in ref]
-    if not named:
-        return _place("mission", several)
-    if has_project or len(several) > 1:
-        reason = f"say the project of {named[0]!r} by project="
+    """Return the filter fields for missions; one may be `"PROJECT/MISSION"`."""
+    refs = refs_of("mission", value)
+    qualified = [ref for ref in refs if isinstance(ref, str) and "/" in ref]
+    if not qualified:
+        return _place("mission", refs)
+    if has_project or len(refs) > 1:
+        reason = f"say the project of {qualified[0]!r} by project="
         raise InvalidInput(what="The filter (mission)", reason=reason)
-    project, _, name = named[0].partition("/")
+    project, _, name = qualified[0].partition("/")
     return {**_place("project", [project]), **_place("mission", [name])}
 
 
@@ -171,40 +142,38 @@ def _place(noun: str, several: Sequence[object]) -> dict[str, object]:
     return {f"{noun}s": [str(ref) for ref in refs]}
 
 
-def _size(name: str, text: str) -> int:
-    try:
-        return int(read_size(text))
-    except ValueError as error:
-        raise InvalidInput(what=f"The filter ({name})", reason=str(error)) from None
+class Search(ApiResource):
+    """`client.search`."""
+
+    def find(self, query: str = "", *, sort: FileSort | str | None = None, limit: int | None = None) -> SearchRead:
+        """Return the first missions, files (latest first) and topics that match a query, and their counts.
+
+        `client.files.list(query)` and `client.missions.list(query=query)` yield all of them. InvalidQuery names the
+        word that cannot be read, its column, and what is possible.
+        """
+        return self._api.get("/search", SearchRead, query_of(None, query=query, sort=sort, limit=limit))
+
+    def facets(self, query: str = "") -> FacetsRead:
+        """Return the counts of the matching files by facet, and the query that selects each value."""
+        return self._api.get("/search/facets", FacetsRead, query_of(None, query=query))
 
 
-class Stats:
+class Stats(ApiResource):
     """`client.stats`."""
-
-    def __init__(self, api: Api) -> None:
-        self._api = api
 
     def get(self, by: str = "project", matching: Condition = None, **fields: Unpack[FileFields]) -> StatsRead:
         """Return hours, bytes, files and messages of the matching files.
 
         `by` is `project`, `mission`, `topic`, `type`, `month`, `format` or `metadata.FIELD`.
-
-        Raises:
-            InvalidQuery: `by` is none of these.
         """
         return self._api.get("/stats", StatsRead, query_of(as_filter(matching, fields), by=by))
 
-    def overview(
-        self, by: str = "month", *, project: Ref | None = None, project_id: Ref | None = None, most: int = 20
-    ) -> Overview:
-        """Return what a project amounts to, or all that one may see, in at most so many buckets.
+    def overview(self, by: str = "month", *, project: Ref | None = None, most: int = 20) -> Overview:
+        """Return the totals of a project, or of all that one may see, in at most `most` buckets.
 
         `by` is `month`, of recording, or the name of a metadata field.
-
-        Raises:
-            NotFound: there is no such project.
-            InvalidQuery: no mission has such a field.
         """
-        where = project if project is not None else project_id
-        path = "/overview" if where is None else f"/projects/{Projects(self._api).id_of(where)}/stats"
+        from kleinkram.client.missions import Projects  # imports this module
+
+        path = "/overview" if project is None else f"/projects/{Projects(self._api).id_of(project)}/stats"
         return self._api.get(path, Overview, query_of(None, by=by, most=most))

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from pydantic import RootModel
 
-from kleinkram.client._http import Api, query_of
-from kleinkram.client._nouns import Listing, Ref, known_id, pages, resolve_one
+from kleinkram.client._http import query_of
+from kleinkram.client._nouns import ApiResource, Listing, Ref, known_id, pages, resolve_one
 from kleinkram.client.errors import TimedOut
 from kleinkram.contract.accounts import AccountRead, IdentityRead, MeRead, OneTimeLink, SessionRead
 from kleinkram.contract.admin import (
@@ -27,53 +27,40 @@ from kleinkram.contract.people import ServiceRead
 from kleinkram.contract.projects import TrashNoun, TrashRead
 
 
-class Service:
+class Service(ApiResource):
     """`client.service`."""
 
-    def __init__(self, api: Api) -> None:
-        self._api = api
-
     def get(self) -> ServiceRead:
-        """Return the server's version, addresses, and whom it takes the caller for."""
+        """Return the server's version and addresses, and the caller's account."""
         return self._api.get("/service", ServiceRead)
 
     def now(self) -> datetime.datetime:
-        """Return what time it is at the server, which asks it: what ends, ends by its clock."""
+        """Ask the server for its time: its clock decides what has expired."""
         self.get()
         return self._api.now()
 
 
-class Home:
+class Home(ApiResource):
     """`client.home`."""
-
-    def __init__(self, api: Api) -> None:
-        self._api = api
 
     def get(self) -> HomeRead:
         """Return recent missions, your unfinished uploads, and what needs attention."""
         return self._api.get("/home", HomeRead)
 
     def storage(self) -> HomeStorage:
-        """Return what the largest projects take; to admins also what the store holds."""
+        """Return the sizes of the largest projects; for admins also of the store."""
         return self._api.get("/home/storage", HomeStorage)
 
 
 class _Identities(RootModel[list[IdentityRead]]):
-    """The answer of a list that is never long."""
+    """A short list."""
 
 
-class Me:
+class Me(ApiResource):
     """`client.me`."""
 
-    def __init__(self, api: Api) -> None:
-        self._api = api
-
     def get(self) -> MeRead:
-        """Return whose the token in use is, and what it is good for.
-
-        Raises:
-            NotAuthenticated: it is unknown, expired or revoked.
-        """
+        """Return the account and the scopes of the token in use; NotAuthenticated where it is not valid."""
         return self._api.get("/me", MeRead)
 
     def account(self) -> AccountRead:
@@ -81,24 +68,15 @@ class Me:
         return self._api.get("/me/account", AccountRead)
 
     def identities(self) -> list[IdentityRead]:
-        """Return under which providers' word one signs in."""
+        """Return the providers that one signs in by."""
         return self._api.get("/me/identities", _Identities).root
 
     def unlink_identity(self, identity_id: uuid.UUID) -> None:
-        """Take a provider's word for oneself no more. Sessions, tokens and addresses stay.
-
-        Raises:
-            NotFound: none of one's own has that id.
-            LastSignInMethod: without it there would be no way to sign in.
-        """
+        """Stop signing in by a provider; LastSignInMethod for the last way. Sessions, tokens and addresses stay."""
         self._api.delete(f"/me/identities/{identity_id}")
 
     def sign_out(self) -> None:
-        """Revoke the token in use: from the next request on it is good for nothing. Those made with it stay.
-
-        Raises:
-            NotAuthenticated: it already was.
-        """
+        """Revoke the token in use, from the next request on. Tokens made with it stay."""
         self._api.delete(f"/tokens/{self.get().credential.id}", [("made", "kept")])
 
     def sessions(self) -> Listing[SessionRead]:
@@ -106,11 +84,7 @@ class Me:
         return pages(self._api, "/me/sessions", SessionRead, [])
 
     def end_session(self, session_id: uuid.UUID) -> None:
-        """Sign one browser out.
-
-        Raises:
-            NotFound: none of one's own has that id.
-        """
+        """Sign one browser out."""
         self._api.delete(f"/me/sessions/{session_id}")
 
     def end_sessions(self) -> None:
@@ -118,36 +92,23 @@ class Me:
         self._api.delete("/me/sessions")
 
     def owner_link(self) -> OneTimeLink:
-        """Return a link that signs a browser in, once, as the owner of `klein up`. One made before is good no more.
-
-        Raises:
-            Forbidden: the token in use is not the owner's.
-        """
-        return self._api.understood(OneTimeLink, "POST /auth/owner-link", self._api.post_empty("/auth/owner-link"))
+        """Return a link that signs a browser in, once, as the owner of `klein up`. It replaces an earlier one."""
+        return self._api.understood(OneTimeLink, "POST /auth/owner-link", self._api.post("/auth/owner-link"))
 
 
-# The server says something, if only that it is still there, every 15 s.
 _PAUSE_S = 1.0
-# After no event that there ever was: to who comes with it, the server says that changes were missed.
+# An id that no event has: the server answers that changes were missed.
 _NOWHERE = "nowhere"
 
 
-class Events:
+class Events(ApiResource):
     """`client.events`."""
 
-    def __init__(self, api: Api) -> None:
-        self._api = api
-
     def follow(self, *, for_s: float | None = None) -> Iterator[Change | Refetch]:
-        """Yield what changes of whatever you may see, as it changes, for `for_s` seconds or until you stop.
+        """Yield changes of whatever you may see, as they happen, for `for_s` seconds or until you stop.
 
-        Tells what changed, never what it says now. Where the connection breaks it is made again and nothing is left
-        out: a `Refetch` says that changes were missed, or that your rights are others now, so that anything may differ.
-
-        Raises:
-            NotAuthenticated: the token is not good any more.
-            ServerUnreachable: the server is away for longer than a restart takes.
-            TooManyStreams: your account has as many streams open as it gets.
+        A change names what changed, without its new content. A lost connection is made again and nothing is left out: a
+        `Refetch` says that changes were missed, or that your rights changed, so that anything may differ.
         """
         ends_at = None if for_s is None else time.monotonic() + for_s
         after: str | None = None
@@ -166,42 +127,27 @@ class Events:
             time.sleep(_PAUSE_S if ends_at is None else min(_PAUSE_S, max(0.0, ends_at - time.monotonic())))
 
 
-class Audit:
+class Audit(ApiResource):
     """`client.audit`."""
-
-    def __init__(self, api: Api) -> None:
-        self._api = api
 
     def list(self, matching: AuditFilter | None = None, *, limit: int | None = None) -> Listing[AuditRead]:
         """Yield the events that match, latest first."""
         return pages(self._api, "/audit", AuditRead, query_of(matching), limit=limit)
 
     def export(self, matching: AuditFilter | None = None) -> Iterator[AuditRead]:
-        """Yield all events that match, oldest first, as the server sends them: of any number, few in memory.
-
-        Raises:
-            ServerUnreachable: the connection broke; what was yielded is not all.
-        """
+        """Yield all events that match, oldest first, as a stream; ServerUnreachable where it breaks off."""
         return self._api.stream("/audit/export", AuditRead, query_of(matching))
 
 
-class Trash:
+class Trash(ApiResource):
     """`client.trash`."""
 
-    def __init__(self, api: Api) -> None:
-        self._api = api
-
     def list(self, noun: TrashNoun | None = None) -> Listing[TrashRead]:
-        """Yield what lies in the trash, latest first."""
+        """Yield what is in the trash, latest first."""
         return pages(self._api, "/trash", TrashRead, query_of(None, noun=noun.value if noun else None))
 
     def get(self, ref: Ref, *, noun: TrashNoun | None = None) -> TrashRead:
-        """Return the thing in the trash with this id or name.
-
-        Raises:
-            NotFound: there is none.
-            AmbiguousName: several have that name.
-        """
+        """Return the thing in the trash with this id or name."""
         rows = self.list(noun)
         what = noun.value if noun else "deleted thing"
         if (noun_id := known_id(ref, what)) is not None:
@@ -209,71 +155,51 @@ class Trash:
         return resolve_one(what, str(ref), rows, name=lambda row: row.name, label=trash_label)
 
     def restore(self, noun: TrashNoun, ref: Ref) -> None:
-        """Put a deleted thing, by its id or name, back where it was.
-
-        Raises:
-            NameTaken, FileExists: something else has its name now.
-            NotFound: it is not in the trash.
-        """
-        self._api.post_empty(f"/trash/{noun.value}/{known_id(ref, noun.value) or self.get(ref, noun=noun).id}/restore")
+        """Restore a deleted thing; NameTaken or FileExists where something else has its name now."""
+        self._api.post(f"/trash/{noun.value}/{known_id(ref, noun.value) or self.get(ref, noun=noun).id}/restore")
 
 
 def trash_label(row: TrashRead) -> str:
-    """Return how a deleted thing is listed among candidates."""
-    return (
-        f"{row.noun.value} {row.place}/{row.name} ({row.id})"
-        if row.place
-        else f"{row.noun.value} {row.name} ({row.id})"
-    )
+    """Return a deleted thing as it is listed among candidates."""
+    place = f"{row.place}/" if row.place else ""
+    return f"{row.noun.value} {place}{row.name} ({row.id})"
 
 
 _POLL_S = 1.0
 
 
-class Admin:
-    """`client.admin`. Everything here takes an admin with a credential of scope admin."""
-
-    def __init__(self, api: Api) -> None:
-        self._api = api
+class Admin(ApiResource):
+    """`client.admin`. Everything here requires an admin with a credential of scope admin."""
 
     def storage(self) -> AdminStorage:
-        """Return what the store keeps."""
+        """Return the sizes of the store."""
         return self._api.get("/admin/storage", AdminStorage)
 
     def jobs(self) -> AdminJobs:
-        """Return the queue, the jobs that wait for another attempt, and those that were given up."""
+        """Return the queue, the jobs that will be retried, and those that were given up."""
         return self._api.get("/admin/jobs", AdminJobs)
 
     def retry_job(self, job_id: int) -> None:
-        """Put a job that was given up back into the queue.
-
-        Raises:
-            NotFound: there is no such job, or it was not given up.
-        """
-        self._api.post_empty(f"/admin/jobs/{job_id}/retry")
+        """Put a job that was given up back into the queue."""
+        self._api.post(f"/admin/jobs/{job_id}/retry")
 
     def retry_jobs(self) -> int:
         """Put all jobs that were given up back into the queue, and return how many."""
         return self._api.send("POST", "/admin/jobs/retry", RetriedJobs).count
 
     def scrub(self) -> ScrubState:
-        """Return what the last comparison of the store with the database found, or has found so far."""
+        """Return the results so far of the last comparison of the store with the database."""
         return self._api.get("/admin/scrub", ScrubState)
 
     def begin_scrub(self, *, believe: bool = False) -> ScrubRead:
-        """Have what the store lists compared with the database; return the scrub that is under way, or begins.
+        """Start comparing the store with the database; return the scrub that is under way, or begins.
 
-        Where very much is missing, a scrub marks nothing, since the store looks like another one; with `believe`,
-        what is missing is marked as lost all the same.
+        Where very much is missing, a scrub marks nothing, since the store may be another one, unless `believe`.
         """
         return self._api.repeat("/admin/scrub", ScrubRead, ScrubRequest(believe=believe))
 
     def watch_scrub(self, *, timeout_s: float) -> Iterator[ScrubState]:
-        """Yield how the last scrub stands, once a second, until it has ended.
-
-        Raises:
-            TimedOut: it took longer; the server goes on.
-        """
+        """Yield the state of the last scrub, once a second, until it has ended. After TimedOut the server goes on."""
         deadline = time.monotonic() + timeout_s
         while True:
             state = self.scrub()
@@ -285,7 +211,7 @@ class Admin:
             time.sleep(_POLL_S)
 
     def health(self) -> AdminHealth:
-        """Return how database, store and workers are."""
+        """Return the state of database, store and workers."""
         return self._api.get("/admin/health", AdminHealth)
 
     def settings(self) -> AdminSettings:

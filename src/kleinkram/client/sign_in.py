@@ -1,6 +1,6 @@
-"""Where a browser comes back to after signing in: a port of 127.0.0.1, for as long as one login takes (RFC 8252).
+"""Signing in by a browser that returns to a port of 127.0.0.1 (RFC 8252), or by a code typed elsewhere (RFC 8628).
 
-Any program or page on this machine can knock there; only who brings the login's `state` is listened to.
+Any program on this machine can connect to that port; only a request with the login's `state` is accepted.
 """
 
 import base64
@@ -11,7 +11,7 @@ import socketserver
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
@@ -45,7 +45,7 @@ _HEADERS = {
     "Cache-Control": "no-store",
     "Connection": "close",
 }
-# Browsers open connections ahead of time and say nothing on them.
+# Browsers open connections ahead of time and send nothing on them.
 _SILENCE_S = 10.0
 
 
@@ -74,12 +74,7 @@ class Loopback:
         self._server.server_close()
 
     def wait(self, timeout_s: float) -> str:
-        """Return the code that the browser brings.
-
-        Raises:
-            SignInDenied: it says that the person refused.
-            SignInExpired: none came in time.
-        """
+        """Return the code of the browser; SignInDenied if the person refused, SignInExpired if none came in time."""
         try:
             came = self._came.get(timeout=timeout_s)
         except queue.Empty:
@@ -90,7 +85,7 @@ class Loopback:
 
 
 class _LoopbackServer(socketserver.ThreadingTCPServer):
-    """A thread a connection, so that a silent one keeps nobody waiting."""
+    """A thread per connection, so that a silent one blocks no other."""
 
     daemon_threads = True
 
@@ -110,7 +105,7 @@ def _listener(state: str, came: "queue.SimpleQueue[str | _Denied]") -> type[Base
                 self._answer(HTTPStatus.OK, "Back to the terminal", "klein has what it needs. Close this window.")
                 came.put(code)
             else:
-                self._answer(HTTPStatus.OK, "Not signed in", "klein was told no. Close this window.")
+                self._answer(HTTPStatus.OK, "Not signed in", "You refused the sign-in of klein. Close this window.")
                 came.put(_Denied())
 
         def log_message(self, format: str, *args: object) -> None:  # noqa: A002  the name that http.server gives it
@@ -127,14 +122,14 @@ def _listener(state: str, came: "queue.SimpleQueue[str | _Denied]") -> type[Base
     return Listener
 
 
-# How long somebody may take over the page in the browser; the server's codes live no longer.
+# How long a person may take in the browser; the server's codes expire then.
 BROWSER_PATIENCE_S = 300.0
 _LONGEST_INTERVAL_S = 60.0
 
 
 @dataclass(frozen=True)
 class BrowserLogin:
-    """A login that waits for a browser: `url` is what to open."""
+    """A login that waits for a browser, which must open `url`."""
 
     url: str
     _server: str
@@ -142,14 +137,14 @@ class BrowserLogin:
     _loopback: Loopback = field(repr=False)
 
     def wait(self, timeout_s: float = BROWSER_PATIENCE_S) -> SignedIn:
-        """Wait until the page has sent the browser back, and exchange what it brought for a token.
+        """Wait until the page has sent the browser back, and exchange its code for a token.
 
         Raises:
             SignInDenied: the person refused.
-            SignInExpired: nothing came in time, or the server knows the code no more.
+            SignInExpired: no code came in time, or it has expired.
         """
         code = self._loopback.wait(timeout_s)
-        with _stranger(self._server) as api:
+        with _connection(self._server) as api:
             return api.send("POST", "/auth/cli/token", SignedIn, CliExchange(code=code, code_verifier=self._verifier))
 
 
@@ -157,7 +152,7 @@ class BrowserLogin:
 def begin_browser(url: str, client: str) -> Iterator[BrowserLogin]:
     """Listen on this machine's loopback for a browser, for as long as the context lasts.
 
-    `client` is what the person reads on the page and what their new token is called.
+    `client` is shown on the page and becomes the name of the token.
     """
     server, state, verifier = normal_url(url), secrets.token_urlsafe(32), secrets.token_urlsafe(64)
     digest = hashlib.sha256(verifier.encode()).digest()
@@ -169,19 +164,19 @@ def begin_browser(url: str, client: str) -> Iterator[BrowserLogin]:
 
 def begin_device(url: str, client: str) -> DeviceCode:
     """Ask a server for a code that can be typed on any machine with a browser."""
-    with _stranger(normal_url(url)) as api:
+    with _connection(normal_url(url)) as api:
         return api.send("POST", "/auth/device", DeviceCode, DeviceBegin(client=client))
 
 
 def wait_for_device(url: str, code: DeviceCode, wait: Callable[[float], object] = time.sleep) -> SignedIn:
-    """Ask until the code was typed, no more often than the server wants; a network that is away is waited for.
+    """Poll until the code was typed, no more often than the server allows, also while it is unreachable.
 
     Raises:
         SignInDenied: the person refused.
         SignInExpired: nobody typed it in time.
     """
     interval_s, left_s = code.interval_s, code.expires_s
-    with _stranger(normal_url(url)) as api:
+    with _connection(normal_url(url)) as api:
         while left_s > 0:
             wait(interval_s)
             left_s -= interval_s
@@ -200,18 +195,14 @@ def wait_for_device(url: str, code: DeviceCode, wait: Callable[[float], object] 
 
 
 def who_has(url: str, token: str) -> MeRead:
-    """Return whose a token is.
-
-    Raises:
-        NotAuthenticated: the server does not know it.
-    """
-    with _carrier(normal_url(url), token) as api:
+    """Return the account of a token."""
+    with _connection(normal_url(url), token) as api:
         return Me(api).get()
 
 
 def end_token(url: str, token: str) -> bool:
-    """Revoke a token at its server; False where it was good for nothing already."""
-    with _carrier(normal_url(url), token) as api:
+    """Revoke a token at its server; False where it was not valid already."""
+    with _connection(normal_url(url), token) as api:
         try:
             Me(api).sign_out()
         except NotAuthenticated:
@@ -219,23 +210,14 @@ def end_token(url: str, token: str) -> bool:
     return True
 
 
-def see_server(url: str) -> None:
-    """See that a Kleinkram server answers, before somebody is sent there.
-
-    Raises:
-        ServerUnreachable: nothing answers.
-        AnswerNotUnderstood: something else does.
-    """
-    with _stranger(normal_url(url)) as api, suppress(NotAuthenticated):
+def check_server(url: str) -> None:
+    """Raise ServerUnreachable or AnswerNotUnderstood unless a Kleinkram server answers."""
+    with _connection(normal_url(url)) as api, suppress(NotAuthenticated):
         Me(api).get()
 
 
-def _stranger(url: str) -> AbstractContextManager[Api]:
-    return _carrier(url, None)
-
-
 @contextmanager
-def _carrier(url: str, token: str | None) -> Iterator[Api]:
+def _connection(url: str, token: str | None = None) -> Iterator[Api]:
     api = Api(Endpoint("(given)", url, token, EndpointSource.argument))
     try:
         yield api

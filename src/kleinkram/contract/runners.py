@@ -241,6 +241,7 @@ class RunFinish(Request):
     reason: EndReason
     message: Annotated[str, Field(max_length=2000)]
     exit_code: Annotated[int, Field(ge=-(2**31), lt=2**31)] | None = None
+    image_digest: Annotated[str, Field(max_length=200)] | None = None
     report: Report = Report()
     problems: Annotated[list[Annotated[str, Field(max_length=2000)]], Field(max_length=200)] = []
     usage: Usage | None = None

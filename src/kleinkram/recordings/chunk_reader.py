@@ -30,14 +30,9 @@ from kleinkram.recordings.messages import Block, Channel, Selection
 from kleinkram.recordings.sources import Source
 from kleinkram.recordings.streams import ByteStream, open_bytes, open_range
 
-MAX_MESSAGE = 64 * 2**20
-"""Bytes of one message; a larger one is left out."""
-
-MAX_AHEAD = 32 * 2**20
-"""Bytes of chunks that are fetched and decompressed ahead."""
-
-MAX_SALVAGED = 256 * 2**20
-"""Bytes of damaged chunks, in one iteration, that are searched for what can be saved."""
+MAX_MESSAGE = 64 * 2**20  # bytes of one message; a larger one is left out
+MAX_AHEAD = 32 * 2**20  # bytes of chunks that are fetched and decompressed ahead
+MAX_SALVAGED = 256 * 2**20  # bytes of damaged chunks, in one iteration, that are searched for what can be saved
 
 _AHEAD_ON_DISK = 8 * 2**20
 _LEAST_WORKERS = 2
@@ -76,8 +71,7 @@ class ChunkedFile:
     check: IndexCheck | None = None
 
 
-Loaded = Buffer | Malformed
-"""The content of a chunk, or why there is none."""
+Loaded = Buffer | Malformed  # the content of a chunk, or why there is none
 
 
 def pieces_of(file: ChunkedFile, selection: Selection, order: tuple[int, ...]) -> Iterator[MessagePiece]:
@@ -261,7 +255,6 @@ class _ChunkReader:
             yield block
 
     def _parse(self, row: Row, content: Buffer) -> Block:
-        """Return the selected messages by time."""
         parse, messages = self._file.format.parse_messages, Block()
         readable_ranges = self._file.table.readable_ranges.get(row.start, ((0, len(content)),))
         for start, end in readable_ranges:

@@ -16,14 +16,9 @@ from collections.abc import Iterable, Sequence
 
 from kleinkram.recordings.model import MessageDensity
 
-MAX_BINS = 256
-"""Bins of one topic: between half as many and as many are in use, where messages lie far enough apart."""
-
-MANY_TOPICS = 4096
-"""In a file with more topics,"""
-
+MAX_BINS = 256  # bins of one topic: between half as many and as many are in use, where messages lie far enough apart
+MANY_TOPICS = 4096  # topics of a file, above which each has fewer bins
 BINS_OF_MANY_TOPICS = 64
-"""there are so many bins of each."""
 
 _HEAD = struct.Struct("<BBQ")
 _CODES = "BHIQ"

@@ -27,7 +27,7 @@ _MAX_FAULTS = 10_000
 class ChunkClaim(NamedTuple):
     """A chunk at [start, end), by the index or by a scan: inclusive times, channels, messages.
 
-    `channels`: number of a set; `end`, `messages`: `UNKNOWN` where the index does not say.
+    `channels`: number of a set; `end`, `messages`: `UNKNOWN` where the index does not state them.
     """
 
     start: int
@@ -54,7 +54,7 @@ class ChunkMessages:
         self.channels.update(batch)
 
     def add_index(self, channel_id: int, stamps: Sequence[int]) -> None:
-        """Add what a message index says of one channel."""
+        """Add the messages that a message index lists of one channel."""
         if stamps:
             self._add_stamps(stamps)
             self.channels.add(channel_id)
@@ -79,15 +79,13 @@ class IndexFaults:
         """Note a fault; the first one of a chunk counts."""
         self._add(start, _fault(start, message))
 
-    def _add(self, start: int, problem: Problem) -> None:
-        if len(self._by_chunk) < _MAX_FAULTS:
+    def _add(self, start: int, problem: Problem | None) -> None:
+        if problem is not None and len(self._by_chunk) < _MAX_FAULTS:
             self._by_chunk.setdefault(start, problem)
 
     def compare(self, claim: ChunkClaim, listed: frozenset[int] | None, messages: ChunkMessages) -> None:
         """Compare the claim of a chunk with its messages. `listed`: its channels; None: unknown."""
-        problem = fault_of_claim(claim, listed, messages)
-        if problem is not None:
-            self._add(claim.start, problem)
+        self._add(claim.start, fault_of_claim(claim, listed, messages))
 
     def problems(self) -> list[Problem]:
         """Return the faults as problems; similar ones are merged."""
@@ -179,8 +177,7 @@ def new_table() -> Int64Table[ChunkClaim]:
 MAX_COMPARED_NEAR = 4096
 """Chunks of a local file that are all compared; of a file with more, so many at even distances are compared first."""
 
-MAX_COMPARED_FAR = 16
-"""Likewise over a network, where nothing seems to fit a selection."""
+MAX_COMPARED_FAR = 16  # likewise over a network, where nothing seems to fit a selection
 
 _JOB_BYTES = 64 * 2**10
 _MOST_BYTES_AHEAD = 2**20

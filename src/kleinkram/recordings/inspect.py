@@ -12,9 +12,9 @@ from typing import Protocol
 
 from kleinkram.recordings.combine_summaries import combine, combine_folder
 from kleinkram.recordings.errors import SourceError
+from kleinkram.recordings.formats.rosbag2.metadata import METADATA_NAME
 from kleinkram.recordings.model import Content, Depth, RecordingFormat, RecordingSummary
 from kleinkram.recordings.recording_groups import (
-    METADATA_NAME,
     FolderRecordings,
     RecordingGroup,
     RecordingGroupKind,
@@ -74,7 +74,7 @@ def inspect_paths(
     """Inspect files and folders, in the given order; of a folder, each recording in it.
 
     `Depth.summary` reads indexes, and the whole file where it has none. `Depth.scan` reads every byte of every file;
-    `progress` is then told of the bytes that were read. A metadata.yaml of rosbag2 is for its recording. A file or
+    `progress` then receives the number of bytes read. A metadata.yaml of rosbag2 is for its recording. A file or
     folder that cannot be read is an inspection of its own and hides no other.
 
     Raises:
@@ -182,15 +182,12 @@ class _FileInspector:
 
 
 class _ProgressReader:
-    """A reader that reports its progress."""
-
     def __init__(self, reader: FileReader, progress: ScanProgress) -> None:
         self.name, self.size_bytes, self.path = reader.name, reader.size_bytes, reader.path
         self._reader = reader
         self._progress = progress
 
     def read(self, length: int) -> bytes:
-        """Return the next bytes; b"" at the end."""
         data = self._reader.read(length)
         self._progress.moved(len(data))
         return data

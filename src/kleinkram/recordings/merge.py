@@ -20,11 +20,8 @@ from kleinkram.recordings.errors import TooDisordered
 from kleinkram.recordings.messages import END_OF_TIME_NS, Block
 from kleinkram.recordings.streams import keep_freed_memory
 
-MAX_BUFFERED_BYTES = 48 * 2**20
-"""Bytes of messages that may wait for their time before pieces are held in shares."""
-
-OVERHEAD_BYTES = 250
-"""What a message costs beside its data."""
+MAX_BUFFERED_BYTES = 48 * 2**20  # bytes of messages that may wait for their time before pieces are held in shares
+OVERHEAD_BYTES = 250  # what a message costs beside its data
 
 _log_time = attrgetter("log_time_ns")
 
@@ -127,7 +124,6 @@ class _Merging:
             self._bound()
 
     def blocks(self, before_ns: int) -> Iterator[Block]:
-        """Yield the messages before a time."""
         while True:
             alone = len(self._runs) == 1
             cut = before_ns if alone else min([before_ns, *(run.ready_ns for _, run in self._runs)])
@@ -229,6 +225,6 @@ def read_ahead(tasks: Iterator[ReadAheadTask[T]], *, workers: int, most_bytes: i
             buffered_bytes -= size
             yield result
     finally:
-        # Nobody waits for the threads here: the garbage collector may close this, in a thread that is being started,
+        # The threads are not awaited here: the garbage collector may close this, in a thread that is being started,
         # and no thread could end then.
         pool.shutdown(wait=False, cancel_futures=True)

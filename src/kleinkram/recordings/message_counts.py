@@ -17,14 +17,12 @@ from typing import NamedTuple, Protocol
 from kleinkram.recordings.limits import MAX_TOPICS
 from kleinkram.recordings.timeline import Timeline
 
-ROW = 3
-"""Numbers that a `Batch` keeps of a message: log time, publish time (0: none), bytes of its record."""
+ROW = 3  # numbers that a `Batch` keeps of a message: log time, publish time (0: none), bytes of its record
 
 _SAMPLE = 4096
 _NOTABLE_NS = 1_000_000_000
 _MOST = 2**63 - 1
-_WAITING = "\udcff channel "
-"""No topic of a file begins so: what is not UTF-8 in one was replaced."""
+_WAITING = "\udcff channel "  # no topic of a file begins so: what is not UTF-8 in one was replaced
 
 
 class HasTopic(Protocol):

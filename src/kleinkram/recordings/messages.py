@@ -7,10 +7,7 @@ import re
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-# Names of seconds and nanoseconds: of ROS 2, ROS 1, Foxglove's JSON, and protobuf.
-_STAMPS = (("sec", "nanosec"), ("secs", "nsecs"), ("sec", "nsec"), ("seconds", "nanos"))
-END_OF_TIME_NS = 2**64
-"""Behind every log time that a file can hold."""
+END_OF_TIME_NS = 2**64  # behind every log time that a file can hold
 
 
 @dataclass(frozen=True)
@@ -72,14 +69,14 @@ class Message(NamedTuple):
 
     Attributes:
         value: what `kleinkram.recordings.decoding` makes of it; the bytes where its schema cannot be decoded. Its
-            attributes are those of the message's definition, which no type checker knows.
+            attributes are those of the message's definition, unknown to type checkers.
     """
 
     topic: str
     log_time_ns: int
     publish_time_ns: int
     sequence: int
-    value: Any  # Any: what fields it has, the file says
+    value: Any  # Any: the file defines its fields
     channel: Channel
 
     @property
@@ -90,13 +87,12 @@ class Message(NamedTuple):
     @property
     def stamp_ns(self) -> int | None:
         """When it was measured, in ns: the stamp in its header, or its own; None without one."""
-        header = _field(self.value, "header")
-        for stamp in (_field(header, "stamp"), _field(self.value, "stamp"), _field(self.value, "timestamp")):
-            for seconds, nanoseconds in _STAMPS:
-                whole, rest = _field(stamp, seconds), _field(stamp, nanoseconds)
-                if isinstance(whole, int) and isinstance(rest, int):
-                    return whole * 1_000_000_000 + rest
-        return None
+        from kleinkram.recordings.decoding import DecodeError, stamp_ns  # only for decoded messages
+
+        try:
+            return stamp_ns(self.value)
+        except DecodeError:
+            return None
 
 
 @dataclass(frozen=True)
@@ -105,7 +101,7 @@ class Topic:
 
     Attributes:
         message_type: name of its type; of the first channel, should they differ.
-        count: messages; None where only reading all of them would tell.
+        count: messages; None where they would have to be read to be counted.
         undecodable: why its messages stay bytes; None where they can be decoded.
     """
 
@@ -125,17 +121,12 @@ class Selection(NamedTuple):
     end_ns: int = END_OF_TIME_NS
 
 
-def _field(value: object, name: str) -> object:
-    """Return a field of a decoded or JSON message; None if it has none of that name."""
-    return value.get(name) if isinstance(value, dict) else getattr(value, name, None)
-
-
 _EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.timezone.utc)
 _MICROSECOND = datetime.timedelta(microseconds=1)
 _ISO = re.compile(r"(\d{4}-\d\d-\d\d)(?:[T ](\d\d:\d\d)(?::(\d\d)(?:\.(\d{1,9}))?)?)?\s?(Z|[+-]\d\d:?\d\d)?", re.ASCII)
 
 Time = int | str | datetime.datetime
-"""Nanoseconds since 1970 (UTC), an aware datetime (pandas' too), or ISO 8601 text, which is UTC unless it says."""
+"""Nanoseconds since 1970 (UTC), an aware datetime (pandas' too), or ISO 8601 text, in UTC unless it has a zone."""
 
 
 def to_ns(time: Time) -> int:

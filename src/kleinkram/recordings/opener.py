@@ -13,18 +13,19 @@ from kleinkram.recordings.combine_summaries import combine, combine_folder
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import NotARecording, SeveralRecordings
 from kleinkram.recordings.formats.base import ChunkedMember, Member, OpenContext, RecordingFile
-from kleinkram.recordings.formats.documents import UNKNOWN
 from kleinkram.recordings.formats.registry import format_of
 from kleinkram.recordings.formats.rosbag2.database import LOG_SUFFIXES
 from kleinkram.recordings.formats.rosbag2.db3 import ROSBAG2_DB3
 from kleinkram.recordings.formats.rosbag2.metadata import (
     MAX_TEXT,
+    METADATA_NAME,
     Rosbag2Metadata,
     compare_names,
     parse_rosbag2_metadata,
 )
+from kleinkram.recordings.formats.text_files import UNKNOWN
 from kleinkram.recordings.model import RecordingSummary
-from kleinkram.recordings.recording_groups import METADATA_NAME, read_folder, recording_of_metadata
+from kleinkram.recordings.recording_groups import read_folder, recording_of_metadata
 from kleinkram.recordings.sources import FileSource, Source, SourceReader
 from kleinkram.recordings.summary import scan, summarise
 
@@ -84,7 +85,6 @@ def open_members(what: Openable, problem_log: ProblemLog, *, most_bytes: int | N
 
 
 def _summary_of(file: RecordingFile, member: Member) -> RecordingSummary:
-    """Return the summary of a file, and note if its index is wrong."""
     summary = member.summary or _summarise(file)
     if isinstance(member, ChunkedMember) and any(problem.code == "index-damaged" for problem in summary.problems):
         member.doubt_index()
@@ -151,7 +151,6 @@ def _why_nothing(metadata: Rosbag2Metadata | None) -> str:
 
 
 def _metadata_of(files: Sequence[RecordingFile], problem_log: ProblemLog) -> Rosbag2Metadata | None:
-    """Read the metadata.yaml among the files, and compare its file names."""
     source = next((file.source for file in files if file.base_name == METADATA_NAME), None)
     if source is None:
         return None

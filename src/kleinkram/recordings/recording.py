@@ -50,8 +50,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
-Topics = str | Sequence[str]
-"""Names of topics, or globs of them (`*`, `?`)."""
+Topics = str | Sequence[str]  # names of topics, or globs of them (`*`, `?`)
 
 
 class Recording:
@@ -61,7 +60,7 @@ class Recording:
         name: of the file or folder.
         files: names of the data files, in the order of recording.
         topics: by name.
-        message_count: None where only reading all of them would tell.
+        message_count: None where they would have to be read to be counted.
     """
 
     def __init__(self, opened: Opened, problem_log: ProblemLog) -> None:
@@ -82,14 +81,14 @@ class Recording:
     def open(cls, what: Openable, *, most_bytes: int | None = None) -> Recording:
         """Open a file, a rosbag2 folder or its metadata.yaml, one or several sources, or an object with `sources()`.
 
-        Reads the index only. A file without index, or with one that cannot be believed, is read once from end to end;
+        Reads the index only. A file without index, or with one that cannot be true, is read once from end to end;
         what is broken in it is left out and named in `problems`. A db3, and a file that is compressed as a whole, is
         copied to this machine if it is not a plain local file.
 
         Args:
             what: the recording.
             most_bytes: a file with more bytes than this is not read whole; None: a local file is, whatever its size,
-                and any other up to `MAX_UNASKED_BYTES` (1 GiB).
+                and any other up to `MAX_REMOTE_SCAN_BYTES` (1 GiB).
 
         Raises:
             TooCostly: a file would have to be read whole, and has more bytes than are allowed.
@@ -325,7 +324,6 @@ def _decode_blocks(blocks: Iterable[Block], problem_log: ProblemLog) -> Iterator
 
 
 def _decoder_of(message_encoding: str, schema: Schema) -> Decoder | Undecodable:
-    """Return the decoder of a message encoding and schema, or why there is none."""
     if (message_encoding, schema.encoding) == ("ulog", "ulog"):
         return decoder_for("ros1", schema.name, "ros1msg", as_ros1_definition(schema.name, schema.data))
     return decoder_for(message_encoding, schema.name, schema.encoding, schema.data)
@@ -361,21 +359,18 @@ def _have_one_layout(one: Schema, other: Schema, one_encoding: str, other_encodi
 
 
 class _DecodeProblemLogger:
-    """Reports messages that a table could not decode."""
-
     def __init__(self, topic: str, problem_log: ProblemLog) -> None:
         self._topic = topic
         self._problem_log = problem_log
 
     def __call__(self, log_time_ns: int, error: DecodeError) -> None:
-        """Note a message whose row has no fields."""
         self._problem_log.add(
             "message-undecodable", self._topic, f"at {log_time_ns} ns: {error}; what could not be decoded is null"
         )
 
 
 def _list_topics(contents: Iterable[MemberContents]) -> tuple[Topic, ...]:
-    """Return the topics by name, with the counts over all files; None if one file does not know its count."""
+    """Return the topics by name, with the counts over all files; None if one of them is unknown."""
     first: dict[str, Channel] = {}
     counts: dict[str, int | None] = {}
     for content in contents:

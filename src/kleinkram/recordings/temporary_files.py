@@ -17,13 +17,9 @@ from pathlib import Path
 
 from kleinkram.recordings.errors import RecordingError, SourceError
 from kleinkram.recordings.limits import WINDOW
-from kleinkram.recordings.sources import SequentialReader
 
-MAX_SPOOL_BYTES = 64 * 2**30
-"""Bytes of one database that are written to a temporary file."""
-
-MIN_FREE_DISK_BYTES = 2**30
-"""Bytes of the disk that a temporary file leaves to others."""
+MAX_SPOOL_BYTES = 64 * 2**30  # bytes of one database that are written to a temporary file
+MIN_FREE_DISK_BYTES = 2**30  # bytes of the disk that a temporary file leaves to others
 
 _PREFIX = "kleinkram-spool-"
 _NEW_S = 60
@@ -31,18 +27,6 @@ _NEW_S = 60
 
 class TooLarge(RecordingError):
     """A copy does not fit into the temporary folder. Internal to `recordings`."""
-
-
-@contextmanager
-def database_file(reader: SequentialReader, *, most_bytes: int = MAX_SPOOL_BYTES) -> Iterator[Path]:
-    """Yield the path of a database: its own if it is local, else that of a temporary copy."""
-    if reader.path is not None:
-        yield reader.path
-        return
-    if reader.size_bytes > most_bytes:
-        raise _too_large(most_bytes, most_bytes)
-    with temporary_copy(reader.read, most_bytes=most_bytes) as path:
-        yield path
 
 
 @contextmanager
@@ -73,30 +57,32 @@ def temporary_copy(
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         # SQLite writes what is in a log into the database as well.
-        _fill(descriptor, read, folder, most_bytes, copies=1 if beside is None else 2)
+        copies = 1 if beside is None else 2
+        free = (shutil.disk_usage(folder).free - MIN_FREE_DISK_BYTES) // copies
+        left = min(most_bytes, free)
+        while data := read(WINDOW):
+            left -= len(data)
+            if left < 0:
+                raise too_large(most_bytes, free)
+            _write(descriptor, data, folder)
         yield path
     finally:
         path.unlink(missing_ok=True)
         os.close(descriptor)
 
 
-def _fill(descriptor: int, read: Callable[[int], bytes], folder: Path, most_bytes: int, *, copies: int) -> None:
-    free = (shutil.disk_usage(folder).free - MIN_FREE_DISK_BYTES) // copies
-    left = min(most_bytes, free)
-    while data := read(WINDOW):
-        left -= len(data)
-        if left < 0:
-            raise _too_large(most_bytes, free)
-        try:
-            with memoryview(data) as rest:
-                written = 0
-                while written < len(rest):
-                    written += os.write(descriptor, rest[written:])
-        except OSError as error:
-            raise SourceError(f"{folder}: a temporary copy cannot be written: {error.strerror}") from error
+def _write(descriptor: int, data: bytes, folder: Path) -> None:
+    try:
+        with memoryview(data) as rest:
+            written = 0
+            while written < len(rest):
+                written += os.write(descriptor, rest[written:])
+    except OSError as error:
+        raise SourceError(f"{folder}: a temporary copy cannot be written: {error.strerror}") from error
 
 
-def _too_large(most_bytes: int, free: int) -> TooLarge:
+def too_large(most_bytes: int, free: int) -> TooLarge:
+    """Return the error for a copy that is larger than allowed, or than the disk has room for."""
     if free < most_bytes:
         return TooLarge(
             f"it must be copied to {tempfile.gettempdir()} to be read, where {max(0, free)} bytes may be used; "
@@ -111,7 +97,7 @@ def _sweep(folder: Path) -> None:
         try:
             descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
         except OSError:
-            continue  # gone by now, or somebody else's
+            continue  # gone by now, or of another user
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if os.fstat(descriptor).st_mtime < time.time() - _NEW_S:

@@ -13,15 +13,14 @@ from kleinkram.contract.errors import KleinkramError, RunGone
 from kleinkram.contract.runners import Heartbeat, HeartbeatReply, LeaseStatus, RunAssignment, RunFinish
 from kleinkram.contract.runs import EndReason, RunState, UsageSample
 from kleinkram.runner.artifact_upload import ResultUpload
-from kleinkram.runner.cancellation import Lease, StopRequest, StopRequested, StopSignal
-from kleinkram.runner.context import RunnerContext, job_of
+from kleinkram.runner.context import Lease, RunnerContext, StopRequest, StopRequested, StopSignal
 from kleinkram.runner.executors.base import CannotStart, Ending, RunJob, wait_for_end
 from kleinkram.runner.executors.limits import CANCELLED, boot_time_s
 from kleinkram.runner.files import DISK_FULL_ERRORS, remove_tree
-from kleinkram.runner.inputs import Preparation
+from kleinkram.runner.inputs import Preparation, job_of
 from kleinkram.runner.logs import LogUpload, Redactor
 from kleinkram.runner.results import ProgressReader
-from kleinkram.runner.state_directory import Attempt, RecordedEnding, Stage
+from kleinkram.runner.state_directory import Attempt, Stage
 
 _log = logging.getLogger("kleinkram.runner")
 _CHECK_EVERY_S = 0.5
@@ -130,16 +129,13 @@ class ActiveRun:
         is_due = boot_time_s() - self._cancelled_at_s > _CANCEL_EVERY_S
         if self.stop.request is not StopRequest.detach and self._is_submitted and is_due:
             self._cancelled_at_s = boot_time_s()
-            self._cancel()
-
-    def _cancel(self) -> None:
-        try:
-            self._executor.cancel(self._job())
-            self._is_cancel_failing = False
-        except OSError as error:
-            if not self._is_cancel_failing:
-                _log.warning("the run %s cannot be stopped yet; trying again: %s", self.assignment.run_id, error)
-            self._is_cancel_failing = True
+            try:
+                self._executor.cancel(self._job())
+                self._is_cancel_failing = False
+            except OSError as error:
+                if not self._is_cancel_failing:
+                    _log.warning("the run %s cannot be stopped yet; trying again: %s", self.assignment.run_id, error)
+                self._is_cancel_failing = True
 
     def kill(self) -> None:
         """Kill the job, once the thread has ended; the next runner starts the run again."""
@@ -151,7 +147,16 @@ class ActiveRun:
     def _run(self) -> None:
         is_detached = False
         try:
-            self._run_unless_disk_full()
+            try:
+                if self._attempt.state.stage is not Stage.collecting:
+                    ending = self._run_job()
+                    self._attempt.change(stage=Stage.collecting, ending=ending, usage=self._usage)
+                self._upload_results()
+            except OSError as error:
+                if error.errno not in DISK_FULL_ERRORS:
+                    raise
+                _log.error("the run %s is ended, as the disk is full: %s", self.assignment.run_id, error)
+                self._report_disk_full()
         except StopRequested as stopped:
             is_detached = stopped.request is StopRequest.detach
             if not is_detached:
@@ -163,26 +168,24 @@ class ActiveRun:
             _log.exception("the run %s is given up", self.assignment.run_id)
         finally:
             if not is_detached:
-                self._clean_up()
-
-    def _run_unless_disk_full(self) -> None:
-        try:
-            if self._attempt.state.stage is not Stage.collecting:
-                ending = self._run_job()
-                recorded = RecordedEnding(reason=ending.reason, message=ending.message, exit_code=ending.exit_code)
-                self._attempt.change(stage=Stage.collecting, ending=recorded, usage=self._usage)
-            self._upload_results()
-        except OSError as error:
-            if error.errno not in DISK_FULL_ERRORS:
-                raise
-            _log.error("the run %s is ended, as the disk is full: %s", self.assignment.run_id, error)
-            self._report_disk_full()
+                self._log.close()
+                try:
+                    self._executor.remove(self._job())
+                    remove_tree(self._attempt.directory)
+                except OSError as error:
+                    _log.warning("the folder of the run %s was not removed: %s", self.assignment.run_id, error)
+                finally:
+                    self._on_end(self)
 
     def _run_job(self) -> Ending:
         try:
-            ending = self._find_job()
-            if ending is not None:
-                return ending
+            if self._is_submitted:  # an earlier runner submitted the job, or was about to
+                ending = self._executor.poll(self._job())
+                is_lost = ending is not None and ending.reason is EndReason.lost
+                if is_lost and self._attempt.state.starts < _MAX_STARTS:
+                    self._is_submitted = False
+                elif ending is not None:
+                    return ending
             if not self._is_submitted:
                 self._prepare_and_submit()
             return self._watch()
@@ -194,17 +197,7 @@ class ActiveRun:
             if stopped.request is not StopRequest.cancel:
                 raise
             self.stop.acknowledge()
-            return _cancelled()
-
-    def _find_job(self) -> Ending | None:
-        """Look for a job that an earlier runner submitted, or was about to; return its ending, if it has ended."""
-        if not self._is_submitted:
-            return None
-        ending = self._executor.poll(self._job())
-        if ending is not None and ending.reason is EndReason.lost and self._attempt.state.starts < _MAX_STARTS:
-            self._is_submitted = False
-            return None
-        return ending
+            return Ending.of(CANCELLED)
 
     def _prepare_and_submit(self) -> None:
         while not self._is_confirmed.is_set():
@@ -213,16 +206,7 @@ class ActiveRun:
         self._attempt.change(stage=Stage.preparing)
         self._executor.remove(self._job())
         self._attempt.clear()
-        context = self._context
-        preparation = Preparation(
-            self._executor,
-            context.runners,
-            context.store,
-            context.service,
-            default_image=context.default_image,
-            assignment=self.assignment,
-            stop=self.stop,
-        )
+        preparation = Preparation(self._context, self.assignment, self.stop)
         prepared = preparation.prepare(self._attempt.directory / "in")
         self._attempt.change(
             stage=Stage.running,
@@ -257,7 +241,7 @@ class ActiveRun:
         self._progress.read()
         if self.stop.request is StopRequest.cancel:
             self.stop.acknowledge()
-            return _cancelled(ending.exit_code)
+            return Ending.of(CANCELLED, ending.exit_code)
         return ending
 
     def _check_stop(self) -> None:
@@ -276,8 +260,7 @@ class ActiveRun:
     def _upload_results(self) -> None:
         self._set_state(RunState.collecting)
         self._log.finish()
-        recorded = self._attempt.state.ending
-        ending = recorded.ending() if recorded else Ending(EndReason.lost, "How it ended was not recorded.")
+        ending = self._attempt.state.ending or Ending(EndReason.lost, "How it ended was not recorded.")
         self._upload = upload = self._result_upload()
         try:
             self._report(upload, upload.upload(ending))
@@ -285,7 +268,7 @@ class ActiveRun:
             if stopped.request is not StopRequest.cancel:
                 raise
             self.stop.acknowledge()
-            self._report(upload, upload.without_results(_cancelled(ending.exit_code)))
+            self._report(upload, upload.without_results(Ending.of(CANCELLED, ending.exit_code)))
 
     def _result_upload(self) -> ResultUpload:
         return ResultUpload(
@@ -308,24 +291,11 @@ class ActiveRun:
         self._report(upload, upload.without_disk_space())
 
     def _report(self, upload: ResultUpload, finish: RunFinish) -> None:
-        # It includes what further heartbeats would have.
-        upload.report(finish.model_copy(update={"usage": self._usage, "samples": self._samples[:_MAX_SAMPLES]}))
+        # With what further heartbeats would have reported.
+        digest = self._attempt.state.image_digest
+        changes = {"usage": self._usage, "samples": self._samples[:_MAX_SAMPLES], "image_digest": digest}
+        upload.report(finish.model_copy(update=changes))
 
     def _set_state(self, state: RunState) -> None:
         self._state = state
         self._context.on_change()
-
-    def _clean_up(self) -> None:
-        self._log.close()
-        try:
-            self._executor.remove(self._job())
-            remove_tree(self._attempt.directory)
-        except OSError as error:
-            _log.warning("the folder of the run %s was not removed: %s", self.assignment.run_id, error)
-        finally:
-            self._on_end(self)
-
-
-def _cancelled(exit_code: int | None = None) -> Ending:
-    reason, message = CANCELLED
-    return Ending(EndReason(reason), message, exit_code)

@@ -3,16 +3,13 @@
 import datetime
 import logging
 import math
-import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
-from kleinkram.client._retry import Backoff
+from kleinkram.client._http import Backoff
 from kleinkram.client.errors import ServerUnreachable, StoreTroubled, StoreUnreachable
-from kleinkram.client.runners import ArtifactUploads
 from kleinkram.client.transfer.plan import LocalFile, identity_of
-from kleinkram.client.transfer.report import SilentObserver, TransferResult
+from kleinkram.client.transfer.report import TransferResult, Watcher
 from kleinkram.client.transfer.threads import RateLimit
 from kleinkram.client.transfer.upload import Uploader
 from kleinkram.contract.errors import (
@@ -26,12 +23,11 @@ from kleinkram.contract.errors import (
 from kleinkram.contract.reports import Progress, Report
 from kleinkram.contract.runners import LOG_PATH, RunAssignment, RunFinish
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner.cancellation import StopSignal
-from kleinkram.runner.context import RunnerContext
+from kleinkram.runner.context import RunnerContext, StopSignal
 from kleinkram.runner.executors.base import Ending, RunJob
 from kleinkram.runner.executors.limits import DISK_FULL
 from kleinkram.runner.logs import Redactor, write_redacted_log
-from kleinkram.runner.results import Artifact, Results, collect_results
+from kleinkram.runner.results import collect_results
 
 _REDACTED_LOG = "log.redacted"
 _JOURNALS = "journals"
@@ -77,14 +73,14 @@ class ResultUpload:
         self._assignment = assignment
         self._stop = stop
         self._redactor = redactor
-        self._uploader: _ArtifactUploader | None = None
+        self._uploader: Uploader | None = None
         # Shown meanwhile: the last progress, and what the results wait for.
         self.progress = progress and Progress(fraction=progress.fraction)
 
     def interrupt(self) -> None:
         """Have `upload` return soon; from another thread."""
         if self._uploader is not None:
-            self._uploader.interrupt()
+            self._uploader.end()
 
     def upload(self, ending: Ending) -> RunFinish:
         """Upload the artifacts and the log, and return what to report.
@@ -103,23 +99,34 @@ class ResultUpload:
         if ending.reason is EndReason.cancelled and results.artifacts:
             problems.append(f"It was cancelled: its {len(results.artifacts)} files were not stored.")
             results.artifacts.clear()
-        rejected = self._upload_all(out, results)
-        problems += [f"{_display_name(file.path)} was not stored: {file.reason}" for file in rejected]
+        files: list[LocalFile] = []
+        rejected: list[RejectedFile] = []
+        log = self._job.directory / _REDACTED_LOG
+        if write_redacted_log(self._context.executor, self._job, self._redactor, log):
+            files.append(LocalFile(log, LOG_PATH, identity_of(log.stat())))
+        for artifact in results.artifacts:
+            source = out / artifact.path
+            try:
+                files.append(LocalFile(source, artifact.path, identity_of(source.lstat())))
+            except FileNotFoundError:  # in NFC the name may be another one, of which there is no file
+                rejected.append(RejectedFile(artifact.path, "its name is not in the form NFC"))
+        rejected += self._upload(files) if files else []
+        for file in rejected:
+            name = "Its log" if file.path == LOG_PATH else file.path
+            problems.append(f"{name} was not stored: {file.reason}")
         if ending.reason is EndReason.done and any(file.path != LOG_PATH for file in rejected):
             ending = Ending(EndReason.results_not_stored, problems[-1], ending.exit_code)
         return self._finish_of(ending, results.report, problems)
 
     def without_results(self, ending: Ending) -> RunFinish:
         """Return what to report of a run that was cancelled while its results were uploaded."""
-        return self._finish_of(
-            ending, Report(), ["It was cancelled while its results were uploaded: none were stored."]
-        )
+        problem = "It was cancelled while its results were uploaded: none were stored."
+        return self._finish_of(ending, Report(), [problem])
 
     def without_disk_space(self) -> RunFinish:
         """Return what to report of a run that cannot be completed because the disk is full."""
-        reason, message = DISK_FULL
         problem = "Its results were not stored, or not all of them: the disk of its runner is full."
-        return self._finish_of(Ending(EndReason(reason), message), Report(), [problem])
+        return self._finish_of(Ending.of(DISK_FULL), Report(), [problem])
 
     def report(self, finish: RunFinish) -> None:
         """Report the end to the server, for as long as that takes.
@@ -130,53 +137,30 @@ class ResultUpload:
             KleinkramError: the server does not accept it.
         """
         backoff = Backoff(_SERVER_ERROR_S, self._stop.wait)
-        next_finish: RunFinish | None = finish
-        while next_finish is not None:
-            next_finish = self._report_once(next_finish, backoff)
-
-    def _report_once(self, finish: RunFinish, backoff: Backoff) -> RunFinish | None:
-        """Report once; return what to report instead, or None once the server has accepted it."""
-        try:
-            self._context.runners.with_patience(math.inf, self._stop.wait).finish(self._assignment.run_id, finish)
-            return None
-        except RunGone:
-            raise
-        except (InvalidRequest, BodyTooLarge) as error:
-            problem = _shortened(f"The server did not accept its report: {error}")
-            if finish.problems == [problem]:
+        run_id = self._assignment.run_id
+        while True:
+            try:
+                self._context.runners.with_patience(math.inf, self._stop.wait).finish(run_id, finish)
+                return
+            except RunGone:  # noqa: PERF203  (each round is a request)
                 raise
-            return finish.model_copy(update={"report": Report(), "problems": [problem], "samples": []})
-        except KleinkramError as error:
-            _log.warning("reporting the end of the run %s is repeated: %s", self._assignment.run_id, error)
-            if not backoff.pause():
-                raise
-            return finish
-
-    def _upload_all(self, out: Path, results: Results) -> list[RejectedFile]:
-        files: list[LocalFile] = []
-        rejected: list[RejectedFile] = []
-        log = self._job.directory / _REDACTED_LOG
-        if write_redacted_log(self._context.executor, self._job, self._redactor, log):
-            files.append(LocalFile(log, LOG_PATH, identity_of(log.stat())))
-        for artifact in results.artifacts:
-            # In NFC the name may be another one, of which there is no file.
-            if (file := _local_file(out, artifact)) is None:
-                rejected.append(RejectedFile(artifact.path, "its name is not in the form NFC"))
-            else:
-                files.append(file)
-        return rejected + (self._upload(files) if files else [])
+            except (InvalidRequest, BodyTooLarge) as error:
+                problem = _shortened(f"The server did not accept its report: {error}")
+                if finish.problems == [problem]:
+                    raise
+                finish = finish.model_copy(update={"report": Report(), "problems": [problem], "samples": []})
+            except KleinkramError as error:
+                _log.warning("reporting the end of the run %s is repeated: %s", run_id, error)
+                if not backoff.pause():
+                    raise
 
     def _upload(self, files: Sequence[LocalFile]) -> list[RejectedFile]:
-        """Upload files, and repeat those that were rejected: afterwards the directory of the run is removed."""
-        assignment, rounds = self._assignment, 0
-        uploads = self._context.runners.uploads(assignment.run_id, assignment.attempt)
-        unavailable = Backoff(_UNAVAILABLE_S, self._stop.wait)
+        """Upload files, and repeat rejected ones: afterwards the directory of the run is removed."""
+        rounds, unavailable = 0, Backoff(_UNAVAILABLE_S, self._stop.wait)
         while True:
             self._stop.check()
-            journals = self._job.directory / _JOURNALS
-            self._uploader = _ArtifactUploader(uploads, self._context.url, assignment, journals)
             try:
-                rejected = self._uploader.upload(files)
+                rejected = self._upload_once(files)
                 self._stop.check()
             except RunGone:
                 raise
@@ -185,21 +169,38 @@ class ResultUpload:
                 rejected = [RejectedFile(file.path, str(error), is_temporary) for file in files]
             temporary = next((file.reason for file in rejected if file.is_temporary), None)
             if temporary is not None:
-                self._show_reason(temporary)
+                # With the time, as the message stays once all is well again.
+                now = datetime.datetime.now(datetime.timezone.utc)
+                message = f"uploading results again; at {now:%Y-%m-%d %H:%M}Z: {temporary.partition('. ')[0]}"
+                fraction = self.progress.fraction if self.progress else 1
+                self.progress = Progress(fraction=fraction, message=_shortened(message, _MAX_PROGRESS_CHARACTERS))
             rounds += not (temporary is not None and unavailable.pause())
             if not rejected or rounds == _ROUNDS:
                 return rejected
-            _log.warning("results of the run %s are uploaded again: %s", assignment.run_id, rejected[0].reason)
+            run_id = self._assignment.run_id
+            _log.warning("results of the run %s are uploaded again: %s", run_id, rejected[0].reason)
             paths = {file.path for file in rejected}
             files = [file for file in files if file.path in paths]
             self._stop.wait(_RETRY_EVERY_S)
 
-    def _show_reason(self, reason: str) -> None:
-        """Show why the run does not end, with the time: the message stays once all is well again."""
-        now = datetime.datetime.now(datetime.timezone.utc)
-        message = f"uploading results again; at {now:%Y-%m-%d %H:%M}Z: {reason.partition('. ')[0]}"
-        fraction = self.progress.fraction if self.progress else 1
-        self.progress = Progress(fraction=fraction, message=_shortened(message, _MAX_PROGRESS_CHARACTERS))
+    def _upload_once(self, files: Sequence[LocalFile]) -> list[RejectedFile]:
+        """Upload files by the protocol of all uploads; stored content is not sent again."""
+        run_id, results = self._assignment.run_id, list[TransferResult]()
+        self._uploader = Uploader(
+            self._context.runners.uploads(run_id, self._assignment.attempt),
+            self._context.url,
+            run_id,
+            pace=RateLimit(None),
+            watcher=Watcher(),
+            ended=results.append,
+            journals=self._job.directory / _JOURNALS,
+        )
+        self._uploader.run(files, min(_CONNECTIONS, len(files)))
+        return [
+            RejectedFile(result.path, str(result.error), is_temporary=isinstance(result.error, StoreTroubled))
+            for result in results
+            if result.error is not None
+        ]
 
     def _finish_of(self, ending: Ending, report: Report, problems: Sequence[str]) -> RunFinish:
         return RunFinish(
@@ -210,57 +211,6 @@ class ResultUpload:
             report=report,
             problems=[_shortened(problem) for problem in problems[:_MAX_PROBLEMS]],
         )
-
-
-class _ArtifactUploader:
-    """Uploads files of one run by the protocol of all uploads."""
-
-    def __init__(self, uploads: ArtifactUploads, server: str, assignment: RunAssignment, journals: Path) -> None:
-        self._results: list[TransferResult] = []
-        self._lock = threading.Lock()
-        self._uploader = Uploader(
-            uploads,
-            server,
-            assignment.run_id,
-            pace=RateLimit(None),
-            watcher=SilentObserver(),
-            ended=self._add_result,
-            journals=journals,
-        )
-
-    def upload(self, files: Sequence[LocalFile]) -> list[RejectedFile]:
-        """Upload files and return the rejected ones. Content that is stored already is not sent again.
-
-        Raises:
-            RunGone: the run is not this runner's.
-            ServerUnreachable, StoreUnreachable: one of them is unavailable.
-        """
-        self._uploader.run(files, min(_CONNECTIONS, len(files)))
-        return [
-            RejectedFile(result.path, str(result.error), is_temporary=isinstance(result.error, StoreTroubled))
-            for result in self._results
-            if result.error is not None
-        ]
-
-    def interrupt(self) -> None:
-        """Have `upload` return soon; from another thread."""
-        self._uploader.end()
-
-    def _add_result(self, result: TransferResult) -> None:
-        with self._lock:
-            self._results.append(result)
-
-
-def _local_file(out: Path, artifact: Artifact) -> LocalFile | None:
-    source = out / artifact.path
-    try:
-        return LocalFile(source, artifact.path, identity_of(source.lstat()))
-    except FileNotFoundError:
-        return None
-
-
-def _display_name(path: str) -> str:
-    return "Its log" if path == LOG_PATH else path
 
 
 def _shortened(text: str, limit: int = _MAX_CHARACTERS) -> str:

@@ -1,18 +1,18 @@
-"""What all runs of a runner share, and the job of a run."""
+"""What all runs of a runner share; and of each run its stop requests and its lease, both thread-safe."""
 
+import enum
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from urllib.parse import urlsplit
 
-from kleinkram.client.runners import Runners
+from kleinkram.client.runs import Runners
 from kleinkram.client.server import Service
 from kleinkram.client.transfer.store import StoreClient
-from kleinkram.contract.actions import Network
-from kleinkram.runner.executors.base import Executor, PortForward, RunJob
-from kleinkram.runner.inputs import AUTHORITIES, script_command
-from kleinkram.runner.state_directory import Attempt
+from kleinkram.runner.executors.base import Executor
+from kleinkram.runner.executors.limits import boot_time_s
 
-_PORTS = {"http": 80, "https": 443}
+# A run is stopped this long before its lease ends, so that two runners never run it at once.
+LEASE_MARGIN_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -29,35 +29,78 @@ class RunnerContext:
     on_change: Callable[[], None]
 
 
-def job_of(context: RunnerContext, attempt: Attempt) -> RunJob:
-    """Return the job of an attempt, which is the same after a restart of the runner."""
-    assignment, image = attempt.state.assignment, attempt.state.image
-    command = assignment.command
-    if assignment.script is not None:
-        command = script_command(assignment.dependencies, in_image=image is not None)
-    environment = {
-        "KLEINKRAM_URL": context.url,
-        "KLEINKRAM_TOKEN": assignment.token or "",
-        "KLEINKRAM_PROJECT_ID": str(assignment.project_id),
-        "KLEINKRAM_MISSION_ID": str(assignment.mission_id),
-        "KLEINKRAM_RUN_ID": str(assignment.run_id),
-    }
-    if (attempt.directory / "in" / AUTHORITIES).is_file():
-        environment["SSL_CERT_FILE"] = f"/in/{AUTHORITIES}"
-    urls = (context.url, attempt.state.store_url) if assignment.network is Network.api else ()
-    return RunJob(
-        key=attempt.key,
-        directory=attempt.directory,
-        command=command,
-        image=image,
-        resources=assignment.resources,
-        network=assignment.network,
-        environment=environment if assignment.token else {},
-        port_forwards=tuple(dict.fromkeys(_port_forward(url) for url in urls if url)),
-    )
+class StopRequest(str, enum.Enum):
+    """Why a run is to stop; later members take precedence.
+
+    `cancel`: a person cancelled it; its end is reported. `abandon`: another runner has it; nothing is reported.
+    `detach`: this runner process ends, and the next one continues the run.
+    """
+
+    cancel = "cancel"
+    abandon = "abandon"
+    detach = "detach"
 
 
-def _port_forward(url: str) -> PortForward:
-    parts = urlsplit(url)
-    host, port = parts.hostname or "", parts.port or _PORTS[parts.scheme]
-    return PortForward(host, port, host, port)
+_PRECEDENCE = [None, *StopRequest]
+
+
+@dataclass(eq=False)
+class StopRequested(Exception):
+    """Raised in the thread of a run that is to stop."""
+
+    request: StopRequest
+
+
+class StopSignal:
+    """The stop requests of one run."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Event()
+        self._request: StopRequest | None = None
+        self._is_acknowledged = False
+
+    @property
+    def request(self) -> StopRequest | None:
+        """The current request."""
+        return self._request
+
+    def send(self, request: StopRequest) -> None:
+        """Request a stop."""
+        if _PRECEDENCE.index(request) > _PRECEDENCE.index(self._request):
+            self._request = request
+            self._is_acknowledged = False
+            self._changed.set()
+
+    def acknowledge(self) -> None:
+        """Clear a request, so that what remains to be done is not interrupted by it."""
+        self._is_acknowledged = True
+        self._changed.clear()
+
+    def is_pending(self) -> bool:
+        """Whether there is a request that was not acknowledged."""
+        return self._request is not None and not self._is_acknowledged
+
+    def check(self) -> None:
+        """Raise `StopRequested` if a request is pending."""
+        if self._request is not None and not self._is_acknowledged:
+            raise StopRequested(self._request)
+
+    def wait(self, seconds: float) -> None:
+        """Wait, or raise `StopRequested` as soon as there is a request."""
+        self._changed.wait(seconds)
+        self.check()
+
+
+class Lease:
+    """How long a run belongs to this runner, by the clock of `boot_time_s`."""
+
+    def __init__(self, until_s: float) -> None:
+        self.until_s = until_s
+
+    def renew(self, requested_s: float, lease_s: float) -> None:
+        """Extend it: the server renewed it by the reply to a request sent at `requested_s`."""
+        self.until_s = max(self.until_s, requested_s + lease_s - LEASE_MARGIN_S)
+
+    def is_over(self) -> bool:
+        """Whether another runner may soon have the run."""
+        return boot_time_s() > self.until_s

@@ -153,7 +153,8 @@ class InputCache:
                 sum(status.st_size for _, status in cached) + needed_bytes + incoming_bytes - self._limit_bytes
             )
             lacking_bytes = needed_bytes + incoming_bytes + _SPARE_BYTES - shutil.disk_usage(self._directory).free
-            for path, status in sorted(cached, key=lambda file: _used_ns(file[0])):
+            used_ns = {path.stem: path.stat().st_mtime_ns for path in self._directory.glob("*" + _SEAL)}
+            for path, status in sorted(cached, key=lambda file: used_ns.get(file[0].stem, 0)):
                 if max(excess_bytes, lacking_bytes) <= 0:
                     return
                 if status.st_nlink == 1 and path.stem not in self._pinned:
@@ -175,9 +176,16 @@ class InputCache:
             NoSpace: the disk is full.
         """
         while not self._is_cached(file):
-            if self._start_download(file):
+            with self._lock:
+                is_mine = file.sha256 not in self._fetching
+                if is_mine:
+                    self._fetching[file.sha256] = file.size_bytes
+            if is_mine:
                 try:
-                    self._fetch(file, fetch)
+                    try:
+                        self._fetch(file, fetch)
+                    except InputDamaged:
+                        self._fetch(file, fetch)
                 finally:
                     with self._lock:
                         del self._fetching[file.sha256]
@@ -201,26 +209,8 @@ class InputCache:
         shutil.copyfile(self._path(file.sha256), target)
         target.chmod(0o444)
 
-    def _start_download(self, file: InputFile) -> bool:
-        with self._lock:
-            if file.sha256 in self._fetching:
-                return False
-            self._fetching[file.sha256] = file.size_bytes
-            return True
-
     def _fetch(self, file: InputFile, fetch: Fetch) -> None:
         path = self._directory / (file.sha256 + _PART)
-        try:
-            self._fetch_once(path, file, fetch)
-        except InputDamaged:
-            path.unlink(missing_ok=True)
-            try:
-                self._fetch_once(path, file, fetch)
-            except InputDamaged:
-                path.unlink(missing_ok=True)
-                raise
-
-    def _fetch_once(self, path: Path, file: InputFile, fetch: Fetch) -> None:
         try:
             part = PartialInput(path, file)
         except OSError as error:
@@ -228,6 +218,9 @@ class InputCache:
         try:
             fetch(part)
             part.verify()
+        except InputDamaged:
+            path.unlink()
+            raise
         finally:
             part.close()
         seal = self._directory / (file.sha256 + _SEAL)
@@ -271,13 +264,6 @@ class InputCache:
 
 def _seal_of(status: os.stat_result) -> str:
     return f"{status.st_size} {status.st_mtime_ns} {status.st_ino}"
-
-
-def _used_ns(path: Path) -> int:
-    try:
-        return path.with_suffix(_SEAL).stat().st_mtime_ns
-    except FileNotFoundError:
-        return 0
 
 
 def _gb(size_bytes: int) -> str:

@@ -7,28 +7,31 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import NamedTuple
+from urllib.parse import urlsplit
 
 import urllib3
 
-from kleinkram.client._retry import Backoff
-from kleinkram.client.runners import Runners
-from kleinkram.client.server import Service
+from kleinkram.client._http import Backoff
+from kleinkram.client.runs import Runners
 from kleinkram.client.transfer.store import PATIENCE_S, StoreAnswer, StoreClient
 from kleinkram.contract.actions import Network
 from kleinkram.contract.errors import FileUnavailable, InvalidRequest, KleinkramError, NotFound, RunGone
 from kleinkram.contract.names import check_file_path
 from kleinkram.contract.runners import AssignedInput, InputsRequest, RunAssignment
 from kleinkram.contract.runs import CONTEXT_FILE, EndReason, RunContext
-from kleinkram.runner.cancellation import StopSignal
-from kleinkram.runner.executors.base import CannotStart, Ending, Executor, PinnedImage
+from kleinkram.runner.context import RunnerContext, StopSignal
+from kleinkram.runner.executors.base import CannotStart, Ending, Executor, PinnedImage, RunJob
+from kleinkram.runner.executors.port_forward import PortForward
 from kleinkram.runner.files import remove_tree
 from kleinkram.runner.input_cache import InputCache, InputDamaged, InputFile, NoSpace, PartialInput
+from kleinkram.runner.state_directory import Attempt
 
 _OWN_DIRECTORY = ".kleinkram"
 _SCRIPT = f"{_OWN_DIRECTORY}/script.py"
 # Certificates that the runner trusts, for a job that may reach the server.
-AUTHORITIES = f"{_OWN_DIRECTORY}/authorities.pem"
+_AUTHORITIES = f"{_OWN_DIRECTORY}/authorities.pem"
 _RESERVED_NAMES = {CONTEXT_FILE, _OWN_DIRECTORY}
+_DEFAULT_PORTS = {"http": 80, "https": 443}
 _DOWNLOADS = 4
 _URLS_PER_REQUEST = 500
 _SLICE_BYTES = 256 * 2**10
@@ -50,24 +53,12 @@ class Prepared(NamedTuple):
 class Preparation:
     """Prepares one run. May be repeated from the start."""
 
-    def __init__(
-        self,
-        executor: Executor,
-        runners: Runners,
-        store: StoreClient,
-        service: Service,
-        *,
-        default_image: str | None,
-        assignment: RunAssignment,
-        stop: StopSignal,
-    ) -> None:
-        self._executor = executor
-        self._runners = runners
-        self._service = service
-        self._default_image = default_image
+    def __init__(self, context: RunnerContext, assignment: RunAssignment, stop: StopSignal) -> None:
+        self._context = context
+        self._executor = context.executor
         self._assignment = assignment
         self._stop = stop
-        self._source = InputDownload(runners, store, assignment, stop)
+        self._source = InputDownload(context.runners, context.store, assignment, stop)
 
     def prepare(self, directory: Path) -> Prepared:
         """Pull the image while the inputs are placed in `directory`, which becomes `/in`.
@@ -78,7 +69,7 @@ class Preparation:
             RunGone: it is not this runner's.
         """
         image = self._image()
-        pull = _ImagePull(self._executor, image) if image else None
+        pulled = _pull_in_thread(self._executor, image) if image else None
         store_url = None
         backoff = Backoff(_RETRY_S, self._stop.wait)
         while store_url is None:
@@ -88,13 +79,15 @@ class Preparation:
                 path.chmod(0o755)
             elif path.stat().st_mode & 0o777 != 0o444:
                 path.chmod(0o444)
-        return Prepared(pull.result(self._stop) if pull else None, store_url)
+        while pulled and not pulled.done():
+            self._stop.wait(_IMAGE_CHECK_EVERY_S)
+        return Prepared(pulled.result() if pulled else None, store_url)
 
     def _try_to_place(self, directory: Path, backoff: Backoff) -> str | None:
         """Place the inputs and return the URL of the store; None where this is to be repeated."""
         try:
             self._place(directory)
-            return self._service.get().store_url if self._assignment.network is Network.api else ""
+            return self._context.service.get().store_url if self._assignment.network is Network.api else ""
         except RunGone:
             raise
         except KleinkramError as error:
@@ -113,12 +106,10 @@ class Preparation:
             raise _unavailable(str(error)) from error
         except OSError as error:
             raise _unavailable(f"Its inputs cannot be placed: {error.strerror}.") from error
-        context = self._runners.get_context(assignment.run_id, assignment.attempt)
-        write_context(directory, context, assignment.script, self._authorities())
-
-    def _authorities(self) -> str | None:
-        trusted = os.environ.get("SSL_CERT_FILE")
-        return Path(trusted).read_text() if trusted and self._assignment.network is Network.api else None
+        context = self._context.runners.get_context(assignment.run_id, assignment.attempt)
+        trusted = os.environ.get("SSL_CERT_FILE") if assignment.network is Network.api else None
+        authorities = Path(trusted).read_text() if trusted else None
+        write_context(directory, context, assignment.script, authorities)
 
     def _image(self) -> str | None:
         """Return the image to run, if any.
@@ -134,47 +125,32 @@ class Preparation:
             lacks = "runs no images, only scripts"
         elif assignment.resources.gpus and not abilities.gpus:
             lacks = "has no GPU for runs"
-        elif assignment.image is None and abilities.images and self._default_image is None:
+        elif assignment.image is None and abilities.images and self._context.default_image is None:
             lacks = "has no default image to run scripts on"
         if lacks is not None:
             raise CannotStart(Ending(EndReason.not_possible, f"Its runner {lacks}."))
         if assignment.image is None:
-            return self._default_image if abilities.images else None
+            return self._context.default_image if abilities.images else None
         is_pinned = assignment.image_digest is None or "@" in assignment.image
         return assignment.image if is_pinned else f"{assignment.image}@{assignment.image_digest}"
 
 
-class _ImagePull:
-    """Pulls an image in a thread: a run that is cancelled does not wait for it."""
+def _pull_in_thread(executor: Executor, image: str) -> Future[PinnedImage]:
+    """Pull an image in a thread, which a cancelled run does not wait for."""
+    pulled: Future[PinnedImage] = Future()
 
-    def __init__(self, executor: Executor, image: str) -> None:
-        self._executor = executor
-        self._image = image
-        self._is_over = threading.Event()
-        self._pinned: PinnedImage | None = None
-        self._failure = Ending(EndReason.image_unavailable, f"The image {image} could not be pulled.")
-        threading.Thread(target=self._pull, name="image", daemon=True).start()
-
-    def result(self, stop: StopSignal) -> PinnedImage:
-        """Wait for the image.
-
-        Raises:
-            CannotStart: it is not available.
-            StopRequested: the run is to stop.
-        """
-        while not self._is_over.wait(_IMAGE_CHECK_EVERY_S):
-            stop.check()
-        if self._pinned is None:
-            raise CannotStart(self._failure)
-        return self._pinned
-
-    def _pull(self) -> None:
+    def pull() -> None:
         try:
-            self._pinned = self._executor.prepare_image(self._image)
+            pulled.set_result(executor.prepare_image(image))
         except CannotStart as error:
-            self._failure = error.ending
-        finally:
-            self._is_over.set()
+            pulled.set_exception(error)
+        except BaseException:
+            ending = Ending(EndReason.image_unavailable, f"The image {image} could not be pulled.")
+            pulled.set_exception(CannotStart(ending))
+            raise
+
+    threading.Thread(target=pull, name="image", daemon=True).start()
+    return pulled
 
 
 class InputDownload:
@@ -286,7 +262,7 @@ def check_input_path(path: str) -> str:
 def write_context(directory: Path, context: RunContext, script: str | None, authorities: str | None = None) -> None:
     """Write `mission.json`, the script and certificates (PEM) to the directory that becomes `/in`."""
     (directory / CONTEXT_FILE).write_text(context.model_dump_json(indent=1))
-    for name, text in ((_SCRIPT, script), (AUTHORITIES, authorities)):
+    for name, text in ((_SCRIPT, script), (_AUTHORITIES, authorities)):
         if text is not None:
             path = directory / name
             path.parent.mkdir(exist_ok=True)
@@ -297,3 +273,37 @@ def script_command(dependencies: Sequence[str], *, in_image: bool) -> list[str]:
     """Return the command of a script: with the Python of the image, or else this one."""
     python = "python3" if in_image else sys.executable
     return [python, "-m", "kleinkram.action.launch", _SCRIPT, *dependencies]
+
+
+def job_of(context: RunnerContext, attempt: Attempt) -> RunJob:
+    """Return the job of an attempt, which is the same after a restart of the runner."""
+    assignment, image = attempt.state.assignment, attempt.state.image
+    command = assignment.command
+    if assignment.script is not None:
+        command = script_command(assignment.dependencies, in_image=image is not None)
+    environment = {
+        "KLEINKRAM_URL": context.url,
+        "KLEINKRAM_TOKEN": assignment.token or "",
+        "KLEINKRAM_PROJECT_ID": str(assignment.project_id),
+        "KLEINKRAM_MISSION_ID": str(assignment.mission_id),
+        "KLEINKRAM_RUN_ID": str(assignment.run_id),
+    }
+    if (attempt.directory / "in" / _AUTHORITIES).is_file():
+        environment["SSL_CERT_FILE"] = f"/in/{_AUTHORITIES}"
+    urls = (context.url, attempt.state.store_url) if assignment.network is Network.api else ()
+    return RunJob(
+        key=attempt.key,
+        directory=attempt.directory,
+        command=command,
+        image=image,
+        resources=assignment.resources,
+        network=assignment.network,
+        environment=environment if assignment.token else {},
+        port_forwards=tuple(dict.fromkeys(_port_forward(url) for url in urls if url)),
+    )
+
+
+def _port_forward(url: str) -> PortForward:
+    parts = urlsplit(url)
+    host, port = parts.hostname or "", parts.port or _DEFAULT_PORTS[parts.scheme]
+    return PortForward(host, port, host, port)

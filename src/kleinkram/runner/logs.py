@@ -8,12 +8,12 @@ import hashlib
 import logging
 import re
 import threading
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from kleinkram.client.runners import Runners
+from kleinkram.client.runs import Runners
 from kleinkram.client.transfer.store import StoreAnswer, StoreClient
 from kleinkram.contract.errors import KleinkramError, RunGone
 from kleinkram.contract.runners import LogChunkConfirm, LogChunkCreate, RunAssignment
@@ -103,7 +103,10 @@ class LogUpload:
         self._is_complete = threading.Event()
         self._is_closed = threading.Event()
         self._thread: threading.Thread | None = None
-        self._state = _read_state(self._path)
+        try:
+            self._state = _UploadState.model_validate_json(self._path.read_bytes())
+        except (FileNotFoundError, ValidationError):
+            self._state = _UploadState()
 
     def start(self, job: RunJob) -> None:
         """Start the upload, or continue that of an earlier runner."""
@@ -199,23 +202,10 @@ class _Closed(Exception):
 
 def write_redacted_log(executor: Executor, job: RunJob, redactor: Redactor, target: Path) -> int:
     """Write the complete log of an ended job, without secrets, to a file; return its size."""
-    size_bytes = 0
+    offset = written_bytes = 0
     with target.open("wb") as stream:
-        for raw in _chunks(executor, job, redactor):
-            size_bytes += stream.write(redactor.redact(raw))
-    return size_bytes
-
-
-def _chunks(executor: Executor, job: RunJob, redactor: Redactor) -> Iterator[bytes]:
-    offset = 0
-    while raw := executor.read_log(job, offset, _CHUNK_BYTES):
-        size_bytes = len(raw) if len(raw) < _CHUNK_BYTES else redactor.cut(raw, _CHUNK_BYTES)
-        yield raw[:size_bytes]
-        offset += size_bytes
-
-
-def _read_state(path: Path) -> _UploadState:
-    try:
-        return _UploadState.model_validate_json(path.read_bytes())
-    except (FileNotFoundError, ValidationError):
-        return _UploadState()
+        while raw := executor.read_log(job, offset, _CHUNK_BYTES):
+            size_bytes = len(raw) if len(raw) < _CHUNK_BYTES else redactor.cut(raw, _CHUNK_BYTES)
+            written_bytes += stream.write(redactor.redact(raw[:size_bytes]))
+            offset += size_bytes
+    return written_bytes

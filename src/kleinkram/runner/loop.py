@@ -1,7 +1,7 @@
 """The runner loop: claims runs while capacity is free, runs them, and sends heartbeats.
 
 Threads: one claims runs, one sends heartbeats for all of them, one enforces leases, and each run has its own. Jobs do
-not depend on any of them: they go on without this process, and the next one continues.
+not depend on any of them: they continue without this process, and the next one re-attaches.
 """
 
 import contextlib
@@ -10,15 +10,14 @@ import math
 import threading
 import time
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import kleinkram
-from kleinkram.client._http import Api
-from kleinkram.client._retry import Backoff
+from kleinkram.client._http import Api, Backoff
 from kleinkram.client.config import Endpoint, EndpointSource
-from kleinkram.client.runners import Runners
+from kleinkram.client.runs import Runners
 from kleinkram.client.server import Service
 from kleinkram.client.transfer.store import StoreClient
 from kleinkram.contract.actions import Resources
@@ -30,12 +29,10 @@ from kleinkram.contract.runners import (
     Capacity,
     ClaimRequest,
     Heartbeats,
-    RunAssignment,
     RunnerRegistration,
 )
 from kleinkram.runner.active_run import ActiveRun
-from kleinkram.runner.cancellation import LEASE_MARGIN_S, Lease, StopRequest
-from kleinkram.runner.context import RunnerContext
+from kleinkram.runner.context import LEASE_MARGIN_S, Lease, RunnerContext, StopRequest
 from kleinkram.runner.executors.base import CannotStart, Executor
 from kleinkram.runner.executors.limits import boot_time_s
 from kleinkram.runner.files import remove_tree
@@ -92,7 +89,7 @@ class Runner:
         self._threads = [
             threading.Thread(target=work, daemon=True) for work in (self._send_heartbeats, self._enforce_leases)
         ]
-        self._default_image = _DefaultImageLookup(executor, options.default_image, on_found=self._register)
+        self._default_image_digest: str | None = None
         self._context = RunnerContext(
             executor=executor,
             runners=self._runners,
@@ -114,8 +111,17 @@ class Runner:
         for thread in self._threads:
             thread.start()
         self._register_until_accepted()
-        self._default_image.start()
-        _log.info("ready: %s", _summary(self._executor))
+        if self._options.default_image is not None and self._executor.abilities.images:
+            threading.Thread(target=self._find_default_image, name="default image", daemon=True).start()
+        capacity = self._executor.capacity
+        _log.info(
+            "ready: %g cores, %.1f GB memory, %.0f GB disk, %d GPUs, runs as %s",
+            capacity.cores,
+            capacity.memory_bytes / 1e9,
+            capacity.disk_bytes / 1e9,
+            capacity.gpus,
+            self._executor.abilities.executor,
+        )
         while not self._is_stopping.is_set():
             run = self._claim()
             if run is not None and once:
@@ -180,10 +186,26 @@ class Runner:
                 labels=[*self._options.labels],
                 capacity=self._executor.capacity,
                 abilities=self._executor.abilities,
-                default_image=self._default_image.digest,
+                default_image=self._default_image_digest,
                 version=kleinkram.__version__,
             )
         )
+
+    def _find_default_image(self) -> None:
+        """Look for the image that scripts run on until it is available, and report its digest."""
+        is_logged = False
+        while True:
+            try:
+                self._default_image_digest = self._executor.prepare_image(self._options.default_image or "").digest
+                self._register()
+                return
+            except CannotStart as error:
+                if not is_logged:
+                    _log.warning("no script can be run yet: %s", error)
+                is_logged = True
+            except KleinkramError as error:
+                _log.warning("the server does not know of the default image yet: %s", error)
+            time.sleep(_DEFAULT_IMAGE_RETRY_S)
 
     def _claim(self) -> ActiveRun | None:
         """Wait for a run and start it; None where there is none."""
@@ -203,7 +225,12 @@ class Runner:
         try:
             assignment = self._runners.claim(self._state.runner_id, request)
             self._is_unreachable = False
-            return self._accept(assignment, requested_s) if assignment else None
+            if assignment is None:
+                return None
+            _log.info("got the run %s of %s", assignment.run_id, assignment.action.name)
+            attempt = create_attempt(self._state.runs, assignment)
+            # Counted from the request, the lease ends here before it does on the server.
+            return self._add(attempt, Lease(requested_s + assignment.lease_s - LEASE_MARGIN_S), is_new=True)
         except NotFound:
             self._register_until_accepted()
         except (KleinkramError, OSError) as error:
@@ -216,12 +243,6 @@ class Runner:
         if not self._is_unreachable:
             _log.warning("no run can be claimed: %s", error)
         self._is_unreachable = True
-
-    def _accept(self, assignment: RunAssignment, requested_s: float) -> ActiveRun:
-        _log.info("got the run %s of %s", assignment.run_id, assignment.action.name)
-        attempt = create_attempt(self._state.runs, assignment)
-        # Counted from the request, the lease ends here before it does on the server.
-        return self._add(attempt, Lease(requested_s + assignment.lease_s - LEASE_MARGIN_S), is_new=True)
 
     def _add(self, attempt: Attempt, lease: Lease, *, is_new: bool) -> ActiveRun:
         run = ActiveRun(self._context, attempt, lease, is_new=is_new, on_end=self._remove)
@@ -264,56 +285,22 @@ class Runner:
         heartbeats = {run_id: run.heartbeat() for run_id, run in active.items()}
         requested_s = boot_time_s()
         replies = runners.send_heartbeats(self._state.runner_id, Heartbeats(runs=[*heartbeats.values()]))
-        self._record_heartbeat(requested_s)
-        for reply in replies.runs:
-            run = active.get(reply.run_id)
-            if run is not None and run.assignment.attempt == reply.attempt:
-                run.on_reply(heartbeats[reply.run_id], reply, requested_s=requested_s, lease_s=replies.lease_s)
-
-    def _record_heartbeat(self, requested_s: float) -> None:
-        """Record it for the next runner, where the disk allows that."""
         try:
-            self._state.record_heartbeat(requested_s)
+            self._state.record_heartbeat(requested_s)  # for the next runner
             self._is_heartbeat_recorded = True
         except OSError as error:
             if self._is_heartbeat_recorded:
                 _log.warning("the last heartbeat cannot be recorded in %s: %s", self._state.path, error)
             self._is_heartbeat_recorded = False
+        for reply in replies.runs:
+            run = active.get(reply.run_id)
+            if run is not None and run.assignment.attempt == reply.attempt:
+                run.on_reply(heartbeats[reply.run_id], reply, requested_s=requested_s, lease_s=replies.lease_s)
 
     def _enforce_leases(self) -> None:
         while not self._is_closed.wait(_ENFORCE_EVERY_S):
             for run in self._active_runs():
                 run.enforce()
-
-
-class _DefaultImageLookup:
-    """Looks for the image that scripts run on, until it is available, in a thread."""
-
-    def __init__(self, executor: Executor, name: str | None, on_found: Callable[[], None]) -> None:
-        self._executor = executor
-        self._name = name if executor.abilities.images else None
-        self._on_found = on_found
-        self.digest: str | None = None
-
-    def start(self) -> None:
-        """Start looking; no effect where scripts run without an image."""
-        if self._name is not None:
-            threading.Thread(target=self._look_up, args=(self._name,), name="default image", daemon=True).start()
-
-    def _look_up(self, name: str) -> None:
-        is_logged = False
-        while True:
-            try:
-                self.digest = self._executor.prepare_image(name).digest
-                self._on_found()
-                return
-            except CannotStart as error:
-                if not is_logged:
-                    _log.warning("no script can be run yet: %s", error)
-                is_logged = True
-            except KleinkramError as error:
-                _log.warning("the server does not know of the default image yet: %s", error)
-            time.sleep(_DEFAULT_IMAGE_RETRY_S)
 
 
 def remaining_capacity(capacity: Capacity, used: Sequence[Resources]) -> Capacity:
@@ -323,12 +310,4 @@ def remaining_capacity(capacity: Capacity, used: Sequence[Resources]) -> Capacit
         memory_bytes=max(0, capacity.memory_bytes - sum(resources.memory_bytes for resources in used)),
         disk_bytes=max(0, capacity.disk_bytes - sum(resources.disk_bytes for resources in used)),
         gpus=max(0, capacity.gpus - sum(resources.gpus for resources in used)),
-    )
-
-
-def _summary(executor: Executor) -> str:
-    capacity = executor.capacity
-    return (
-        f"{capacity.cores:g} cores, {capacity.memory_bytes / 1e9:.1f} GB memory, {capacity.disk_bytes / 1e9:.0f} GB "
-        f"disk, {capacity.gpus} GPUs, runs as {executor.abilities.executor}"
     )

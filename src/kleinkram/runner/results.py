@@ -222,15 +222,13 @@ def _events(out: Path, problems: _Problems) -> list[ReportEvent]:
     except _Unreadable as error:
         problems.add(str(error))
         return []
-    return [event for number, line in enumerate(data.splitlines(), 1) if (event := _event(line, number, problems))]
-
-
-def _event(line: bytes, number: int, problems: _Problems) -> ReportEvent | None:
-    try:
-        return ReportEvent.model_validate_json(line)
-    except ValidationError as error:
-        problems.add(f"Line {number} of {Path(EVENTS_FILE).name} is no event: {_first(error)}.")
-        return None
+    events = []
+    for number, line in enumerate(data.splitlines(), 1):
+        try:
+            events.append(ReportEvent.model_validate_json(line))
+        except ValidationError as error:  # noqa: PERF203  (each line is checked by itself)
+            problems.add(f"Line {number} of {Path(EVENTS_FILE).name} is no event: {_first(error)}.")
+    return events
 
 
 def _merged(events: list[ReportEvent], report: Report, problems: _Problems) -> Report:

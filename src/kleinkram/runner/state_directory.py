@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.runners import RunAssignment
-from kleinkram.contract.runs import EndReason, Usage
+from kleinkram.contract.runs import Usage
 from kleinkram.runner.executors.base import Ending
 from kleinkram.runner.executors.limits import LOG
 from kleinkram.runner.files import remove_tree, write_atomically, write_in_place
@@ -39,8 +39,14 @@ class StateDirectory:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.runs = path / "runs"
-        self.runner_id = self._id()
         self.runs.mkdir(mode=0o711, exist_ok=True)
+        id_file = path / "id"
+        if not id_file.exists():
+            write_atomically(id_file, str(uuid.uuid4()))
+        try:
+            self.runner_id = uuid.UUID(id_file.read_text().strip())
+        except ValueError:
+            raise InvalidInput(what=str(id_file), reason="it holds no id of a runner") from None
 
     def record_heartbeat(self, at_s: float) -> None:
         """Record that the server answered a heartbeat sent at `at_s`, by the clock of leases."""
@@ -53,15 +59,6 @@ class StateDirectory:
             if boot_id == _boot_id():
                 return float(at_s)
         return 0.0
-
-    def _id(self) -> uuid.UUID:
-        path = self.path / "id"
-        if not path.exists():
-            write_atomically(path, str(uuid.uuid4()))
-        try:
-            return uuid.UUID(path.read_text().strip())
-        except ValueError:
-            raise InvalidInput(what=str(path), reason="it holds no id of a runner") from None
 
 
 @contextlib.contextmanager
@@ -100,20 +97,6 @@ class Stage(str, enum.Enum):
     collecting = "collecting"
 
 
-class RecordedEnding(BaseModel):
-    """The ending of a job on disk."""
-
-    model_config = ConfigDict(frozen=True)
-
-    reason: EndReason
-    message: str
-    exit_code: int | None
-
-    def ending(self) -> Ending:
-        """Return the ending."""
-        return Ending(self.reason, self.message, self.exit_code)
-
-
 class AttemptState(BaseModel):
     """The state of an attempt. `starts` counts how often its job was, or was about to be submitted.
 
@@ -130,7 +113,7 @@ class AttemptState(BaseModel):
     image: str | None = None
     image_digest: str | None = None
     store_url: str = ""
-    ending: RecordedEnding | None = None
+    ending: Ending | None = None
     usage: Usage | None = None
 
 

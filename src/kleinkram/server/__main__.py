@@ -56,7 +56,7 @@ def _parser() -> argparse.ArgumentParser:
     api.add_argument("--tls-key", type=Path)
     for command in (api, worker):
         command.add_argument("--metrics-port", type=int, help="instead of KLEINKRAM_METRICS_PORT")
-    api.add_argument("--when-told", action="store_true", help="load, then wait for a line on stdin before serving")
+    api.add_argument("--wait-for-stdin", action="store_true", help="load, then wait for a line on stdin before serving")
     return parser
 
 
@@ -98,8 +98,8 @@ def _serve(settings: Settings, arguments: argparse.Namespace) -> None:
         from kleinkram.server.http.web_server import ApiServer
 
         app = create_app(settings)
-    if arguments.when_told and not sys.stdin.readline():
-        return  # who would have told has ended
+    if arguments.wait_for_stdin and not sys.stdin.readline():
+        return  # the supervisor has ended
     config = uvicorn.Config(
         app,
         host=arguments.host,

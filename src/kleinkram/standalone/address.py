@@ -1,26 +1,26 @@
-"""What `klein up` listens on and what it is called from outside: the answers to --listen, --port, --public-url, TLS."""
+"""Addresses and ports of `klein up`: the options --listen, --port, --s3-port, --public-url and TLS."""
 
 import ipaddress
+import random
 import socket
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
 from kleinkram.standalone.errors import PortTaken, StandaloneError
-from kleinkram.standalone.ports import choose_port, is_free
-from kleinkram.standalone.procs import listener
-from kleinkram.standalone.store import PORT_NAMES
+from kleinkram.standalone.object_store import PORT_NAMES
+from kleinkram.standalone.processes import port_listener
 
 _PREFERRED = {"api": 8000, "store": 8001}
-# Where Prometheus may scrape, on this machine only.
-METRICS_PORTS = ("api_metrics", "worker_metrics")
+METRICS_PORTS = ("api_metrics", "worker_metrics")  # for Prometheus on this machine
 _FLAGS = {"api": "--port", "store": "--s3-port"}
+_PRIVATE_RANGE = range(20_000, 32_000)  # below the range that outgoing connections use
 
 
 @dataclass(frozen=True)
 class Listening:
-    """Options of `klein up` about addresses; ports that are None are chosen and remembered."""
+    """Options about addresses and TLS; ports that are None are chosen and stay the same across restarts."""
 
     address: str = "127.0.0.1"
     port: int | None = None
@@ -31,21 +31,21 @@ class Listening:
 
     @property
     def tls(self) -> tuple[Path, Path] | None:
-        """Certificate and key, where both are given."""
+        """Certificate and key, or None without TLS."""
         return (self.tls_cert, self.tls_key) if self.tls_cert and self.tls_key else None
 
-    def asked_for(self) -> dict[str, str]:
-        """The ports that were given, by name, with the option that gave each."""
+    def requested_ports(self) -> dict[str, str]:
+        """Return the option that set each port, by the port's name."""
         return {name: _FLAGS[name] for name, port in (("api", self.port), ("store", self.s3_port)) if port}
 
     @property
-    def needs_door(self) -> bool:
-        """Whether clients reach the store by another port than this machine's own parts do."""
+    def needs_proxy(self) -> bool:
+        """Whether clients reach the store by another port than the services of this machine do."""
         return not self.is_loopback or self.tls is not None
 
     @property
     def scheme(self) -> str:
-        """`https` where a certificate is given."""
+        """`https` with a certificate, else `http`."""
         return "https" if self.tls_cert else "http"
 
     @property
@@ -56,19 +56,16 @@ class Listening:
     @property
     def local_host(self) -> str:
         """The address by which this machine reaches itself."""
-        if self.address == "localhost":
+        if self.address == "localhost" or ipaddress.ip_address(self.address).is_unspecified:
             return "127.0.0.1"
-        given = ipaddress.ip_address(self.address)
-        if given.is_unspecified:
-            return "127.0.0.1"
-        return f"[{given}]" if given.version == 6 else str(given)
+        return f"[{self.address}]" if ":" in self.address else self.address
 
 
 def check_listening(listening: Listening) -> None:
-    """Refuse what cannot be meant.
+    """Check the options.
 
     Raises:
-        StandaloneError: the address is none of this machine's, the public URL is no URL, or TLS lacks a file.
+        StandaloneError: the address is no IP address, the public URL is no URL, or TLS lacks a file.
     """
     if listening.address != "localhost":
         try:
@@ -88,61 +85,72 @@ def check_listening(listening: Listening) -> None:
             raise StandaloneError(f"The TLS file {path} is not there: give the path of a PEM file.")
 
 
-def settle_ports(listening: Listening, remembered: dict[str, int]) -> dict[str, int]:
-    """Every port by name: those given, else those of the last start, else free ones.
+def assign_ports(listening: Listening, previous: dict[str, int]) -> dict[str, int]:
+    """Return every port by name: from the options, else as at the last start, else a free one.
 
     Raises:
-        PortTaken: one that was given is taken.
+        PortTaken: a port of the options is taken.
     """
-    settled: dict[str, int] = {}
-    for name, given in (("api", listening.port), ("store", listening.s3_port)):
-        settled[name] = given or _settle(name, listening.address, remembered, settled)
-        if given and (given in list(settled.values())[:-1] or not is_free(given, listening.address)):
-            holder = listener(given)
+    assigned: dict[str, int] = {}
+    for name, port in (("api", listening.port), ("store", listening.s3_port)):
+        if port and (port in assigned.values() or not is_free(port, listening.address)):
+            program = port_listener(port)
             raise PortTaken(
-                f"Port {given} on {listening.address} is taken{f' by {holder}' if holder else ''}: "
+                f"Port {port} on {listening.address} is taken{f' by {program}' if program else ''}: "
                 f"end that program, or choose another port with {_FLAGS[name]}."
             )
+        assigned[name] = port or _choose(name, listening.address, previous, assigned)
     for name in ("postgres", *METRICS_PORTS, *PORT_NAMES):
-        settled[name] = _settle(name, "127.0.0.1", remembered, settled)
-    return settled
+        assigned[name] = _choose(name, "127.0.0.1", previous, assigned)
+    return assigned
 
 
 def taken_ports(listening: Listening, ports: Mapping[str, int]) -> list[str]:
-    """Say which of these ports somebody holds: `port 8001 (nginx (pid 7))`. None of ours may run."""
-    found = []
+    """Return which of these ports other programs use: `port 8001 (nginx (pid 7))`. No service may run on them."""
+    taken = []
     for name, port in ports.items():
         if not is_free(port, listening.address if name in _FLAGS else "127.0.0.1"):
-            holder = listener(port)
-            found.append(f"port {port}" + (f" ({holder})" if holder else ""))
-    return found
+            program = port_listener(port)
+            taken.append(f"port {port}" + (f" ({program})" if program else ""))
+    return taken
+
+
+def is_free(port: int, address: str = "127.0.0.1") -> bool:
+    """Whether a server could listen on `address:port` now."""
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((address, port))
+        except OSError:
+            return False
+    return True
 
 
 def public_urls(listening: Listening, ports: dict[str, int]) -> tuple[str, str]:
-    """The API's and the store's address as clients reach them; the store's is part of every signature."""
-    scheme = listening.scheme
+    """Return the addresses of API and store as clients reach them; the store's is part of every signature."""
+    store_port = ports["store"]
     if listening.public_url:
         host = urlsplit(listening.public_url).hostname or ""
         host = f"[{host}]" if ":" in host else host
-        return listening.public_url.rstrip("/"), f"{scheme}://{host}:{ports['store']}"
-    host = listening.local_host if listening.is_loopback or not _is_wildcard(listening.address) else _primary_address()
-    return f"{scheme}://{host}:{ports['api']}", f"{scheme}://{host}:{ports['store']}"
+        return listening.public_url.rstrip("/"), f"{listening.scheme}://{host}:{store_port}"
+    host = listening.local_host
+    if not listening.is_loopback and ipaddress.ip_address(listening.address).is_unspecified:
+        host = _primary_address()
+    return f"{listening.scheme}://{host}:{ports['api']}", f"{listening.scheme}://{host}:{store_port}"
 
 
-def _settle(name: str, address: str, remembered: dict[str, int], taken: dict[str, int]) -> int:
-    others = {*taken.values(), *(port for other, port in remembered.items() if other != name)}
-    for port in (remembered.get(name), _PREFERRED.get(name)):
-        if port and port not in taken.values() and is_free(port, address):
+def _choose(name: str, address: str, previous: dict[str, int], assigned: dict[str, int]) -> int:
+    for port in (previous.get(name), _PREFERRED.get(name)):
+        if port and port not in assigned.values() and is_free(port, address):
             return port
-    return choose_port(besides=others, address=address)
-
-
-def _is_wildcard(address: str) -> bool:
-    return ipaddress.ip_address(address).is_unspecified
+    reserved: Collection[int] = {*assigned.values(), *(port for other, port in previous.items() if other != name)}
+    candidates = random.sample(_PRIVATE_RANGE, k=400)
+    return next(port for port in candidates if port not in reserved and is_free(port, address))
 
 
 def _primary_address() -> str:
-    """This machine's address on the way to others. Sends nothing: a UDP socket only asks the routing table."""
+    """Return this machine's address on the way to others. A UDP socket sends nothing; it reads the routing table."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("192.0.2.1", 9))

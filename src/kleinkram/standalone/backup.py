@@ -1,8 +1,7 @@
-"""Backups of the instance in a data directory: `python -m kleinkram.standalone.backup ERRAND`.
+"""Backups of the instance in a data directory: `python -m kleinkram.standalone.backup TASK`.
 
-ERRAND is the JSON of `Errand`. What is done, the server's own process does (`kleinkram.server.backup`), by the settings
-that the instance's parts have. Where the instance does not run, its database and store are started for as long as
-that takes, and nothing else of it.
+TASK is the JSON of `BackupTask`. Starts `kleinkram.server.backup` with the settings of the instance's services. Where
+the instance does not run, only its database and store are started for that time.
 """
 
 import contextlib
@@ -16,12 +15,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from kleinkram.failures import code_of, failure_line
-from kleinkram.standalone import child
 from kleinkram.standalone.data_dir import (
     DataDir,
     create,
     exclusive,
-    is_held,
+    is_locked,
+    load_runtime_info,
     load_secrets,
     note_version,
     refuse_half_restored,
@@ -29,112 +28,108 @@ from kleinkram.standalone.data_dir import (
     write_private,
 )
 from kleinkram.standalone.errors import DataDirUnusable, NotRunning, StandaloneError
-from kleinkram.standalone.leftovers import end_leftovers
-from kleinkram.standalone.plan import Plan, UpOptions, data_environment, make_plan
+from kleinkram.standalone.object_store import StoreAccess
 from kleinkram.standalone.postgres import MIGRATE, SERVE, role_url
-from kleinkram.standalone.s3 import StoreAccess
-from kleinkram.standalone.supervisor import StopAsked, Supervisor, pause, watch_signals
+from kleinkram.standalone.processes import end_marked_processes, spawn_in_terminal
+from kleinkram.standalone.services import UpOptions, backup_environment, make_plan
+from kleinkram.standalone.supervisor import EndRequested, Supervisor, pause, watch_signals
 
-WORKER = (sys.executable, "-m", "kleinkram.server.backup")
+_WORKER = (sys.executable, "-m", "kleinkram.server.backup")
 _INTERRUPTED = 130
-_BYTES_DIFFER = 9
+_DAMAGED = 9
 
 
 @dataclass(frozen=True)
-class Errand:
-    """What is to be done with which data directory: `order` is the server's, `fills` whether it is a new one."""
+class BackupTask:
+    """A request to `kleinkram.server.backup` about a data directory; `restores`: into a new one."""
 
     data_dir: str
-    order: dict[str, object]
-    fills: bool
+    request: dict[str, object]
+    restores: bool
 
     def command(self) -> list[str]:
-        """The command line that does it."""
+        """Return the command line that carries it out."""
         return [sys.executable, "-m", "kleinkram.standalone.backup", json.dumps(asdict(self))]
 
 
 def main() -> None:
-    """Do the errand, and end as the server's process did; what cannot be started is a sentence and exit code 1."""
-    errand = Errand(**json.loads(sys.argv[1]))
+    """Carry out the task, and end with the exit code of the server's process, or with 1 and a sentence."""
+    task = BackupTask(**json.loads(sys.argv[1]))
+    data_dir = DataDir(Path(task.data_dir))
     watch_signals()
     try:
-        code = _fill(errand) if errand.fills else _copy(errand)
-    except StopAsked:
-        code = _INTERRUPTED
+        sys.exit(_restore(task, data_dir) if task.restores else _use_existing(task, data_dir))
+    except EndRequested:
+        sys.exit(_INTERRUPTED)
     except StandaloneError as error:
-        as_json = bool(errand.order.get("as_json"))
+        as_json = bool(task.request.get("as_json"))
         sys.exit(failure_line(str(error), code=code_of(error), exit_code=1, as_json=as_json))
-    sys.exit(code)
 
 
-def _copy(errand: Errand) -> int:
-    data_dir = DataDir(Path(errand.data_dir))
+def _use_existing(task: BackupTask, data_dir: DataDir) -> int:
     if not data_dir.secrets_file.exists():
         raise NotRunning(f"{data_dir.root} holds no instance of Kleinkram: name its folder by --data-dir.")
-    if is_held(data_dir):
-        return _do(errand, _running_environment(data_dir))
+    if is_locked(data_dir):
+        return _run(task, _running_environment(data_dir))
     with exclusive(data_dir):
         refuse_half_restored(data_dir)
         refuse_newer(data_dir)
-        with _parts(data_dir) as plan:
-            return _do(errand, plan.data_environment())
+        with _data_services(data_dir) as environment:
+            return _run(task, environment)
 
 
-def _fill(errand: Errand) -> int:
-    data_dir = DataDir(Path(errand.data_dir))
+def _restore(task: BackupTask, data_dir: DataDir) -> int:
     if data_dir.root.exists() and any(data_dir.root.iterdir()) and not data_dir.restoring_file.exists():
         raise DataDirUnusable(f"{data_dir.root} is not empty: a backup is restored into a new folder.")
     create(data_dir)
     with exclusive(data_dir):
-        write_private(data_dir.restoring_file, f"{errand.order['place']}\n")
-        with _parts(data_dir) as plan:
-            code = _do(errand, plan.data_environment())
-        # Lost objects are shown as such by a site that is whole otherwise.
-        if code in (0, _BYTES_DIFFER):
+        write_private(data_dir.restoring_file, f"{task.request['place']}\n")
+        with _data_services(data_dir) as environment:
+            code = _run(task, environment)
+        if code in (0, _DAMAGED):  # an instance with lost objects is complete otherwise
             note_version(data_dir)
             data_dir.restoring_file.unlink()
     return code
 
 
 @contextlib.contextmanager
-def _parts(data_dir: DataDir) -> Iterator[Plan]:
-    """Run database and store alone. The caller holds the lock."""
-    end_leftovers(data_dir)
+def _data_services(data_dir: DataDir) -> Iterator[dict[str, str]]:
+    """Run database and store; yields their settings. The caller holds the lock."""
+    end_marked_processes(data_dir.root)
     supervisor = Supervisor(make_plan(UpOptions(data_dir.root, with_runner=False)))
+    cluster, store = supervisor.plan.postgres, supervisor.plan.store
     try:
-        supervisor.start_data()
-        yield supervisor.plan
+        supervisor.start_data_services()
+        yield backup_environment(cluster.url(SERVE), cluster.url(MIGRATE), store.access)
     finally:
         supervisor.stop()
 
 
 def _running_environment(data_dir: DataDir) -> dict[str, str]:
-    """How the parts of the instance that runs here are reached, by what it tells of itself.
+    """Return the settings of the database and store of the running instance.
 
     Raises:
-        NotRunning: it is only just starting.
+        NotRunning: it has not finished starting.
     """
-    try:
-        told = json.loads(data_dir.instance_file.read_text())
-    except FileNotFoundError:
-        raise NotRunning(f"Kleinkram on {data_dir.root} is only just starting: try again once it answers.") from None
-    ports, kept = told["ports"], load_secrets(data_dir)
-    port = ports["s3" if "door" in told["parts"] else "store"]
-    return data_environment(
-        serve=role_url(SERVE, kept.postgres_serve, ports["postgres"]),
-        migrate=role_url(MIGRATE, kept.postgres_migrate, ports["postgres"]),
-        access=StoreAccess(f"http://127.0.0.1:{port}", kept.s3_access_key, kept.s3_secret_key),
+    info = load_runtime_info(data_dir)
+    if info is None:
+        raise NotRunning(f"Kleinkram on {data_dir.root} is still starting: try again once it answers.")
+    secrets, port = load_secrets(data_dir), info.ports["postgres"]
+    store_port = info.ports["s3" if "proxy" in info.services else "store"]
+    return backup_environment(
+        role_url(SERVE, secrets.postgres_serve, port),
+        role_url(MIGRATE, secrets.postgres_migrate, port),
+        StoreAccess(f"http://127.0.0.1:{store_port}", secrets.s3_access_key, secrets.s3_secret_key),
     )
 
 
-def _do(errand: Errand, environment: dict[str, str]) -> int:
-    """Let the server's process do it, with our own voice; ended where this one is asked to end."""
-    command = [*WORKER, json.dumps(errand.order)]
-    process = child.speak_for_us(command, {**os.environ, **environment})
+def _run(task: BackupTask, environment: dict[str, str]) -> int:
+    """Run the server's process in this terminal; it ends when this one is asked to."""
+    process = spawn_in_terminal([*_WORKER, json.dumps(task.request)], {**os.environ, **environment})
     try:
         while process.poll() is None:
             pause(1.0)
-    except StopAsked:
+    except EndRequested:
         process.send_signal(signal.SIGINT)
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(10)

@@ -1,6 +1,6 @@
-"""The folder that holds one instance: its layout, its version, its lock, its secrets and what it tells the CLI.
+"""The data directory of one instance: its layout, version, lock, secrets, ports and runtime information.
 
-Everything in it belongs to one user and is closed to others. Files are written whole, under another name first.
+It belongs to one user and is closed to others. Files are written atomically.
 """
 
 import contextlib
@@ -16,91 +16,58 @@ from pathlib import Path
 import kleinkram
 from kleinkram.contract.tokens import SecretKind, with_checksum
 from kleinkram.standalone.errors import AlreadyRunning, DataDirUnusable, VersionMismatch
-from kleinkram.standalone.procs import start_ticks
+from kleinkram.standalone.processes import start_ticks
 
 LAYOUT = 1
-"""Raised when a newer Kleinkram lays the folder out so that an older one cannot read it."""
+"""Incremented when older versions cannot read a newer layout."""
 
 
-@dataclass(frozen=True)
 class DataDir:
-    """Paths of one instance."""
+    """Paths of one instance below its folder `root`."""
 
-    root: Path
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.version_file = root / "VERSION"  # layout number and version of the Kleinkram that last used the folder
+        self.lock_file = root / "lock"  # locked by the supervisor, whose pid it contains
+        self.runtime_file = root / "instance.json"  # a RuntimeInfo, while the instance runs
+        self.token_file = root / "owner-token"
+        self.runner_token_file = root / "runner-token"
+        self.runner = root / "runner"  # state directory of the instance's own runner
+        self.certificates_file = root / "certificates.pem"  # with TLS: certificates that the runner trusts
+        self.secrets_file = root / "secrets.json"
+        self.ports_file = root / "ports.json"
+        self.restoring_file = root / "RESTORING"  # the location of the backup, until a restore has finished
+        self.schema_file = root / "schema"  # which migrations the database has seen
+        self.postgres = root / "postgres"
+        self.store = root / "store"
 
-    @property
-    def version_file(self) -> Path:
-        """Layout number and version of the Kleinkram that last used the folder."""
-        return self.root / "VERSION"
-
-    @property
-    def lock_file(self) -> Path:
-        """Held locked by the supervisor; names it."""
-        return self.root / "lock"
-
-    @property
-    def instance_file(self) -> Path:
-        """What the CLI and other programs of this user may know of the running instance."""
-        return self.root / "instance.json"
-
-    @property
-    def token_file(self) -> Path:
-        """The local owner's token."""
-        return self.root / "owner-token"
-
-    @property
-    def runner_token_file(self) -> Path:
-        """The token of the instance's own runner."""
-        return self.root / "runner-token"
-
-    @property
-    def runner(self) -> Path:
-        """What the instance's own runner keeps: its runs and their inputs."""
-        return self.root / "runner"
-
-    @property
-    def certificates_file(self) -> Path:
-        """With TLS, whom the instance's own runner believes."""
-        return self.root / "certificates.pem"
-
-    @property
-    def secrets_file(self) -> Path:
-        """Passwords and keys of the parts."""
-        return self.root / "secrets.json"
-
-    @property
-    def ports_file(self) -> Path:
-        """The ports chosen, so that a restart finds them again."""
-        return self.root / "ports.json"
-
-    @property
-    def restoring_file(self) -> Path:
-        """There while a backup is being restored into the folder: from where."""
-        return self.root / "RESTORING"
-
-    @property
-    def schema_file(self) -> Path:
-        """Which migrations the database has seen."""
-        return self.root / "schema"
-
-    @property
-    def postgres(self) -> Path:
-        """PostgreSQL's cluster."""
-        return self.root / "postgres"
-
-    @property
-    def store(self) -> Path:
-        """The store's objects and settings."""
-        return self.root / "store"
-
-    def log(self, part: str) -> Path:
-        """The log of one part."""
-        return self.root / "logs" / f"{part}.log"
+    def log(self, service: str) -> Path:
+        """Return the log of one service."""
+        return self.root / "logs" / f"{service}.log"
 
 
 @dataclass(frozen=True)
-class Holder:
-    """The process that holds the lock: a pid alone may have been given to another process since."""
+class RuntimeInfo:
+    """What other programs of this user may know of the running instance: the content of `instance.json`.
+
+    `services`: pids by name; None while a service is down.
+    """
+
+    url: str
+    data_dir: str
+    token_file: str
+    store_url: str
+    local_url: str
+    version: str
+    started_at: str
+    pid: int
+    ports: dict[str, int]
+    services: dict[str, int | None]
+
+
+@dataclass(frozen=True)
+class LockHolder:
+    """The process that holds the lock; its start time tells it from a later process with the same pid."""
 
     pid: int
     start_ticks: int
@@ -108,7 +75,7 @@ class Holder:
 
 @dataclass(frozen=True)
 class Secrets:
-    """Random, made once, hexadecimal: safe in URLs, SQL literals and files."""
+    """Random hexadecimal secrets, safe in URLs and SQL literals, generated once."""
 
     postgres_admin: str
     postgres_migrate: str
@@ -118,10 +85,10 @@ class Secrets:
 
 
 def create(data_dir: DataDir) -> None:
-    """Make the folder unless it is there, and see that it can be used and is closed to others.
+    """Create the folder, closed to other users, unless it exists.
 
     Raises:
-        DataDirUnusable: it cannot be made or written, or is not a data directory but has other things in it.
+        DataDirUnusable: it cannot be created or written, or contains something else.
     """
     root = data_dir.root
     try:
@@ -140,10 +107,10 @@ def create(data_dir: DataDir) -> None:
 
 @contextlib.contextmanager
 def exclusive(data_dir: DataDir) -> Iterator[None]:
-    """Hold the data directory's lock; the kernel gives it back however the holder ends.
+    """Hold the data directory's lock; the kernel releases it however the process ends.
 
     Raises:
-        AlreadyRunning: somebody else holds it.
+        AlreadyRunning: another process holds it.
     """
     descriptor = os.open(data_dir.lock_file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
@@ -156,14 +123,14 @@ def exclusive(data_dir: DataDir) -> Iterator[None]:
                 "use it, end it with `klein down`, or name another --data-dir."
             ) from None
         os.ftruncate(descriptor, 0)
-        os.pwrite(descriptor, json.dumps(asdict(Holder(os.getpid(), start_ticks(os.getpid()) or 0))).encode(), 0)
+        os.pwrite(descriptor, json.dumps(asdict(LockHolder(os.getpid(), start_ticks(os.getpid()) or 0))).encode(), 0)
         yield
     finally:
         os.close(descriptor)
 
 
-def is_held(data_dir: DataDir) -> bool:
-    """Whether a supervisor holds the lock now."""
+def is_locked(data_dir: DataDir) -> bool:
+    """Whether a supervisor holds the lock."""
     try:
         descriptor = os.open(data_dir.lock_file, os.O_RDONLY | os.O_CLOEXEC)
     except FileNotFoundError:
@@ -177,21 +144,21 @@ def is_held(data_dir: DataDir) -> bool:
     return False
 
 
-def read_holder(data_dir: DataDir) -> Holder | None:
-    """The process that last took the lock, if it still lives."""
+def read_holder(data_dir: DataDir) -> LockHolder | None:
+    """Return the process that last took the lock, if it still runs."""
     try:
-        noted = json.loads(data_dir.lock_file.read_text())
-        holder = Holder(int(noted["pid"]), int(noted["start_ticks"]))
+        stored = json.loads(data_dir.lock_file.read_text())
+        holder = LockHolder(int(stored["pid"]), int(stored["start_ticks"]))
     except (OSError, ValueError, KeyError):
         return None
     return holder if start_ticks(holder.pid) == holder.start_ticks else None
 
 
 def refuse_newer(data_dir: DataDir) -> None:
-    """Refuse a folder that a newer Kleinkram has used; its database may hold what this one would spoil.
+    """Refuse a folder that a newer Kleinkram has used.
 
     Raises:
-        VersionMismatch: it is newer, or its VERSION file says nothing.
+        VersionMismatch: it is newer, or its VERSION file cannot be read.
     """
     try:
         layout, version = data_dir.version_file.read_text().split()
@@ -200,7 +167,7 @@ def refuse_newer(data_dir: DataDir) -> None:
         return
     except (OSError, ValueError) as error:
         raise VersionMismatch(
-            f"{data_dir.version_file} cannot be understood: put it back from a backup, or name another --data-dir."
+            f"{data_dir.version_file} cannot be read: put it back from a backup, or name another --data-dir."
         ) from error
     if newer:
         raise VersionMismatch(
@@ -211,39 +178,35 @@ def refuse_newer(data_dir: DataDir) -> None:
 
 
 def refuse_half_restored(data_dir: DataDir) -> None:
-    """Refuse a folder into which a restore did not get to its end: it would show an empty site, and let people fill it.
+    """Refuse a folder into which a restore has not finished: it would show an empty instance.
 
     Raises:
-        DataDirUnusable: it is one.
+        DataDirUnusable: the restore has not finished.
     """
     if data_dir.restoring_file.exists():
         source = data_dir.restoring_file.read_text().strip()
         raise DataDirUnusable(
             f"A restore into {data_dir.root} was not finished: run the same command again (`klein restore {source} "
-            f"--data-dir {data_dir.root}`), and it goes on; or remove the folder."
+            f"--data-dir {data_dir.root}`), and it continues; or remove the folder."
         )
 
 
 def note_version(data_dir: DataDir) -> None:
-    """Note that this version has used the folder."""
+    """Record that this version has used the folder."""
     write_private(data_dir.version_file, f"{LAYOUT} {kleinkram.__version__}\n")
 
 
 def load_secrets(data_dir: DataDir) -> Secrets:
-    """The instance's passwords and keys, made at the first call.
+    """Return the instance's passwords and keys; the first call generates them.
 
     Raises:
         DataDirUnusable: the file is damaged.
     """
     if not data_dir.secrets_file.exists():
-        made = Secrets(
-            postgres_admin=secrets.token_hex(16),
-            postgres_migrate=secrets.token_hex(16),
-            postgres_serve=secrets.token_hex(16),
-            s3_access_key=secrets.token_hex(10),
-            s3_secret_key=secrets.token_hex(20),
-        )
-        write_private(data_dir.secrets_file, json.dumps(asdict(made), indent=2))
+        sizes = {"postgres_admin": 16, "postgres_migrate": 16, "postgres_serve": 16}
+        sizes |= {"s3_access_key": 10, "s3_secret_key": 20}
+        generated = {name: secrets.token_hex(size_bytes) for name, size_bytes in sizes.items()}
+        write_private(data_dir.secrets_file, json.dumps(generated, indent=2))
     try:
         return Secrets(**json.loads(data_dir.secrets_file.read_text()))
     except (OSError, ValueError, TypeError) as error:
@@ -251,7 +214,7 @@ def load_secrets(data_dir: DataDir) -> Secrets:
 
 
 def ensure_owner_token(data_dir: DataDir) -> None:
-    """Make the local owner's token at the first call."""
+    """Generate the local owner's token unless it exists."""
     if not data_dir.token_file.exists():
         write_private(
             data_dir.token_file, with_checksum(f"klein_{SecretKind.personal.value}_{secrets.token_urlsafe(32)}") + "\n"
@@ -259,16 +222,24 @@ def ensure_owner_token(data_dir: DataDir) -> None:
 
 
 def load_ports(data_dir: DataDir) -> dict[str, int]:
-    """The ports of the last start, by name; empty where there was none."""
+    """Return the ports of the last start by name; empty before the first."""
     try:
-        noted = json.loads(data_dir.ports_file.read_text())
-        return {str(name): int(port) for name, port in noted.items()}
+        stored = json.loads(data_dir.ports_file.read_text())
+        return {str(name): int(port) for name, port in stored.items()}
     except (OSError, ValueError, AttributeError):
         return {}
 
 
+def load_runtime_info(data_dir: DataDir) -> RuntimeInfo | None:
+    """Return what the supervisor last wrote; None while it has not finished starting."""
+    try:
+        return RuntimeInfo(**json.loads(data_dir.runtime_file.read_text()))
+    except (OSError, ValueError, TypeError):
+        return None
+
+
 def write_private(path: Path, text: str) -> None:
-    """Write a file of mode 0600 whole, or not at all."""
+    """Write a file of mode 0600 atomically."""
     unfinished = path.with_name(path.name + ".new")
     unfinished.unlink(missing_ok=True)
     descriptor = os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)

@@ -1,4 +1,4 @@
-"""Failures of running Kleinkram on one machine. Each message is one sentence or two: what, where, and what to do."""
+"""Failures of running Kleinkram on one machine. Each message says what happened, where, and what to do."""
 
 
 class StandaloneError(Exception):
@@ -10,11 +10,11 @@ class BinaryNotFound(StandaloneError):
 
 
 class AlreadyRunning(StandaloneError):
-    """Another supervisor holds this data directory."""
+    """Another supervisor runs on this data directory."""
 
 
 class NotRunning(StandaloneError):
-    """No supervisor holds this data directory."""
+    """No supervisor runs on this data directory."""
 
 
 class PortTaken(StandaloneError):
@@ -29,5 +29,5 @@ class VersionMismatch(StandaloneError):
     """The data directory was written by another version of Kleinkram or PostgreSQL."""
 
 
-class PartFailed(StandaloneError):
-    """A part could not be started, or did not become ready."""
+class ServiceFailed(StandaloneError):
+    """A service could not be started, or did not become ready."""

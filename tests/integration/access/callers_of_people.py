@@ -1,4 +1,4 @@
-"""How each operation on people, groups, rights, tokens, links and sign-ins is called in the matrix."""
+"""How the matrix calls each operation on people, groups, rights, tokens, shares and sign-ins."""
 
 import datetime
 import uuid
@@ -8,7 +8,7 @@ from typing import Any
 from kleinkram.contract.access import Right, Scope
 from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID
 from tests.integration import people
-from tests.integration.access.calling import (
+from tests.integration.access.call import (
     Caller,
     Request,
     delete,
@@ -20,7 +20,7 @@ from tests.integration.access.calling import (
     post,
     sets,
 )
-from tests.integration.access.expecting import About
+from tests.integration.access.expectations import About
 from tests.integration.access.world import Asker
 
 _READ, _WRITE = 1, 3

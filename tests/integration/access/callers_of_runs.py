@@ -1,10 +1,10 @@
-"""How each operation on actions, runs and runners is called in the matrix."""
+"""How the matrix calls each operation on actions, runs and runners."""
 
 import uuid
 from typing import Any
 
-from tests.integration.access.calling import Caller, get, has_items, lists, new_name, patch, post
-from tests.integration.access.expecting import About
+from tests.integration.access.call import Caller, get, has_items, lists, new_name, patch, post
+from tests.integration.access.expectations import About
 from tests.integration.access.world import ACTION, Asker
 
 _DELETE = 4

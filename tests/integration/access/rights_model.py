@@ -1,4 +1,4 @@
-"""What rights come to, computed in Python from what was done: no query, no clock, only the words of the issue."""
+"""A model of effective rights in plain Python: no query, no clock."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""Grants through HTTP: who may give what to whom, for how long, and what that lets them do."""
+"""Grants through HTTP: who may grant what to whom, for how long, and with what effect."""
 
 import datetime
 import uuid

@@ -1,4 +1,4 @@
-"""Groups through HTTP: who makes, sees, fills and ends them, and what being in one gives."""
+"""Groups through HTTP: who creates, sees, edits and deletes them, and the rights of members."""
 
 import asyncio
 import threading

@@ -1,4 +1,4 @@
-"""What one may not see is not given away sideways: by a conflict, an error's words, a hash, a list of names."""
+"""Conflicts, error sentences, hashes and lists of names reveal nothing about hidden objects."""
 
 import os
 import uuid

@@ -1,4 +1,4 @@
-"""The matrix: every operation, by everybody, at every level on the project and on the mission."""
+"""The matrix: every operation by every caller at every level on the project and on the mission."""
 
 import random
 from collections.abc import Callable, Sequence
@@ -7,10 +7,10 @@ import pytest
 
 from kleinkram.server.access.operations import OPERATIONS, ResourceKind
 from tests.integration.access import world as worlds
+from tests.integration.access.call import Caller, Request
 from tests.integration.access.callers import CALLERS, DOORS
-from tests.integration.access.calling import Caller, Request
-from tests.integration.access.carriers import MEMBER, PLACED, UNPLACED
-from tests.integration.access.expecting import About, Verdict, admitted, level, needed
+from tests.integration.access.credentials import MEMBER, PLACED, UNPLACED
+from tests.integration.access.expectations import About, Verdict, admitted, level, needed
 from tests.integration.access.world import Asker, World
 from tests.integration.conftest import StartApi
 
@@ -125,7 +125,7 @@ def test_every_operation_is_called() -> None:
     That every route has its row in the table of operations, the app sees to itself.
     """
     called = CALLERS.keys() | DOORS
-    how = "add to tests/integration/access/callers_of_things.py, or callers_of_people.py, how to call:"
+    how = "add to tests/integration/access/callers_of_objects.py, or callers_of_people.py, how to call:"
     assert sorted(OPERATIONS.keys() - called) == [], how
     assert sorted(called - OPERATIONS.keys()) == [], "these are no operations any more; drop their callers:"
     assert sorted(CALLERS.keys() & DOORS) == []

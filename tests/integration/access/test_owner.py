@@ -1,4 +1,4 @@
-"""The local owner's token: revoked, it stays so, and the next start writes another into the owner's file."""
+"""The token of the local owner: once revoked it stays revoked, and the next start writes a new one."""
 
 import asyncio
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Who knows of whom, and whose addresses."""
+"""Which people and which of their addresses a person may see."""
 
 import uuid
 

@@ -1,4 +1,4 @@
-"""Random histories of rights: what the API tells is what the model says, and no project is without an owner."""
+"""Random histories of rights: the API agrees with the model, and every project has an owner."""
 
 import copy
 import datetime

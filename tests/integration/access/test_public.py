@@ -1,4 +1,4 @@
-"""Public projects: anybody reads them, nobody without an account does more, and who fetched what is recorded."""
+"""Public projects: anybody reads them, changes need an account, and downloads are recorded."""
 
 from typing import Any
 

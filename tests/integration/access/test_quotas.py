@@ -1,4 +1,4 @@
-"""Quotas: nothing comes into a project beyond them, by whatever way, however many come at once."""
+"""Quotas: no operation exceeds them, also when many run at the same time."""
 
 import threading
 from typing import Any

@@ -1,4 +1,4 @@
-"""Links: what one shows, and nothing beside it, by a name, a number or a recording; and how it ends."""
+"""Shares: what a link shows and what it hides, and how it ends."""
 
 import datetime
 import re

@@ -1,4 +1,4 @@
-"""Tokens over HTTP: what can be made, by whom, what it then reaches, and how it ends."""
+"""Tokens through HTTP: who creates which, what it allows, and how it ends."""
 
 import datetime
 import re

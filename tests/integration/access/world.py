@@ -1,4 +1,4 @@
-"""What the matrix asks about: a private project and a public one, each whole, and everybody at every level.
+"""The objects of the matrix: a private and a public project with everything in it, and people at every level.
 
 Made once, behind the API's back. Nothing that the matrix asks for changes it for good.
 """
@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from kleinkram.contract.access import Right, TokenKind
 from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID
 from tests.integration import people
-from tests.integration.access.carriers import MEMBER, PLACED, UNPLACED, Carrier, Reach
-from tests.integration.access.expecting import Place
+from tests.integration.access.credentials import MEMBER, PLACED, UNPLACED, Carrier, Reach
+from tests.integration.access.expectations import Place
 from tests.integration.api_server import Api
 from tests.integration.people import Person, Token
 from tests.integration.sample import Sample

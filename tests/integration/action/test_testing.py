@@ -1,4 +1,4 @@
-"""Code of an action is tried out as a plain process, with what a run would be given."""
+"""Code of an action is tested as a plain process with the environment of a run."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What admins see of the whole server, and that it holds no secret."""
+"""The admin view of the server, which contains no secret."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""`klein admin`, as an admin uses it, and as somebody else may not."""
+"""`klein admin`, used by an admin and refused to others."""
 
 import json
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""The record through HTTP."""
+"""The audit log through HTTP."""
 
 import uuid
 

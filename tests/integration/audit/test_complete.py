@@ -1,4 +1,4 @@
-"""Every operation that changes something says what it writes into the record, and writes it."""
+"""Every operation that changes something declares its audit entry, and writes it."""
 
 import uuid
 

@@ -1,4 +1,4 @@
-"""Finding events: by person, credential, object, place, operation and time, as pages and as an export."""
+"""Finding events by person, credential, object, place, operation and time, as pages and as an export."""
 
 import datetime
 import json

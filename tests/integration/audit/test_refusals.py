@@ -1,4 +1,4 @@
-"""Failed sign-ins and denials leave a trace, however many there are no more than a page of it."""
+"""Failed sign-ins and denials are recorded, in bounded number."""
 
 import uuid
 from concurrent.futures import ThreadPoolExecutor

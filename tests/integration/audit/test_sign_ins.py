@@ -1,4 +1,4 @@
-"""Signing in and out, by whatever way, is told: who, by what, from where; and so is what failed."""
+"""Sign-ins and sign-outs are recorded with method and address, and so are failures."""
 
 from typing import Any
 

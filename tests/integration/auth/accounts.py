@@ -1,4 +1,4 @@
-"""Accounts for tests of signing in: invited and accepted as people do it."""
+"""Invite people and accept invitations, for tests of signing in."""
 
 import uuid
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""A browser as far as signing in goes: it keeps cookies, says which page a request comes from, and follows nothing."""
+"""A minimal browser for sign-in tests: it stores cookies, sends Origin, and follows no redirect."""
 
 import json
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""An API of its own for tests of signing in: they have themselves refused more often than a minute's record holds."""
+"""An API of its own for sign-in tests, which exceed the rate limits on purpose."""
 
 import pytest
 

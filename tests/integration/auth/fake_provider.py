@@ -1,4 +1,4 @@
-"""A small OpenID provider of our own, for tests that are quick: it signs in whoever it is told to, and errs on demand.
+"""A small OpenID provider for quick tests: it signs in any person and fails on demand.
 
 It keeps to the protocol as far as a relying party can tell: codes are good once and bound to their PKCE challenge. The
 real thing is `tests/system/test_oidc.py`.

@@ -1,4 +1,4 @@
-"""One's own account: what it says, and unlinking a provider, which locks nobody out and ends nothing else."""
+"""The own account: its data, and unlinking a provider without locking anybody out."""
 
 import json
 from concurrent.futures import ThreadPoolExecutor
@@ -16,7 +16,7 @@ from kleinkram.server.settings import Affiliation
 from tests.integration import people
 from tests.integration.auth.accounts import PASSWORD, account, any_email, sign_in, signed_in
 from tests.integration.auth.browser import Browser
-from tests.integration.auth.lab import Lab, _fake, _lab, _shared, known_as, provider_settings, sentence
+from tests.integration.auth.provider_setup import Lab, _fake, _lab, _shared, known_as, provider_settings, sentence
 from tests.integration.conftest import StartApi
 
 __all__ = ["_fake", "_lab", "_shared"]

@@ -1,4 +1,4 @@
-"""The first admin of a new server, and the owner's link: only for people who can read the server's output."""
+"""The first admin of a new server and the owner link, for people who can read the server's output."""
 
 import logging
 import re

@@ -1,4 +1,4 @@
-"""What is sensitive asks for a sign-in that is not long ago, and goes on after it."""
+"""Sensitive operations require a recent sign-in and continue after it."""
 
 import pytest
 

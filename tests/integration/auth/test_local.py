@@ -1,4 +1,4 @@
-"""Local accounts: invited, signed in to, changed, reset; and nothing that tells a guest who has one."""
+"""Local accounts: invitation, sign-in, change and reset of the password; nothing reveals who has an account."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Logins of programs: by a browser on the same machine, and by a code typed on another."""
+"""Sign-in of programs: by a browser on the same machine, or by a code on another."""
 
 import base64
 import hashlib

@@ -1,4 +1,4 @@
-"""Signing in by an OpenID provider: whose account it opens, what is not believed, and what its failures look like."""
+"""Sign-in with an OpenID provider: account mapping, claims that are not trusted, and failures."""
 
 import re
 import time
@@ -16,7 +16,7 @@ from tests.integration.api_server import Api
 from tests.integration.auth.accounts import PASSWORD, account, any_email
 from tests.integration.auth.browser import Browser
 from tests.integration.auth.fake_provider import CLIENT_ID
-from tests.integration.auth.lab import Lab, _fake, _lab, _shared, known_as, provider_settings, sentence
+from tests.integration.auth.provider_setup import Lab, _fake, _lab, _shared, known_as, provider_settings, sentence
 from tests.integration.conftest import StartApi
 
 __all__ = ["_fake", "_lab", "_shared"]

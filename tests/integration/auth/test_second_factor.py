@@ -1,4 +1,4 @@
-"""The second factor of local accounts: enrolled, asked for, used once, and taken away."""
+"""The second factor of local accounts: enrolment, use, one-time codes, reset."""
 
 import time
 from typing import Any

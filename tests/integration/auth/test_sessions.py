@@ -1,4 +1,4 @@
-"""Sessions of browsers: cookies that no script reads, new with every sign-in, over when somebody says so."""
+"""Browser sessions: HttpOnly cookies, renewed at each sign-in, revoked on request."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""One site with all kinds of things in it, backed up by all tests here, and changed by none."""
+"""One instance with content of all kinds; the tests here back it up and do not change it."""
 
 from collections.abc import Iterator
 
@@ -7,40 +7,40 @@ import pytest
 from kleinkram.contract.access import Scope, TokenKind
 from tests.integration import people
 from tests.integration.api_server import Api
-from tests.integration.backup.sites import Sites
+from tests.integration.backup.instances import EmptyInstances
 from tests.integration.conftest import Starting
 from tests.integration.jobs import run_jobs
 from tests.integration.runs.conftest import Played, launch
 from tests.integration.upload_client import begin, send, upload
 from tests.services import RunningPostgres, RunningStore
 
-LARGE = bytes(range(256)) * 40_000  # more than one part, and than one frame of a sealed file
+LARGE = bytes(range(256)) * 40_000  # more than one part of an upload, and more than one block of an encrypted file
 
 
 @pytest.fixture(scope="package")
-def lived_in(starting: Starting) -> Iterator[Api]:
-    """A site with files, twins, trash, runs, an upload under way, a token and a group."""
+def populated(starting: Starting) -> Iterator[Api]:
+    """An instance with files, duplicates, trash, runs, an unfinished upload, a token and a group."""
     with starting() as start:
         api = start(reverify_days=0)
         project = api.project()
         mission = api.mission(project["id"])["id"]
         upload(api, mission, "large.bin", LARGE)
         upload(api, mission, "small.bin", b"small")
-        upload(api, mission, "twin.bin", b"small")
+        upload(api, mission, "duplicate.bin", b"small")
         gone = upload(api, mission, "gone.bin", b"in the trash")
         run_jobs(api)
         api.delete(f"/files/{gone['id']}").ok()
         half = LARGE[::-1]
-        [under_way] = begin(api, mission, {"half.bin": half})
-        send(api, under_way["upload"], half, only=[1])
-        _let_runs_run(api)
+        [unfinished] = begin(api, mission, {"half.bin": half})
+        send(api, unfinished["upload"], half, only=[1])
+        _create_runs(api)
         api.post("/tokens", {"name": "robot"}).ok(201)
         api.post("/groups", {"name": "lab"}).ok(201)
         yield api
 
 
-def _let_runs_run(api: Api) -> None:
-    """One run that is over and left something, and one that is held and has said something."""
+def _create_runs(api: Api) -> None:
+    """Create a run that has ended with an artifact, and one that is running with a log."""
     mission = api.mission(api.project()["id"])
     upload(api, mission["id"], "input", b"input")
     admin = people.person(api, admin=True)
@@ -52,12 +52,12 @@ def _let_runs_run(api: Api) -> None:
     runner.leave(done, ".kleinkram/log", b"it said\n")
     runner.finish(done).ok()
     launch(api, runner, mission)
-    held = runner.claim()
-    runner.heartbeat(held)
-    runner.write(held, 0, b"it says\n")
+    running = runner.claim()
+    runner.heartbeat(running)
+    runner.write(running, 0, b"it says\n")
 
 
 @pytest.fixture(scope="package")
-def sites(postgres: RunningPostgres, store: RunningStore) -> Sites:
-    """Empty sites."""
-    return Sites(postgres, store)
+def instances(postgres: RunningPostgres, store: RunningStore) -> EmptyInstances:
+    """Empty instances."""
+    return EmptyInstances(postgres, store)

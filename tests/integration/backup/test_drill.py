@@ -1,6 +1,6 @@
-"""The drill: back up while people work and the sweep runs, lose the site, restore, compare all as of that moment.
+"""The drill: back up during use and garbage collection, drop the instance, restore, compare everything.
 
-And kill -9 in the middle of backups and of restores: the same command again gets there. A failure names its seed.
+And kill -9 in the middle of backups and restores: the same command continues. A failure names its seed.
 """
 
 import json
@@ -21,23 +21,22 @@ from typing import Any, cast
 import psycopg
 import pytest
 
-from kleinkram.server.backup import creating
-from kleinkram.server.backup.dumping import Facts, Reading
-from kleinkram.server.backup.dumping import facts as real_facts
+from kleinkram.server.backup import database as backup_database
+from kleinkram.server.backup.database import Connection, DatabaseFacts
 from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.settings import Settings, plain_dsn
 from tests.integration.api_server import Api
-from tests.integration.backup.sites import (
-    LEFT,
-    Sites,
-    as_kept,
+from tests.integration.backup.instances import (
+    EXCLUDED,
+    EmptyInstances,
     back_up,
+    comparable_row,
     content_files,
     contents,
-    fill,
-    look,
+    restore_to,
     rows,
     settings_of,
+    verify_place,
 )
 from tests.integration.backup.verification import complaints
 from tests.integration.conftest import StartApi
@@ -46,14 +45,14 @@ from tests.integration.upload_client import begin, send, upload, upload_all
 from tests.services import RunningPostgres
 
 pytestmark = pytest.mark.slow
-_RATE_BYTES_PER_S = 4_000_000  # so that people get something done meanwhile
+_RATE_BYTES_PER_S = 4_000_000  # so that it takes a while
 _SEED = int(os.environ.get("KLEINKRAM_BACKUP_SEED", "1"))
 
 
 @pytest.mark.timeout(300)
 def test_back_up_under_load_and_restore(
     start_api: StartApi,
-    sites: Sites,
+    instances: EmptyInstances,
     postgres: RunningPostgres,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -66,39 +65,41 @@ def test_back_up_under_load_and_restore(
     source = settings_of(api)
     seen: dict[str, list[str]] = {}
 
-    async def facts_and_rows(connection: Reading, store_id: str) -> Facts:
-        """Look at all rows by the backup's own moment, by another way than it copies them."""
-        found = await real_facts(connection, store_id)
-        for table in found.tables:
-            if table not in LEFT:
-                cursor = await connection.execute(f"SELECT to_jsonb(t) FROM {table} t".encode())
-                seen[table] = sorted(as_kept(table, cast("dict[str, Any]", row[0])) for row in await cursor.fetchall())
-        return found
+    database_facts = backup_database.database_facts
 
-    monkeypatch.setattr(creating, "facts", facts_and_rows)
-    with at_work(api, mission, [each["id"] for each in small.values()]) as done:
+    def facts_and_rows(connection: Connection, store_id: str) -> DatabaseFacts:
+        """Read all rows of the backup's own moment, in another way than it copies them."""
+        facts = database_facts(connection, store_id)
+        for table in facts.tables:
+            if table not in EXCLUDED:
+                rows_of_table = connection.execute(f"SELECT to_jsonb(t) FROM {table} t".encode()).fetchall()
+                seen[table] = sorted(comparable_row(table, cast("dict[str, Any]", row[0])) for row in rows_of_table)
+        return facts
+
+    monkeypatch.setattr(backup_database, "database_facts", facts_and_rows)
+    with at_work(api, mission, [file["id"] for file in small.values()]) as done:
         made = back_up(source, tmp_path, bytes_per_s=_RATE_BYTES_PER_S)
         during = dict(done)
-    assert min(during.values()) > 2, f"people got nothing done meanwhile: {during}"
-    assert made.tally.problems.first == []
+    assert min(during.values()) > 2, f"nothing was done meanwhile: {during}"
+    assert made.problems.first == []
     assert rows(source) != seen, "nothing changed meanwhile"
-    stated = _stated(seen["blob"])
+    stated = _recorded_checksums(seen["blob"])
     name = plain_dsn(source.database_url).rpartition("/")[2]
     api.database.close()
-    postgres.drop_database(name)  # the site is gone
-    assert look(tmp_path).damage.first == []
-    with sites.empty() as target:
-        assert fill(target, tmp_path).missing == []
+    postgres.drop_database(name)  # the instance is lost
+    assert verify_place(tmp_path).damage.first == []
+    with instances.empty() as target:
+        assert restore_to(target, tmp_path).unavailable == []
         assert rows(target) == seen
-        found = contents(target)
-        assert {key: found[key] for key in stated} == stated
+        restored = contents(target)
+        assert {key: restored[key] for key in stated} == stated
         assert complaints(target) == []
 
 
 @contextmanager
 def at_work(api: Api, mission: str, file_ids: list[str]) -> Iterator[dict[str, int]]:
-    """People upload, edit and delete, and the sweep lets go of what they deleted, until the block ends."""
-    over, done = threading.Event(), dict.fromkeys(("uploads", "half uploads", "edits", "deletions", "sweeps"), 0)
+    """Upload, edit, delete and collect garbage in threads until the block ends."""
+    over, done = threading.Event(), dict.fromkeys(("uploads", "half uploads", "edits", "deletions", "collections"), 0)
     left = iter(file_ids)
 
     def half_upload() -> None:
@@ -111,7 +112,7 @@ def at_work(api: Api, mission: str, file_ids: list[str]) -> Iterator[dict[str, i
         "half uploads": half_upload,
         "edits": lambda: api.patch(f"/missions/{mission}", {"notes": uuid.uuid4().hex}).ok(),
         "deletions": lambda: api.delete(f"/files/{next(left)}").ok(),
-        "sweeps": lambda: on_site(api, collect_garbage),
+        "collections": lambda: on_site(api, collect_garbage),
     }
     failures: list[BaseException] = []
 
@@ -136,25 +137,25 @@ def at_work(api: Api, mission: str, file_ids: list[str]) -> Iterator[dict[str, i
     assert failures == []
 
 
-def _stated(blobs: list[str]) -> dict[str, str]:
-    """What blobs that were not about to go are said to hold, by key."""
-    every = [json.loads(each) for each in blobs]
-    return {each["key"]: each["sha256"].removeprefix("\\x") for each in every if each["marked_for_deletion_at"] is None}
+def _recorded_checksums(blobs: list[str]) -> dict[str, str]:
+    """Return the recorded SHA-256 of all blobs that are not marked for deletion, by key."""
+    rows = [json.loads(text) for text in blobs]
+    return {row["key"]: row["sha256"].removeprefix("\\x") for row in rows if row["marked_for_deletion_at"] is None}
 
 
 @pytest.mark.timeout(300)
-def test_killed_anywhere(start_api: StartApi, sites: Sites, tmp_path: Path) -> None:
-    _rounds(start_api(), sites, tmp_path, seed=_SEED, count=2)
+def test_killed_anywhere(start_api: StartApi, instances: EmptyInstances, tmp_path: Path) -> None:
+    _rounds(start_api(), instances, tmp_path, seed=_SEED, count=2)
 
 
 @pytest.mark.soak
-def test_killed_anywhere_often(start_api: StartApi, sites: Sites, tmp_path: Path) -> None:
+def test_killed_anywhere_often(start_api: StartApi, instances: EmptyInstances, tmp_path: Path) -> None:
     for seed in range(_SEED, _SEED + int(os.environ.get("KLEINKRAM_SOAK_ROUNDS", "20"))):
-        _rounds(start_api(), sites, tmp_path / str(seed), seed=seed, count=10)
+        _rounds(start_api(), instances, tmp_path / str(seed), seed=seed, count=10)
 
 
-def _rounds(api: Api, sites: Sites, folder: Path, *, seed: int, count: int) -> None:
-    """Kill backups at random moments, then restores; each time the next one goes on, and nothing is damaged."""
+def _rounds(api: Api, instances: EmptyInstances, folder: Path, *, seed: int, count: int) -> None:
+    """Kill backups at random moments, then restores; the next one continues, and nothing is damaged."""
     chance = random.Random(seed)
     mission = api.mission(api.project()["id"])["id"]
     for number in range(3):
@@ -162,39 +163,39 @@ def _rounds(api: Api, sites: Sites, folder: Path, *, seed: int, count: int) -> N
     upload_all(api, mission, {f"small {n}": chance.randbytes(2000) for n in range(200)})
     source = settings_of(api)
     place = folder / "backups"
-    order = {"command": "create", "place": str(place), "as_json": True, "bytes_per_s": 15e6}
+    request = {"command": "create", "place": str(place), "as_json": True, "bytes_per_s": 15e6}
     began = time.monotonic()
-    first = _carry_out(order, source, None)
-    took_s = time.monotonic() - began  # by which moments are chosen: on a busy machine it only begins after seconds
+    first = _carry_out(request, source, None)
+    took_s = time.monotonic() - began  # moments are chosen by this: on a busy machine it begins only after seconds
     assert first["objects"] == 203
-    held = len(content_files(place))
-    for path in content_files(place)[:: 2 if seed % 2 else 3]:  # begin anew, with some of it there
+    object_count = len(content_files(place))
+    for path in content_files(place)[:: 2 if seed % 2 else 3]:  # start again, with some objects present
         path.unlink()
     shutil.rmtree(place / "snapshots")
     for _ in range(count):
-        _carry_out(order, source, chance.uniform(0.2, 1) * took_s)
-        assert look(place).damage.first == [], f"seed {seed}"
-    assert _carry_out(order, source, None)["problems"] == []
-    assert look(place).damage.first == []
-    assert len(content_files(place)) >= held
-    order = {"command": "restore", "place": str(place), "as_json": True, "bytes_per_s": 15e6}
-    with sites.empty() as target:
+        _carry_out(request, source, chance.uniform(0.2, 1) * took_s)
+        assert verify_place(place).damage.first == [], f"seed {seed}"
+    assert _carry_out(request, source, None)["problems"] == []
+    assert verify_place(place).damage.first == []
+    assert len(content_files(place)) >= object_count
+    request = {"command": "restore", "place": str(place), "as_json": True, "bytes_per_s": 15e6}
+    with instances.empty() as target:
         for _ in range(count):
-            told = _carry_out(order, target, chance.uniform(0.2, 1.5) * took_s)
-            if told is None:
+            result = _carry_out(request, target, chance.uniform(0.2, 1.5) * took_s)
+            if result is None:
                 with psycopg.connect(plain_dsn(target.database_url)) as database:
                     shown = database.execute("SELECT to_regclass('public.file') IS NOT NULL").fetchall()
-                if shown == [(True,)]:  # it was whole already
+                if shown == [(True,)]:  # it was complete already
                     assert rows(target) == rows(source), f"seed {seed}"
-        if told is None:
-            told = _carry_out(order, target, None)
-        assert told["problems"] == []
+        if result is None:
+            result = _carry_out(request, target, None)
+        assert result["problems"] == []
         assert rows(target) == rows(source), f"seed {seed}"
         assert contents(target) == contents(source), f"seed {seed}"
 
 
-def _carry_out(order: dict[str, object], settings: Settings, kill_after_s: float | None) -> Any:
-    """Let a process do it; killed after a while, if it has not ended by then. Returns what it told, None if killed."""
+def _carry_out(request: dict[str, object], settings: Settings, kill_after_s: float | None) -> Any:
+    """Run a process, killed after a while if it still runs. Returns its result, None if it was killed."""
     values = {
         "DATABASE_URL": plain_dsn(settings.database_url),
         "S3_INTERNAL_URL": settings.s3_internal_url,
@@ -204,10 +205,10 @@ def _carry_out(order: dict[str, object], settings: Settings, kill_after_s: float
     }
     if settings.migration_database_url is not None:
         values["MIGRATION_DATABASE_URL"] = plain_dsn(settings.migration_database_url)
-    kept = {name: value for name, value in os.environ.items() if not name.startswith("KLEINKRAM_")}
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("KLEINKRAM_")}
     process = subprocess.Popen(
-        [sys.executable, "-m", "kleinkram.server.backup", json.dumps(order)],
-        env=kept | {f"KLEINKRAM_{name}": value for name, value in values.items()},
+        [sys.executable, "-m", "kleinkram.server.backup", json.dumps(request)],
+        env=environment | {f"KLEINKRAM_{name}": value for name, value in values.items()},
         stdout=subprocess.PIPE,
     )
     if kill_after_s is not None:
@@ -218,7 +219,7 @@ def _carry_out(order: dict[str, object], settings: Settings, kill_after_s: float
     out, _ = process.communicate()
     if process.returncode == -signal.SIGKILL:
         return None
-    if process.returncode == 5 and order["command"] == "restore":  # an earlier one had got to its end
+    if process.returncode == 5 and request["command"] == "restore":  # an earlier one had finished
         return {"problems": []}
     assert process.returncode == 0
     return json.loads(out)

@@ -1,40 +1,43 @@
-"""Backups are looked at, sealed, dropped, kept in a bucket; nothing is deleted from under one that is being made."""
+"""Verify, encrypt and prune backups, in folders and buckets; locks, and objects that must not be deleted meanwhile."""
 
-import asyncio
+import os
+import subprocess
+import time
 from pathlib import Path
 from typing import Any
 
 import psycopg
 import pytest
 
-from kleinkram.server.backup import creating, locking
-from kleinkram.server.backup import hold as hold_module
-from kleinkram.server.backup.copying import side_by_side
-from kleinkram.server.backup.failing import (
-    CannotBeMeant,
-    Damaged,
-    InTheWay,
-    NothingThere,
-    NotOpened,
-    Unreachable,
+from kleinkram.server.backup import database as backup_database
+from kleinkram.server.backup import lock as lock_module
+from kleinkram.server.backup.database import deletion_lock
+from kleinkram.server.backup.errors import (
+    BackupConflict,
+    BackupDamaged,
+    BackupLocationFull,
+    BackupNotFound,
+    BackupRequestInvalid,
+    BackupUnreachable,
+    PassphraseWrong,
 )
-from kleinkram.server.backup.forgetting import forget
-from kleinkram.server.backup.hold import holding_back
-from kleinkram.server.backup.locking import at_work
-from kleinkram.server.backup.repository import open_place
+from kleinkram.server.backup.operations import _Creation
+from kleinkram.server.backup.rclone import Rclone
+from kleinkram.server.backup.repository import open_repository
 from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.settings import plain_dsn
 from tests.integration.api_server import Api
 from tests.integration.backup.conftest import LARGE
-from tests.integration.backup.sites import (
-    Sites,
+from tests.integration.backup.instances import (
+    EmptyInstances,
     back_up,
     content_files,
     contents,
-    fill,
-    look,
+    prune_place,
+    restore_to,
     rows,
     settings_of,
+    verify_place,
 )
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site
@@ -42,74 +45,92 @@ from tests.integration.upload_client import upload
 from tests.services import RunningStore
 
 
-def test_looking_makes_no_folder(tmp_path: Path) -> None:
-    with pytest.raises(NothingThere, match="no such folder"):
-        look(tmp_path / "none")
+def test_verifying_creates_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(BackupNotFound, match="There are no backups"):
+        verify_place(tmp_path / "none")
     assert not (tmp_path / "none").exists()
 
 
-def test_damage_is_found_and_named(lived_in: Api, tmp_path: Path) -> None:
-    made = back_up(settings_of(lived_in), tmp_path)
+def test_damage_is_reported(populated: Api, tmp_path: Path) -> None:
+    made = back_up(settings_of(populated), tmp_path)
     *_, largest = content_files(tmp_path)
     whole = largest.read_bytes()
 
     flipped = bytearray(whole)
     flipped[len(whole) // 2] ^= 1
     largest.write_bytes(flipped)
-    assert look(tmp_path, read_all=False).damage.first == []  # names and sizes say nothing of it
-    [sentence] = look(tmp_path).damage.first
+    assert verify_place(tmp_path, read_all=False).damage.first == []  # names and sizes are unchanged
+    [sentence] = verify_place(tmp_path).damage.first
     assert largest.name in sentence
     assert "changed or cut off" in sentence
 
     largest.write_bytes(whole[:-1])
-    [sentence] = look(tmp_path, read_all=False).damage.first
-    assert f"has {len(whole) - 1} bytes and should have {len(whole)}" in sentence
+    [sentence] = verify_place(tmp_path, read_all=False).damage.first
+    assert f"has {len(whole) - 1} bytes instead of {len(whole)}" in sentence
 
     largest.unlink()
-    [sentence] = look(tmp_path, read_all=False).damage.first
+    [sentence] = verify_place(tmp_path, read_all=False).damage.first
     assert "is missing" in sentence
     assert made.snapshot.id in sentence
 
     largest.write_bytes(whole)
+    for name in ("database.zst", "objects.zst"):
+        path = tmp_path / "snapshots" / made.snapshot.id / name
+        body = path.read_bytes()
+        for damaged in (body[:-10], body[:20] + bytes([body[20] ^ 1]) + body[21:]):
+            path.write_bytes(damaged)
+            [sentence] = verify_place(tmp_path).damage.first
+            assert name in sentence
+        path.write_bytes(body)
+    assert verify_place(tmp_path).damage.first == []
+
     [document] = tmp_path.glob("snapshots/*.json")
     document.write_bytes(document.read_bytes()[:-10])
-    [sentence] = look(tmp_path, read_all=False).damage.first
+    [sentence] = verify_place(tmp_path, read_all=False).damage.first
     assert made.snapshot.id in sentence
     assert "cannot be restored" in sentence
-    with pytest.raises(Damaged):
-        asyncio.run(forget(str(tmp_path), None, keep=1))
+    with pytest.raises(BackupDamaged):
+        prune_place(tmp_path, keep=1)
     assert largest.exists()
 
 
 @pytest.mark.slow
-def test_what_is_sealed_tells_nothing_and_comes_back(lived_in: Api, sites: Sites, tmp_path: Path) -> None:
-    source = settings_of(lived_in)
-    with pytest.raises(CannotBeMeant, match="needs a passphrase"):
-        back_up(source, tmp_path, sealed=True)
-    made = back_up(source, tmp_path, sealed=True, passphrase="horse staple")
-    assert back_up(source, tmp_path, passphrase="horse staple").tally.copied == 0
-    known = {entry.sha256 for table in made.snapshot.tables for entry in table.pieces} | {*contents(source).values()}
+def test_encrypted_backups_reveal_nothing_and_can_be_restored(
+    populated: Api, instances: EmptyInstances, tmp_path: Path
+) -> None:
+    source = settings_of(populated)
+    with pytest.raises(BackupRequestInvalid, match="needs a passphrase"):
+        back_up(source, tmp_path, encrypt=True)
+    made = back_up(source, tmp_path, encrypt=True, passphrase="horse staple")
+    assert back_up(source, tmp_path, passphrase="horse staple").copied == 0
+    known = {made.snapshot.id, *(Path(key).name for key in contents(source))}
     files = [path for path in tmp_path.rglob("*") if path.is_file()]
     assert not {path.name for path in files} & known
     assert not any(LARGE[:64] in path.read_bytes() or b"large.bin" in path.read_bytes() for path in files)
-    for passphrase, sentence in ((None, "are sealed"), ("another", "is not the one")):
-        with pytest.raises(NotOpened, match=sentence):
-            look(tmp_path, passphrase=passphrase)
-    assert look(tmp_path, passphrase="horse staple").damage.first == []
-    with sites.empty() as target:
-        fill(target, tmp_path, passphrase="horse staple")
+    for passphrase, sentence in ((None, "are encrypted"), ("another", "is not the one")):
+        with pytest.raises(PassphraseWrong, match=sentence):
+            verify_place(tmp_path, passphrase=passphrase)
+    assert verify_place(tmp_path, passphrase="horse staple").damage.first == []
+    with instances.empty() as target:
+        restore_to(target, tmp_path, passphrase="horse staple")
         assert rows(target) == rows(source)
         assert contents(target) == contents(source)
-    *_, largest = content_files(tmp_path)
-    largest.write_bytes(largest.read_bytes()[: -(1024 * 1024)])  # a whole frame less
-    assert len(look(tmp_path, passphrase="horse staple").damage.first) == 2 + 1  # each backup, and the bytes themselves
+    largest = max(files, key=lambda path: path.stat().st_size)
+    whole = largest.read_bytes()
+    largest.write_bytes(whole[: -(64 * 1024 + 16)])  # a block less
+    assert (
+        len(verify_place(tmp_path, passphrase="horse staple").damage.first) == 2 + 1
+    )  # each backup, and the bytes themselves
+    largest.write_bytes(whole[:5000] + bytes([whole[5000] ^ 1]) + whole[5001:])
+    [sentence] = verify_place(tmp_path, passphrase="horse staple").damage.first
+    assert "changed or cut off" in sentence
 
 
 @pytest.mark.slow
-def test_old_backups_go_with_what_only_they_held(start_api: StartApi, tmp_path: Path) -> None:
+def test_pruning_removes_old_backups_and_their_objects(start_api: StartApi, tmp_path: Path) -> None:
     api = start_api(trash_days=0, garbage_grace_s=0)
     mission = api.mission(api.project()["id"])["id"]
-    kept = upload(api, mission, "kept", b"kept")
+    uploaded = upload(api, mission, "kept", b"kept")
     gone = upload(api, mission, "gone", b"gone")
     source = settings_of(api)
     first = back_up(source, tmp_path)
@@ -118,26 +139,24 @@ def test_old_backups_go_with_what_only_they_held(start_api: StartApi, tmp_path: 
     on_site(api, collect_garbage)
     assert api.sql("SELECT count(*) FROM blob") == [(1,)]
     second = back_up(source, tmp_path)
-    assert second.tally.objects == 1
-    with pytest.raises(CannotBeMeant):
-        asyncio.run(forget(str(tmp_path), None, keep=0))
+    assert second.snapshot.objects == 1
+    with pytest.raises(BackupRequestInvalid):
+        prune_place(tmp_path, keep=0)
 
-    async def forget_beside() -> None:
-        async with open_place(str(tmp_path)) as shelf, at_work(shelf, alone=False):
-            await forget(str(tmp_path), None, keep=1)
-
-    with pytest.raises(InTheWay, match="at work"):
-        asyncio.run(forget_beside())
-    done = asyncio.run(forget(str(tmp_path), None, keep=1))
-    assert done.forgotten == (first.snapshot.id,)
-    assert done.removed >= 1
-    assert kept["id"]
-    found = look(tmp_path)
-    assert (found.snapshots, found.damage.first, found.unused) == (1, [], 0)
+    with open_repository(str(tmp_path), None, Rclone()).locked():
+        for write in (lambda: prune_place(tmp_path, keep=1), lambda: back_up(source, tmp_path)):
+            with pytest.raises(BackupConflict, match="Another process"):
+                write()
+    done = prune_place(tmp_path, keep=1)
+    assert done.removed == (first.snapshot.id,)
+    assert done.removed_objects == 1
+    assert uploaded["id"]
+    result = verify_place(tmp_path)
+    assert (result.snapshots, result.damage.first, result.unused) == (1, [], 0)
 
 
 @pytest.fixture
-def in_bucket(store: RunningStore, monkeypatch: pytest.MonkeyPatch) -> str:
+def bucket_location(store: RunningStore, monkeypatch: pytest.MonkeyPatch) -> str:
     """A place for backups in a bucket of its own, and in the environment how to get there."""
     monkeypatch.setenv("KLEINKRAM_BACKUP_S3_URL", store.endpoint)
     monkeypatch.setenv("KLEINKRAM_BACKUP_S3_ACCESS_KEY", store.access_key)
@@ -146,105 +165,163 @@ def in_bucket(store: RunningStore, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 @pytest.mark.slow
-def test_a_bucket_keeps_backups_too(
-    lived_in: Api, sites: Sites, in_bucket: str, monkeypatch: pytest.MonkeyPatch
+def test_backups_in_a_bucket(
+    populated: Api, instances: EmptyInstances, bucket_location: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    source, place = settings_of(lived_in), in_bucket
+    source, place = settings_of(populated), bucket_location
     with monkeypatch.context() as bare:
         bare.delenv("KLEINKRAM_BACKUP_S3_URL")
-        with pytest.raises(CannotBeMeant, match="KLEINKRAM_BACKUP_S3_URL"):
+        with pytest.raises(BackupRequestInvalid, match="KLEINKRAM_BACKUP_S3_URL"):
             back_up(source, place)
-    with pytest.raises(NothingThere):
-        look(place)
-    assert back_up(source, place, sealed=True, passphrase="p").tally.copied == 7
-    assert back_up(source, place, sealed=True, passphrase="p").tally.copied == 0
-    assert asyncio.run(forget(place, "p", keep=1)).kept
-    found = look(place, passphrase="p")
-    assert (found.damage.first, found.snapshots, found.unused) == ([], 1, 0)
-    with sites.empty() as target:
-        fill(target, place, passphrase="p")
+    with pytest.raises(BackupNotFound):
+        verify_place(place)
+    assert back_up(source, place, encrypt=True, passphrase="p").copied == 7
+    assert back_up(source, place, encrypt=True, passphrase="p").copied == 0
+    assert prune_place(place, keep=1, passphrase="p").remaining
+    result = verify_place(place, passphrase="p")
+    assert (result.damage.first, result.snapshots, result.unused) == ([], 1, 0)
+    with instances.empty() as target:
+        restore_to(target, place, passphrase="p")
         assert contents(target) == contents(source)
 
 
-def test_who_was_taken_for_gone_says_and_removes_nothing_more(
-    lived_in: Api, in_bucket: str, monkeypatch: pytest.MonkeyPatch
+def test_a_process_that_lost_its_lock_completes_and_removes_nothing(
+    populated: Api, bucket_location: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    source = settings_of(lived_in)
-    first = back_up(source, in_bucket)
+    source = settings_of(populated)
+    first = back_up(source, bucket_location)
+    repository = open_repository(bucket_location, None, Rclone())
+    problems = _Creation._problems
 
-    async def come_later(*what: Any) -> None:
-        """Do it, and then let somebody else come after ten minutes of silence."""
-        await side_by_side(*what)
-        monkeypatch.setattr(locking, "_STALE_S", -1)
-        async with open_place(in_bucket) as shelf, at_work(shelf, alone=True):
-            pass
-
-    async def snapshots_and_forget() -> list[str]:
-        async with open_place(in_bucket) as shelf, at_work(shelf, alone=True) as mine:
-            await mine.confirm()
-            async with at_work(shelf, alone=True):
+    def another_takes_over() -> None:
+        """Another process comes after ten minutes of silence."""
+        with monkeypatch.context() as patched:
+            patched.setattr(lock_module, "_STALE_S", -1)
+            with repository.locked():
                 pass
-            with pytest.raises(InTheWay, match="somebody else may have been at work"):
-                await mine.confirm()
-            return [item.path async for item in shelf.listed("snapshots/")]
 
-    monkeypatch.setattr(creating, "side_by_side", come_later)
-    with pytest.raises(InTheWay, match="somebody else may have been at work"):
-        back_up(source, in_bucket)
-    assert asyncio.run(snapshots_and_forget()) == [f"snapshots/{first.snapshot.id}.json"]
+    def take_over(self: _Creation) -> Any:
+        another_takes_over()
+        return problems(self)
+
+    with repository.locked(), pytest.raises(BackupConflict, match="Another process"):
+        back_up(source, bucket_location)
+    with repository.locked() as confirm:
+        confirm()
+        another_takes_over()
+        with pytest.raises(BackupConflict, match="another may have changed"):
+            confirm()
+    monkeypatch.setattr(_Creation, "_problems", take_over)
+    with pytest.raises(BackupConflict, match="another may have changed"):
+        back_up(source, bucket_location)
+    assert repository.snapshot_ids() == [first.snapshot.id]
 
 
-def test_nothing_is_swept_while_a_backup_copies(start_api: StartApi) -> None:
+def test_a_lock_of_a_dead_process_of_this_machine_is_removed(bucket_location: str, populated: Api) -> None:
+    source = settings_of(populated)
+    back_up(source, bucket_location)
+    repository = open_repository(bucket_location, None, Rclone())
+    left = f"{lock_module._host()}.{2**22 - 1}.1.abc"
+    repository.rclone.write(f"{repository.root}/locks/{left}", b"lock")
+    assert back_up(source, bucket_location).copied == 0
+
+
+@pytest.mark.parametrize("path", ["unfinished/thesis.tex", "lockers.csv", "objects/field-day.bag"])
+def test_a_folder_with_other_files_is_left_unchanged(populated: Api, tmp_path: Path, path: str) -> None:
+    theirs = tmp_path / path
+    theirs.parent.mkdir(exist_ok=True)
+    theirs.write_text("the only copy")
+    with pytest.raises(BackupConflict, match=path):
+        back_up(settings_of(populated), tmp_path)
+    with pytest.raises(BackupNotFound):
+        prune_place(tmp_path, keep=1)
+    assert [file for file in tmp_path.rglob("*") if file.is_file()] == [theirs]
+
+
+def test_a_backup_reaches_the_disk_before_its_document_names_it(
+    populated: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    documents: list[int] = []
+    monkeypatch.setattr(os, "sync", lambda: documents.append(len([*tmp_path.glob("snapshots/*.json")])))
+    back_up(settings_of(populated), tmp_path)
+    assert documents == [0, 1]
+
+
+def test_files_of_an_unfinished_backup_are_removed_by_the_next(populated: Api, tmp_path: Path) -> None:
+    back_up(settings_of(populated), tmp_path)
+    half = tmp_path / "snapshots" / "20260101T000000000000Z-abcdef" / "database.zst"
+    half.parent.mkdir()
+    half.write_text("half")
+    made = back_up(settings_of(populated), tmp_path)
+    assert not half.exists()
+    assert made.copied == 0
+
+
+def test_backups_of_another_format_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "klein-backup.json").write_text('{"format": 1, "id": "x", "key": null}')
+    with pytest.raises(BackupRequestInvalid, match="another format"):
+        verify_place(tmp_path)
+
+
+@pytest.mark.slow
+def test_a_full_disk_fails_the_backup(populated: Api, tmp_path: Path) -> None:
+    source, folder = settings_of(populated), tmp_path / "small"
+    folder.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", folder], check=False, capture_output=True
+    )
+    if mounted.returncode != 0:
+        pytest.skip("mounting needs root")
+    try:
+        with pytest.raises(BackupLocationFull, match="no space left"):
+            back_up(source, folder / "backups")
+        assert not any(folder.glob("backups/snapshots/*.json"))
+        subprocess.run(["mount", "-o", "remount,size=60m", folder], check=True)
+        assert back_up(source, folder / "backups").problems.first == []
+        assert verify_place(folder / "backups").damage.first == []
+    finally:
+        subprocess.run(["umount", folder], check=True)
+
+
+def test_no_garbage_is_collected_while_a_backup_copies(start_api: StartApi) -> None:
     api = start_api(trash_days=0, garbage_grace_s=0)
     mission = api.mission(api.project()["id"])["id"]
     file = upload(api, mission, "file", b"bytes")
     before = contents(settings_of(api))
     api.delete(f"/files/{file['id']}").ok()
 
-    async def sweep_beside() -> None:
-        async with holding_back(plain_dsn(settings_of(api).database_url)) as hold:
-            for _ in range(3):
-                await asyncio.to_thread(on_site, api, collect_garbage)
-            hold.check()
-
-    asyncio.run(sweep_beside())
+    with deletion_lock(plain_dsn(settings_of(api).database_url)) as lock:
+        for _ in range(3):
+            on_site(api, collect_garbage)
+        lock.confirm()
     assert contents(settings_of(api)) == before
     on_site(api, collect_garbage)
     assert contents(settings_of(api)) == {}
 
 
-def test_a_hold_that_the_database_ended_is_noticed(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
-    api = start_api()
-    monkeypatch.setattr(hold_module, "_ASK_EVERY_S", 0.01)
-
-    dsn = plain_dsn(settings_of(api).database_url)
-
-    async def cut() -> None:
-        async with holding_back(dsn) as hold:
-            await _end_connections(dsn)
-            while True:
-                await asyncio.sleep(0.01)
-                hold.check()
-
-    with pytest.raises(Unreachable, match="held back the sweep"):
-        asyncio.run(cut())
-
-
-def test_a_hold_that_ended_just_now_makes_no_backup(
-    lived_in: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_deletion_lock_that_the_database_ended_makes_no_backup(
+    populated: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def copy_and_cut(*what: Any) -> None:
-        await side_by_side(*what)
-        await _end_connections(plain_dsn(settings_of(lived_in).database_url))
+    problems = _Creation._problems
 
-    monkeypatch.setattr(creating, "side_by_side", copy_and_cut)
-    with pytest.raises(Unreachable, match="held back the sweep"):
-        back_up(settings_of(lived_in), tmp_path)
-    assert not any(tmp_path.glob("snapshots/*"))
+    def disconnect(self: _Creation) -> Any:
+        """Let the database end the connections of backups, as when it is restarted."""
+        result = problems(self)
+        query = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE application_name = 'kleinkram backup'"
+        with psycopg.connect(plain_dsn(settings_of(populated).database_url)) as other:
+            other.execute(f"{query} AND datname = current_database()")
+        return result
+
+    monkeypatch.setattr(_Creation, "_problems", disconnect)
+    with pytest.raises(BackupUnreachable, match="kept objects from being deleted"):
+        back_up(settings_of(populated), tmp_path)
+    assert not any(tmp_path.glob("snapshots/*.json"))
 
 
-async def _end_connections(dsn: str) -> None:
-    """Let the database end those of backups, as when it is started again."""
-    query = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE application_name = 'kleinkram backup'"
-    async with await psycopg.AsyncConnection.connect(dsn) as other:
-        await other.execute(f"{query} AND datname = current_database()")
+def test_a_process_that_hangs_loses_its_deletion_lock(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
+    api = start_api()
+    monkeypatch.setattr(backup_database, "_SILENT_MS", 200)
+    with deletion_lock(plain_dsn(settings_of(api).database_url)) as lock:
+        time.sleep(1)
+        with pytest.raises(BackupUnreachable):
+            lock.confirm()

@@ -1,31 +1,28 @@
-"""What was backed up is restored: every row, every byte; and what would not be so is said."""
+"""Restore every row and every byte, and report what is missing."""
 
 import json
-from collections.abc import AsyncGenerator
-from contextlib import aclosing
+from collections.abc import Collection
 from hashlib import sha256
 from pathlib import Path
 
 import psycopg
 import pytest
 
-from kleinkram.contract.errors import StoreUnavailable
-from kleinkram.server.backup import loading
-from kleinkram.server.backup.bucket import BucketShelf
-from kleinkram.server.backup.failing import BackupError, InTheWay
-from kleinkram.server.s3.storage import Storage
+from kleinkram.server.backup import database as backup_database
+from kleinkram.server.backup.errors import BackupConflict, BackupError, BackupUnreachable
+from kleinkram.server.backup.rclone import Rclone
 from kleinkram.server.settings import plain_dsn
 from tests.integration.api_server import Api
-from tests.integration.backup.sites import (
-    Sites,
+from tests.integration.backup.instances import (
+    EmptyInstances,
     back_up,
     content_files,
     contents,
     delete_object,
-    fill,
-    look,
+    restore_to,
     rows,
     settings_of,
+    verify_place,
     write_object,
 )
 from tests.integration.conftest import StartApi
@@ -33,167 +30,157 @@ from tests.integration.next_migration import NEXT, add_migration
 from tests.integration.upload_client import upload
 
 
-def test_every_row_and_every_byte_come_back(lived_in: Api, sites: Sites, tmp_path: Path) -> None:
-    source = settings_of(lived_in)
+def test_every_row_and_every_byte_are_restored(populated: Api, instances: EmptyInstances, tmp_path: Path) -> None:
+    source = settings_of(populated)
     made = back_up(source, tmp_path)
-    assert made.tally.problems.first == []
-    with sites.empty() as target:
-        restored = fill(target, tmp_path)
-        assert restored.missing == []
+    assert made.problems.first == []
+    with instances.empty() as target:
+        restored = restore_to(target, tmp_path)
+        assert restored.unavailable == []
         assert rows(target) == rows(source)
         assert contents(target) == contents(source)
-        assert len(contents(target)) == 7  # of files 4, of a run's artifact and log, of one that is held a piece of log
+        assert len(contents(target)) == 7  # 4 files, an artifact and a log of a run, a log chunk of another
         with psycopg.connect(plain_dsn(target.database_url)) as database:
             states = "SELECT DISTINCT state FROM blob WHERE marked_for_deletion_at IS NULL"
-            assert database.execute(states).fetchall() == [("stored",)]  # to be verified at the new store
-            # Who was sending begins anew, and finds the name free.
+            assert database.execute(states).fetchall() == [("stored",)]  # to be verified in the new store
+            # The uploader starts again, and the name is free.
             assert database.execute("SELECT DISTINCT state FROM upload WHERE path = 'half.bin'").fetchall() == [
                 ("expired",)
             ]
-            held = "SELECT count(*) FROM run WHERE state = 'running' AND lease_ends_at <= now()"
-            assert database.execute(held).fetchall() == [(1,)]  # to be taken back, as of a runner that is gone
-            # The serving role sees no sequence of newer tables: they go on above what there is all the same.
+            running = "SELECT count(*) FROM run WHERE state = 'running' AND lease_ends_at <= now()"
+            assert database.execute(running).fetchall() == [(1,)]  # its lease has expired
+            # The serving role cannot see sequences of newer tables; they continue above the highest id all the same.
             last = "SELECT max(id) FROM mission_topic"
-            assert database.execute(last).fetchall() == lived_in.sql(last)
+            assert database.execute(last).fetchall() == populated.sql(last)
             event = "INSERT INTO audit_event (operation, noun, noun_name) VALUES ('t', 't', 't') RETURNING id"
-            highest = lived_in.sql("SELECT max(id) FROM audit_event")[0][0]
+            highest = populated.sql("SELECT max(id) FROM audit_event")[0][0]
             row = database.execute(event).fetchone()
             assert row is not None
             assert row[0] > highest
             database.rollback()
 
 
-def test_only_what_is_new_is_copied_and_what_was_cut_off_is_copied_again(lived_in: Api, tmp_path: Path) -> None:
-    first = back_up(settings_of(lived_in), tmp_path)
-    assert first.tally.copied == 7  # the twin is the same content
+def test_only_new_and_truncated_objects_are_copied(populated: Api, tmp_path: Path) -> None:
+    first = back_up(settings_of(populated), tmp_path)
+    assert first.copied == 7  # a duplicate is the same object
     *_, largest = content_files(tmp_path)
-    second = back_up(settings_of(lived_in), tmp_path)
-    assert second.tally.copied == 0
-    assert second.tally.objects == first.tally.objects
+    second = back_up(settings_of(populated), tmp_path)
+    assert second.copied == 0
+    assert second.snapshot.objects == first.snapshot.objects
     with largest.open("r+b") as file:
         file.truncate(1000)  # as a power cut may leave it
-    third = back_up(settings_of(lived_in), tmp_path)
-    assert third.tally.copied == 1
-    assert look(tmp_path).damage.first == []
+    third = back_up(settings_of(populated), tmp_path)
+    assert third.copied == 1
+    assert verify_place(tmp_path).damage.first == []
 
 
 @pytest.mark.slow
-def test_what_the_store_lost_or_spoiled_is_said_and_the_rest_is_kept(
-    start_api: StartApi, sites: Sites, tmp_path: Path
+def test_lost_and_corrupt_objects_are_reported_and_others_backed_up(
+    start_api: StartApi, instances: EmptyInstances, tmp_path: Path
 ) -> None:
     api = start_api()
     mission = api.mission(api.project()["id"])["id"]
-    for path in ("lost", "spoiled", "fine"):
+    for path in ("lost", "corrupt", "fine"):
         upload(api, mission, path, path.encode())
     source = settings_of(api)
     by_path = dict(api.sql("SELECT file.path, key FROM blob JOIN file ON file.blob_id = blob.id"))
     delete_object(source, by_path["lost"])
-    write_object(source, by_path["spoiled"], b"other bytes")
+    write_object(source, by_path["corrupt"], b"other bytes")
     made = back_up(source, tmp_path)
-    assert sorted(made.tally.problems.first) == sorted([f"{by_path['lost']}: lost", f"{by_path['spoiled']}: corrupt"])
-    assert look(tmp_path).damage.first == []
-    with sites.empty() as target:
-        restored = fill(target, tmp_path)
-        assert {each.key: each.state for each in restored.missing} == {
+    assert sorted(made.problems.first) == sorted([f"{by_path['lost']}: lost", f"{by_path['spoiled']}: corrupt"])
+    assert verify_place(tmp_path).damage.first == []
+    with instances.empty() as target:
+        restored = restore_to(target, tmp_path)
+        assert {entry.key: entry.state for entry in restored.unavailable} == {
             by_path["lost"]: "lost",
-            by_path["spoiled"]: "corrupt",
+            by_path["corrupt"]: "corrupt",
         }
         assert contents(target) == contents(source)
         states = "SELECT file.path, state FROM blob JOIN file ON file.blob_id = blob.id"
         with psycopg.connect(plain_dsn(target.database_url)) as database:
-            assert dict(database.execute(states).fetchall()) == {"lost": "lost", "spoiled": "corrupt", "fine": "stored"}
+            assert dict(database.execute(states).fetchall()) == {"lost": "lost", "corrupt": "corrupt", "fine": "stored"}
 
 
-def test_a_store_that_stops_once_in_the_middle_of_everything_costs_nothing(
-    lived_in: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_an_unavailable_store_fails_the_backup(populated: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RCLONE_RETRIES", "1")  # else it waits for the store
+    monkeypatch.setenv("RCLONE_LOW_LEVEL_RETRIES", "1")
+    source = settings_of(populated)
+    with pytest.raises(BackupUnreachable, match="does not answer"):
+        back_up(source.model_copy(update={"s3_internal_url": "http://127.0.0.1:9"}), tmp_path)
+    assert not any(tmp_path.glob("snapshots/*.json"))
+    made = back_up(source, tmp_path)
+    assert (made.problems.first, made.copied) == ([], 7)
+    assert verify_place(tmp_path).damage.first == []
+
+
+def test_an_instance_that_is_not_empty_is_not_restored_to(
+    populated: Api, instances: EmptyInstances, tmp_path: Path
 ) -> None:
-    read, begun = Storage.read, set[str]()
-
-    async def read_but_stop_at_first(self: Storage, key: str) -> AsyncGenerator[bytes, None]:
-        async with aclosing(read(self, key)) as pieces:
-            async for piece in pieces:
-                if key not in begun:
-                    begun.add(key)
-                    raise StoreUnavailable(reason="reading stopped")
-                yield piece
-
-    monkeypatch.setattr(Storage, "read", read_but_stop_at_first)
-    made = back_up(settings_of(lived_in), tmp_path)
-    assert made.tally.problems.first == []
-    assert made.tally.copied == len(begun) == 7
-    assert look(tmp_path).damage.first == []
-
-
-def test_a_site_that_is_not_empty_is_left_alone(lived_in: Api, sites: Sites, tmp_path: Path) -> None:
-    back_up(settings_of(lived_in), tmp_path)
-    with sites.empty() as target:
+    back_up(settings_of(populated), tmp_path)
+    with instances.empty() as target:
         write_object(target, "somebody's", b"bytes")
-        with pytest.raises(InTheWay, match="is not empty"):
-            fill(target, tmp_path)
-    with sites.empty() as target:
-        lived = settings_of(lived_in).model_copy(update={"s3_bucket": target.s3_bucket})
+        with pytest.raises(BackupConflict, match="is not empty"):
+            restore_to(target, tmp_path)
+    with instances.empty() as target:
+        lived = settings_of(populated).model_copy(update={"s3_bucket": target.s3_bucket})
         lived = lived.model_copy(update={"migration_database_url": lived.database_url})
-        with pytest.raises(InTheWay, match="The database is not empty"):
-            fill(lived, tmp_path)
+        with pytest.raises(BackupConflict, match="The database is not empty"):
+            restore_to(lived, tmp_path)
 
 
 @pytest.mark.slow
-def test_a_restore_that_ended_anywhere_goes_on(
-    lived_in: Api, sites: Sites, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_an_interrupted_restore_continues(
+    populated: Api, instances: EmptyInstances, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    source = settings_of(lived_in)
+    source = settings_of(populated)
     made = back_up(source, tmp_path)
     other = back_up(source, tmp_path)
-    wanted = {"snapshot_id": made.snapshot.id}
-    put, mend = BucketShelf.put, loading._mend
-    puts = 0
+    snapshot_id = made.snapshot.id
+    copy, adjust_rows = Rclone.copy, backup_database._adjust_rows
 
-    async def put_two(self: BucketShelf, path: str, *more: object) -> None:
-        nonlocal puts
-        puts += 1
-        if puts > 2:
-            raise BackupError("ended")
-        await put(self, path, *more)  # type: ignore[arg-type]  # handed on as they are
+    def copy_two(self: Rclone, source: str, target: str, paths: Collection[str]) -> dict[str, str]:
+        copy(self, source, target, [*paths][:2])
+        raise BackupError("ended")
 
     def fail(*_: object) -> None:
         raise BackupError("ended")
 
-    with sites.empty() as target:
-        monkeypatch.setattr(BucketShelf, "put", put_two)
+    with instances.empty() as target:
+        monkeypatch.setattr(Rclone, "copy", copy_two)
         with pytest.raises(BackupError, match="ended"):
-            fill(target, tmp_path, **wanted)
-        monkeypatch.setattr(BucketShelf, "put", put)
-        with pytest.raises(InTheWay, match="was not finished"):
-            fill(target, tmp_path, snapshot_id=other.snapshot.id)
-        monkeypatch.setattr(loading, "_mend", fail)
+            restore_to(target, tmp_path, snapshot_id=snapshot_id)
+        monkeypatch.setattr(Rclone, "copy", copy)
+        with pytest.raises(BackupConflict, match="was not finished"):
+            restore_to(target, tmp_path, snapshot_id=other.snapshot.id)
+        monkeypatch.setattr(backup_database, "_adjust_rows", fail)
         with pytest.raises(BackupError, match="ended"):
-            fill(target, tmp_path, **wanted)
+            restore_to(target, tmp_path, snapshot_id=snapshot_id)
         with psycopg.connect(plain_dsn(target.database_url)) as database:
             tables = database.execute("SELECT count(*) FROM pg_tables WHERE schemaname = 'public'").fetchall()
         assert tables == [(0,)]  # all or nothing
-        monkeypatch.setattr(loading, "_mend", mend)
-        assert fill(target, tmp_path, **wanted).sent == 0
+        monkeypatch.setattr(backup_database, "_adjust_rows", adjust_rows)
+        assert restore_to(target, tmp_path, snapshot_id=snapshot_id).sent == 0
         assert rows(target) == rows(source)
         assert contents(target) == contents(source)
 
 
 def test_a_backup_of_an_earlier_schema_is_upgraded(
-    lived_in: Api, sites: Sites, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    populated: Api, instances: EmptyInstances, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    back_up(settings_of(lived_in), tmp_path / "backup")
-    add_migration(loading, tmp_path, monkeypatch)
-    with sites.empty() as target:
-        fill(target, tmp_path / "backup")
+    back_up(settings_of(populated), tmp_path / "backup")
+    add_migration(backup_database, tmp_path, monkeypatch)
+    with instances.empty() as target:
+        restore_to(target, tmp_path / "backup")
         with psycopg.connect(plain_dsn(target.database_url)) as database:
             assert database.execute("SELECT version_num FROM alembic_version").fetchall() == [(NEXT,)]
             assert database.execute("SELECT count(*) FROM file WHERE added <> path").fetchall() == [(0,)]
 
 
-def test_a_backup_of_a_later_schema_is_refused(lived_in: Api, sites: Sites, tmp_path: Path) -> None:
-    back_up(settings_of(lived_in), tmp_path)
+def test_a_backup_of_a_later_schema_is_refused(populated: Api, instances: EmptyInstances, tmp_path: Path) -> None:
+    back_up(settings_of(populated), tmp_path)
     [document] = tmp_path.glob("snapshots/*.json")
-    told = json.loads(document.read_bytes().partition(b"\n")[2])
-    body = json.dumps({**told, "revision": "9999", "kleinkram": "7.0.0"}).encode()
+    document_values = json.loads(document.read_bytes().partition(b"\n")[2])
+    body = json.dumps({**document_values, "revision": "9999", "kleinkram": "7.0.0"}).encode()
     document.write_bytes(sha256(body).hexdigest().encode() + b"\n" + body)
-    with sites.empty() as target, pytest.raises(BackupError, match=r"restore it with 7\.0\.0 or later"):
-        fill(target, tmp_path)
+    with instances.empty() as target, pytest.raises(BackupError, match=r"restore it with 7\.0\.0 or later"):
+        restore_to(target, tmp_path)

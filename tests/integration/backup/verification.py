@@ -1,4 +1,4 @@
-"""What the worker of a restored site does first: compare the store's list with the database, and read every blob."""
+"""What the worker of a restored instance does first: compare the store with the database, and read every blob."""
 
 import asyncio
 
@@ -39,8 +39,8 @@ async def _scrub(context: AppContext) -> list[str]:
     assert last is not None
     assert last.ended_at is not None
     assert last.compared > 0
-    found = {"stopped": last.stopped, "lost": last.lost, "corrupt": last.corrupt}
-    return [f"{what}: {value}" for what, value in found.items() if value]
+    result = {"stopped": last.stopped, "lost": last.lost, "corrupt": last.corrupt}
+    return [f"{what}: {value}" for what, value in result.items() if value]
 
 
 async def _read(context: AppContext) -> list[str]:
@@ -48,5 +48,5 @@ async def _read(context: AppContext) -> list[str]:
         ids = (await db.execute(select(blob.c.id).where(blob.c.marked_for_deletion_at.is_(None)))).scalars().all()
         rows = await db.execute(queries.blobs_with_path(ids))
         blobs = [queries.BlobRow._make(row) for row in rows]
-    found = [(each.key, (await read_through(context, each.key)).differs_from(each)) for each in blobs]
-    return [f"{key}: {difference}" for key, difference in found if difference]
+    differences = [(row.key, (await read_through(context, row.key)).differs_from(row)) for row in blobs]
+    return [f"{key}: {difference}" for key, difference in differences if difference]

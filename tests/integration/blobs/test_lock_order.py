@@ -1,4 +1,4 @@
-"""One order of locks: what a worker keeps of a blob, and what is linked to it meanwhile, never wait for each other."""
+"""One lock order: storing results about a blob and linking it do not deadlock."""
 
 import os
 import uuid

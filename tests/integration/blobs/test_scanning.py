@@ -1,4 +1,4 @@
-"""Verifying reads every byte anyway: a recording is scanned on the way, and says the same here as on a robot."""
+"""Verification scans a recording while it reads every byte, with the same result as on a robot."""
 
 import sqlite3
 import sys

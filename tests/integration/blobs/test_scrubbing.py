@@ -1,4 +1,4 @@
-"""What a scrub finds behind the server's back: objects that vanished, were cut off, altered, or came back."""
+"""A scrub finds objects that vanished, were truncated, altered, or came back."""
 
 import os
 import uuid

@@ -1,4 +1,4 @@
-"""Reading an object through: connections are given back, and a damaged object is told from a store in trouble."""
+"""Reading an object completely: connections are returned, and damage is distinguished from store failures."""
 
 import os
 from collections.abc import Iterator

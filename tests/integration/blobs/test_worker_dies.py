@@ -1,4 +1,4 @@
-"""A worker that dies in the middle of a job: the job is done all the same, and the periodic ones go on."""
+"""A worker dies during a job: the job is completed, and periodic jobs continue."""
 
 import os
 import signal

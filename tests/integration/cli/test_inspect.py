@@ -1,4 +1,4 @@
-"""`klein inspect`: what a person reads, what a script reads, and the exit code."""
+"""`klein inspect`: text for people, JSON for scripts, and the exit code."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from kleinkram.cli import main as entry
-from kleinkram.cli.inspect import show
 from kleinkram.cli.options import read_text
+from kleinkram.cli.recordings import show
 from kleinkram.recordings import Content, Lost, Problem, RecordingFormat, RecordingSummary
 from kleinkram.recordings.inspect import Inspection, InspectionKind
 from kleinkram.recordings.sample import SampleFormat, generate_mission

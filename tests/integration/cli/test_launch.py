@@ -1,4 +1,4 @@
-"""`klein action run`: what is run, on what, and how its end is told, against a server that follows a script."""
+"""`klein action run` against a scripted server: what is launched, on what, and how the result is reported."""
 
 import json
 from pathlib import Path
@@ -8,9 +8,9 @@ import pytest
 from pydantic import BaseModel
 from typer.testing import CliRunner, Result
 
-from kleinkram.cli.errors import ExitCode, Refused
-from kleinkram.cli.launch import parameter_values, split_version
+from kleinkram.cli.errors import ExitCode, NotConfirmed
 from kleinkram.cli.main import app
+from kleinkram.cli.run import parameter_values, split_version
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.actions import ActionDefinition, Parameter, ParameterType
 from kleinkram.contract.base import Page
@@ -52,7 +52,7 @@ def test_a_path_is_run_as_it_is_and_followed(tmp_path: Path) -> None:
     assert json.loads(ran.stdout)["items"][0]["run"]["state"] == "failed"
     assert "hello" in ran.stderr
     assert "exit code 3" in ran.stderr
-    assert script.asked[1].body["definition"]["script"] == "print('hello')"
+    assert script.requests[1].body["definition"]["script"] == "print('hello')"
 
 
 def test_a_version_of_a_published_action_is_named_with_it() -> None:
@@ -62,22 +62,22 @@ def test_a_version_of_a_published_action_is_named_with_it() -> None:
         ran = klein(script, "action", "run", "look@3", "-m", "day")
     assert ran.exit_code == ExitCode.not_found
     assert "alps/day: There is no mission 'day'" in ran.stderr
-    assert f"project_id={MISSION.project.id}" in script.asked[1].path
-    assert script.asked[3].body["action_id"] == str(action.id)
-    assert script.asked[3].body["version"] == 3
+    assert f"project_id={MISSION.project.id}" in script.requests[1].path
+    assert script.requests[3].body["action_id"] == str(action.id)
+    assert script.requests[3].body["version"] == 3
 
 
 def test_launching_on_many_missions_needs_confirmation() -> None:
     several = [MISSION, mission_read("dusk")]
     with scripted(page(*several), page(action_read("look"))) as script:
         ran = klein(script, "action", "run", "look", "--query", "alps")
-    assert isinstance(ran.exception, Refused)
-    assert len(script.asked) == 2
+    assert isinstance(ran.exception, NotConfirmed)
+    assert len(script.requests) == 2
     assert "Run look on 2 missions: alps/day, alps/dusk?" in ran.stderr
     with scripted(page(*several), page(action_read("look")), RunsCreated(items=[])) as script:
         klein(script, "action", "run", "look", "--query", "alps", "--yes", "--force")
-    assert script.asked[2].body["mission_ids"] == [str(each.id) for each in several]
-    assert script.asked[2].body["force"] is True
+    assert script.requests[2].body["mission_ids"] == [str(each.id) for each in several]
+    assert script.requests[2].body["force"] is True
 
 
 def test_invalid_arguments_are_reported_before_any_launch(tmp_path: Path) -> None:
@@ -118,5 +118,5 @@ def test_the_next_version_is_published_only_if_it_is_another(tmp_path: Path) -> 
     (tmp_path / "look.py").write_text("print(2)")
     with scripted(page(action), action) as script:
         klein(script, *create)
-    assert script.asked[1].path.endswith(f"/actions/{action.id}/versions")
-    assert script.asked[1].body["definition"]["script"] == "print(2)"
+    assert script.requests[1].path.endswith(f"/actions/{action.id}/versions")
+    assert script.requests[1].body["definition"]["script"] == "print(2)"

@@ -1,4 +1,4 @@
-"""The entry: fast to ask for help, and every command is there."""
+"""The entry point: `--help` is fast, and every command exists."""
 
 import importlib
 import subprocess
@@ -30,7 +30,7 @@ def test_every_command_explains_itself(name: str) -> None:
     assert shown.exit_code == 0, shown.output
     assert "Usage:" in shown.output
     module, attribute, _ = COMMANDS[name]
-    assert getattr(importlib.import_module(module), attribute)
+    assert getattr(importlib.import_module(f"kleinkram.cli.{module}"), attribute)
 
 
 @pytest.mark.parametrize(("alias", "name"), ALIASES.items())

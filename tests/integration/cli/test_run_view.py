@@ -1,4 +1,4 @@
-"""How runs, actions and lineage read on a terminal."""
+"""Runs, actions and lineage on a terminal."""
 
 import uuid
 
@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from kleinkram.cli.main import app
-from kleinkram.cli.run_view import standing
+from kleinkram.cli.run_view import status_text
 from kleinkram.contract.base import Page
 from kleinkram.contract.reports import Progress, Severity
 from kleinkram.contract.runs import EndReason, LineageFile, LineageRead, LineageRun, RunRead, RunState
@@ -34,7 +34,7 @@ def shown(script: Scripted, *arguments: object) -> str:
     ],
 )
 def test_the_state_of_a_run_is_described_briefly(state: RunState, more: dict[str, object], said: str) -> None:
-    assert standing(run_detail(state, **more)) == said
+    assert status_text(run_detail(state, **more)) == said
 
 
 def test_all_fields_of_a_run_are_shown_and_names_are_escaped() -> None:

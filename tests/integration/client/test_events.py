@@ -1,4 +1,4 @@
-"""Following events: what the client says when it comes back, so that nothing is left out unsaid."""
+"""Following events: after a reconnect the client requests the events it missed."""
 
 import json
 
@@ -27,10 +27,10 @@ def test_after_a_lost_connection_missed_events_are_requested(
     monkeypatch.setattr(server, "_PAUSE_S", 0.01)
     heard: list[Change | Refetch] = []
     with scripted(first, REFETCH) as script, Client(Endpoint("x", script.url, "t", EndpointSource.argument)) as client:
-        for each in client.events.follow(for_s=20):
-            heard.append(each)
-            if isinstance(each, Refetch):
+        for item in client.events.follow(for_s=20):
+            heard.append(item)
+            if isinstance(item, Refetch):
                 break
-    assert [type(each) for each in heard] == [Change] * first.count(b"change\n") + [Refetch]
-    assert "after=" not in script.asked[0].path
-    assert f"after={came_back_with}&" in script.asked[1].path + "&"
+    assert [type(item) for item in heard] == [Change] * first.count(b"change\n") + [Refetch]
+    assert "after=" not in script.requests[0].path
+    assert f"after={came_back_with}&" in script.requests[1].path + "&"

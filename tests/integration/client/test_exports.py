@@ -1,4 +1,4 @@
-"""What the SDK shows to the world, and what asking for it costs."""
+"""The public names of the SDK, and the cost of importing it."""
 
 import subprocess
 import sys

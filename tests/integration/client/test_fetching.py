@@ -1,4 +1,4 @@
-"""A file arrives in any order, is verified as a whole, and only then gets its name."""
+"""A file is downloaded in any order, verified as a whole, and only then named."""
 
 import hashlib
 import os
@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from kleinkram.client.errors import DestinationDiffers, DestinationRefused, VerifyFailed
+from kleinkram.client.transfer.destination import RANGE_BYTES, PartialFile
 from kleinkram.client.transfer.local_file import Crc64Hash
-from kleinkram.client.transfer.partial_file import RANGE_BYTES, PartialFile
 from tests.api_objects import file_read, link_to
 
 CONTENT = os.urandom(3 * RANGE_BYTES + 77)

@@ -1,4 +1,4 @@
-"""How a transfer adapts to its link, and what it tells about it."""
+"""A transfer adapts to its network link and reports its state."""
 
 import contextlib
 import errno
@@ -14,8 +14,8 @@ import pytest
 import urllib3
 
 from kleinkram.client import _network
+from kleinkram.client._http import Backoff
 from kleinkram.client._network import NetworkMonitor, WatchedConnection, WatchedPools, has_address
-from kleinkram.client._retry import Backoff
 from kleinkram.client.errors import ServerUnreachable
 from kleinkram.client.transfer import plan_download
 from kleinkram.client.transfer.download import fetch
@@ -25,12 +25,11 @@ from kleinkram.client.transfer.link import (
     SLOW_S,
     Lane,
     LinkMonitor,
-    LinkReport,
     Window,
     diagnose,
     is_silence,
 )
-from kleinkram.client.transfer.report import SilentObserver
+from kleinkram.client.transfer.report import LinkReport, Watcher
 from kleinkram.client.transfer.threads import Stop
 from kleinkram.contract.files import DownloadLink
 from kleinkram.contract.uploads import MIN_PART_BYTES as PART
@@ -349,7 +348,7 @@ def test_a_transfer_that_ends_before_its_first_byte_says_what_does_not_answer(
     server = f"http://127.0.0.1:{choose_port()}"
     said: list[str] = []
 
-    class Heard(SilentObserver):
+    class Heard(Watcher):
         def notify(self, text: str) -> None:
             said.append(text)
 

@@ -1,4 +1,4 @@
-"""The port that a browser comes back to listens to one login's browser only."""
+"""The loopback port of a login accepts only the browser of that login."""
 
 import socket
 from collections.abc import Iterator

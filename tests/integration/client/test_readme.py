@@ -1,4 +1,4 @@
-"""The Python in the README is what a type checker accepts."""
+"""The Python code in the README passes the type checker."""
 
 import re
 import subprocess

@@ -1,4 +1,4 @@
-"""Runs: launched by the thousand, followed by their log, waited for, and fetched with what they left."""
+"""Runs in the SDK: launch many, follow the log, wait, download artifacts."""
 
 import datetime
 import hashlib
@@ -46,7 +46,7 @@ def test_very_many_missions_are_launched_by_the_thousand() -> None:
     missions = [uuid.uuid4() for _ in range(MAX_LAUNCHED + 1)]
     with scripted(RunsCreated(items=[]), RunsCreated(items=[])) as script, client_of(script) as client:
         assert client.runs.launch(SCRIPT, missions, parameters={"rate": 2}) == []
-    first, second = (asked.body for asked in script.asked)
+    first, second = (request.body for request in script.requests)
     assert (len(first["mission_ids"]), second["mission_ids"]) == (MAX_LAUNCHED, [str(missions[-1])])
     assert first["definition"]["script"] == "print(1)"
     assert "action_id" not in first
@@ -62,16 +62,22 @@ def test_a_log_is_followed_to_its_end_and_begins_anew_with_a_new_attempt() -> No
     answers = [piece("one\n", 0), piece("", 4), piece("", 0, attempt=2), piece("ONE\n", 0, attempt=2)]
     with scripted(*answers, piece("two\n", 4, attempt=2, is_over=True)) as script, client_of(script) as client:
         pieces = [*client.runs.log(uuid.uuid4(), follow=True)]
-    assert [(each.attempt, each.text) for each in pieces] == [(1, "one\n"), (2, "ONE\n"), (2, "two\n")]
-    asked = [each.path.partition("?")[2] for each in script.asked]
-    assert asked[0] == "offset=0&wait_s=0.0"
-    assert [each.partition("&")[0] for each in asked] == ["offset=0", "offset=4", "offset=4", "offset=0", "offset=4"]
-    assert "wait_s=20" in asked[1]
+    assert [(piece.attempt, piece.text) for piece in pieces] == [(1, "one\n"), (2, "ONE\n"), (2, "two\n")]
+    queries = [request.path.partition("?")[2] for request in script.requests]
+    assert queries[0] == "offset=0&wait_s=0.0"
+    assert [query.partition("&")[0] for query in queries] == [
+        "offset=0",
+        "offset=4",
+        "offset=4",
+        "offset=0",
+        "offset=4",
+    ]
+    assert "wait_s=20" in queries[1]
 
 
 def test_a_log_that_is_not_followed_ends_where_it_is() -> None:
     with scripted(piece("one\n", 0), piece("", 4)) as script, client_of(script) as client:
-        assert [each.text for each in client.runs.log(uuid.uuid4())] == ["one\n"]
+        assert [piece.text for piece in client.runs.log(uuid.uuid4())] == ["one\n"]
 
 
 def test_waiting_ends_with_the_run_or_with_patience() -> None:
@@ -93,11 +99,11 @@ def test_names_of_actions_mean_one() -> None:
     with scripted(Page(items=[of_lab, of_project], next=None)) as script, client_of(script) as client:
         with pytest.raises(AmbiguousName, match="alps/Look") as caught:
             client.actions.get("look")
-        assert any("of the whole lab" in each for each in caught.value.candidates)
+        assert any("of the whole lab" in candidate for candidate in caught.value.candidates)
     nothing = Page[ActionRead](items=[], next=None)
     with scripted(nothing, Page(items=[of_lab], next=None)) as script, client_of(script) as client:
         assert client.actions.get("look").id == of_lab.id
-    assert "archived=true" in script.asked[1].path
+    assert "archived=true" in script.requests[1].path
     with (
         scripted(Page(items=[of_lab.latest], next=None)) as script,
         client_of(script) as client,
@@ -148,7 +154,7 @@ def test_artifacts_are_verified_before_they_get_their_name(tmp_path: Path) -> No
         assert [result.outcome for result in report.results] == [Outcome.downloaded]
         assert len(report.left_out) == 1
         assert (tmp_path / "tables" / "counts.csv").read_bytes() == b"topic,count\n"
-        assert script.asked[1].body == {"artifact_ids": [str(good.id)]}
+        assert script.requests[1].body == {"artifact_ids": [str(good.id)]}
         with scripted(Page(items=[good], next=None)) as script, client_of(script) as client:
             (result,) = client.runs.download_artifacts(good.run_id, tmp_path).results
         assert result.outcome is Outcome.present

@@ -1,4 +1,4 @@
-"""The file of tokens: for its owner alone, whole at any moment, and one process's at a time."""
+"""The file of saved tokens: private, always complete, locked by one process at a time."""
 
 import datetime
 import subprocess

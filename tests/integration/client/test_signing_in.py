@@ -1,4 +1,4 @@
-"""Getting a token: what is sent, how often is asked, and what each refusal becomes."""
+"""Getting a token: requests, polling interval, and errors."""
 
 import base64
 import datetime
@@ -12,7 +12,7 @@ import urllib3
 
 from kleinkram.client.config import Endpoint, EndpointSource
 from kleinkram.client.errors import AnswerNotUnderstood, ServerUnreachable
-from kleinkram.client.sign_in import begin_browser, begin_device, end_token, see_server, wait_for_device, who_has
+from kleinkram.client.sign_in import begin_browser, begin_device, check_server, end_token, wait_for_device, who_has
 from kleinkram.contract.access import Scope
 from kleinkram.contract.accounts import CredentialKind, CredentialRead, DeviceCode, MeRead, SignedIn
 from kleinkram.contract.errors import (
@@ -58,7 +58,7 @@ ME = MeRead.model_validate(
 def test_a_device_code_is_requested_without_a_token() -> None:
     with scripted(CODE) as server:
         assert begin_device(server.url, "klein on anymal-3") == CODE
-    (asked,) = server.asked
+    (asked,) = server.requests
     assert (asked.method, asked.path, asked.authorization) == ("POST", "/api/v1/auth/device", None)
     assert asked.body == {"client": "klein on anymal-3"}
 
@@ -70,7 +70,7 @@ def test_polling_waits_for_the_requested_interval() -> None:
     with scripted(*said) as server:
         assert wait_for_device(server.url, CODE, waited.append) == SIGNED_IN
     assert waited == [5, 5, 10, 10, 7, 10, 20], "not sooner after it was slowed down, longer while nobody answers"
-    assert {(asked.path, asked.body["device_code"]) for asked in server.asked} == {
+    assert {(asked.path, asked.body["device_code"]) for asked in server.requests} == {
         ("/api/v1/auth/device/token", CODE.device_code)
     }
 
@@ -79,7 +79,7 @@ def test_polling_waits_for_the_requested_interval() -> None:
 def test_a_refusal_ends_the_waiting(refusal: KleinkramError) -> None:
     with scripted(SignInPending(interval_s=5), refusal) as server, pytest.raises(type(refusal)):
         wait_for_device(server.url, CODE, lambda _: None)
-    assert len(server.asked) == 2
+    assert len(server.requests) == 2
 
 
 def test_a_device_does_not_wait_for_ever() -> None:
@@ -101,7 +101,7 @@ def test_the_browser_brings_a_code_that_only_this_process_can_use() -> None:
             browser.start()
             assert waiting.wait(10) == SIGNED_IN
             browser.join()
-    (asked,) = server.asked
+    (asked,) = server.requests
     digest = hashlib.sha256(asked.body["code_verifier"].encode()).digest()
     assert base64.urlsafe_b64encode(digest).decode().rstrip("=") == said["code_challenge"]
     assert asked.body["code"] == "c" * 30
@@ -119,7 +119,7 @@ def test_no_two_logins_have_the_same_secrets() -> None:
 def test_a_token_that_is_brought_along_is_tried() -> None:
     with scripted(ME) as server:
         assert who_has(server.url, "brought") == ME
-    assert (server.asked[0].path, server.asked[0].authorization) == ("/api/v1/me", "Bearer brought")
+    assert (server.requests[0].path, server.requests[0].authorization) == ("/api/v1/me", "Bearer brought")
 
 
 def test_a_token_that_is_refused_says_how_to_get_another(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -137,11 +137,11 @@ def test_a_token_that_is_refused_says_how_to_get_another(monkeypatch: pytest.Mon
 def test_ending_a_token_revokes_that_very_one() -> None:
     with scripted(ME, b"") as server:
         assert end_token(server.url, "mine") is True
-    assert [(asked.method, asked.path) for asked in server.asked] == [
+    assert [(asked.method, asked.path) for asked in server.requests] == [
         ("GET", "/api/v1/me"),
         ("DELETE", f"/api/v1/tokens/{ME.credential.id}?made=kept"),
     ]
-    assert {asked.authorization for asked in server.asked} == {"Bearer mine"}
+    assert {asked.authorization for asked in server.requests} == {"Bearer mine"}
 
 
 def test_a_token_that_is_good_for_nothing_needs_no_ending() -> None:
@@ -151,9 +151,9 @@ def test_a_token_that_is_good_for_nothing_needs_no_ending() -> None:
 
 def test_nobody_is_sent_to_what_is_no_server() -> None:
     with scripted(NotAuthenticated(reason="the request has no bearer token")) as server:
-        see_server(server.url)
+        check_server(server.url)
     with scripted(b"<html>a printer</html>") as printer, pytest.raises(AnswerNotUnderstood):
-        see_server(printer.url)
+        check_server(printer.url)
     with pytest.raises(ServerUnreachable):
         begin_device(printer.url, "klein")
     with (

@@ -1,4 +1,4 @@
-"""A file that changes is found out; checksums are the ones that S3 means."""
+"""A changed file is detected; checksums are those of S3."""
 
 import hashlib
 import os

@@ -1,4 +1,4 @@
-"""What is told as it happens, to whom, and when that ends."""
+"""Events are sent as changes happen, to people who may see them."""
 
 import time
 from collections.abc import Callable

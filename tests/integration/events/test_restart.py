@@ -1,4 +1,4 @@
-"""What becomes of streams, and of a program that follows them, when the API stops and comes back."""
+"""Event streams and their clients when the API restarts."""
 
 import threading
 import time

@@ -1,4 +1,4 @@
-"""The shipped action on real recordings, against what another library and another formula say of them."""
+"""The shipped action on real recordings, compared with another library and another formula."""
 
 import json
 import math
@@ -12,7 +12,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from kleinkram.action.testing import Tried, try_out
-from kleinkram.client.manifest import read_manifest
+from kleinkram.client.actions import read_manifest
 
 FOLDER = Path(__file__).parents[3] / "examples" / "actions" / "extract-metadata"
 GPS_STEP_M = 1.0

@@ -1,4 +1,4 @@
-"""Download links: good for reading the bytes from the store itself, and noted in the record."""
+"""Download links: valid for reading the bytes from the store, and recorded in the audit log."""
 
 import asyncio
 import uuid

@@ -1,4 +1,4 @@
-"""Files through HTTP: renaming, moving, labelling, deleting. The bytes are no part of it."""
+"""Files through HTTP: rename, move, label, delete."""
 
 import uuid
 from concurrent.futures import ThreadPoolExecutor

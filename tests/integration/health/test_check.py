@@ -1,4 +1,4 @@
-"""`python -m kleinkram.server check`: what is right is said to be, and what is wrong is named with its remedy."""
+"""`python -m kleinkram.server check` names each fault with its remedy."""
 
 import json
 import os

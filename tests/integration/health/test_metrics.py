@@ -1,4 +1,4 @@
-"""Metrics: each process's own, the site's once, and none that mislead."""
+"""Metrics: those of each process, and those of the whole server once."""
 
 import urllib3
 

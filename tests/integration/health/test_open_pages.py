@@ -1,4 +1,4 @@
-"""What is for everybody: whether the server lives and is ready. Counts and reasons are for those who watch it."""
+"""Public health pages show liveness and readiness only; counts and reasons need authorization."""
 
 import pytest
 import urllib3

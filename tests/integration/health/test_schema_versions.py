@@ -1,4 +1,4 @@
-"""Programs of one version on the schema of another: a rolling upgrade keeps the site up."""
+"""Programs of one version on the schema of another: a rolling upgrade needs no downtime."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""Home shows what moved, what is unfinished, what needs somebody and what it takes: of what they may see alone."""
+"""Home shows recent, unfinished and failed work and the storage used, of visible objects only."""
 
 import pytest
 

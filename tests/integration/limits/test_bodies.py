@@ -1,4 +1,4 @@
-"""What one request may cost: bodies are bounded, for strangers tightly, and so is what is said of what is wrong."""
+"""Request bodies are bounded, more tightly without credentials, and so are error lists."""
 
 import json
 

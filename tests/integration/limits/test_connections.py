@@ -1,4 +1,4 @@
-"""What a stranger's connection may cost is bounded: in memory, in time, and in number."""
+"""Memory, time and number of unauthenticated connections are bounded."""
 
 import ipaddress
 import resource

@@ -1,4 +1,4 @@
-"""What every answer says to browsers, and whom a proxy may speak for."""
+"""Security headers of every response, and forwarded headers of trusted proxies."""
 
 import pytest
 import urllib3

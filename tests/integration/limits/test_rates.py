@@ -1,4 +1,4 @@
-"""Asking too often is refused, with when to come back: each credential and each address by itself."""
+"""Rate limits per credential and per address, with Retry-After."""
 
 import datetime
 import uuid
@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from kleinkram.client import _retry
+from kleinkram.client import _http
 from kleinkram.client._http import Api as ClientApi
 from kleinkram.client.config import Endpoint, EndpointSource
 from kleinkram.contract.errors import NotFound, RateLimited
@@ -159,7 +159,7 @@ def _limited(strict: Api) -> tuple[ClientApi, DownloadRequest]:
 
 
 def test_the_client_follows_retry_after(strict: Api, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_retry, "LONGEST_RETRY_AFTER_S", float("inf"))
+    monkeypatch.setattr(_http, "LONGEST_RETRY_AFTER_S", float("inf"))
     client, nothing = _limited(strict)
     waited: list[float] = []
 

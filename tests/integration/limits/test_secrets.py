@@ -1,4 +1,4 @@
-"""No secret is in a log line, in the record, in an error's answer or in what an object says of itself."""
+"""Log lines, audit log, error responses and representations of objects contain no secret."""
 
 import datetime
 import json

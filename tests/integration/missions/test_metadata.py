@@ -1,4 +1,4 @@
-"""Required metadata: judged on the server before anything else, everything wrong told at once."""
+"""Required metadata: validated by the server first, with all problems reported at once."""
 
 import math
 

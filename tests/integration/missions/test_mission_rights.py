@@ -1,4 +1,4 @@
-"""What somebody who was let into one mission alone may do with it, and what they hear of its project."""
+"""Rights on a single mission: what they allow, and what they show of the project."""
 
 from kleinkram.contract.access import Right
 from tests.integration import people

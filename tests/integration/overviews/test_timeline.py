@@ -1,4 +1,4 @@
-"""All files of a mission on one axis of time."""
+"""All files of a mission on one time axis."""
 
 import uuid
 

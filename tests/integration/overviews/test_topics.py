@@ -1,4 +1,4 @@
-"""The topics of all recordings of a mission, together: derived by the worker, or added up for who is shown less."""
+"""The topics of all recordings of a mission: derived by the worker, or added up for people who see only a part."""
 
 import datetime
 import uuid

@@ -1,4 +1,4 @@
-"""The server, and who reads from it, say of a recording what `klein inspect` says of the same files."""
+"""The server and the remote reader agree with `klein inspect` on every recording."""
 
 import shutil
 import uuid

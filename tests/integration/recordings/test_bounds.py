@@ -1,4 +1,4 @@
-"""What a summary costs: bytes read, and memory, for large files with many chunks."""
+"""Bytes read and memory used for a summary of large files with many chunks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Damage anywhere: a scan never raises, finds every message that the damage did not touch, and measures the rest."""
+"""Damage at any place: a scan never raises, finds every undamaged message, and measures the loss."""
 
 from __future__ import annotations
 

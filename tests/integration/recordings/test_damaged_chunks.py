@@ -1,4 +1,4 @@
-"""Chunks that are damaged, cut, hostile or too large: what can be read of them is read, and the loss is measured."""
+"""Damaged, truncated, hostile and oversized chunks: readable messages are read, and the loss is measured."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rosbag2 databases: every schema, whole and damaged, friendly and hostile."""
+"""rosbag2 databases of every schema, intact, damaged and hostile."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Damaged rosbag2 databases: whatever is cut or overwritten, all other messages are found."""
+"""Damaged rosbag2 databases: all messages outside the damage are found."""
 
 from __future__ import annotations
 

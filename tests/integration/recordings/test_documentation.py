@@ -1,4 +1,4 @@
-"""The pages on recordings: formats.md names every problem code, and what reading.md shows does run."""
+"""The pages on recordings name every problem code, and their examples run."""
 
 from __future__ import annotations
 

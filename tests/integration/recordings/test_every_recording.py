@@ -1,4 +1,4 @@
-"""Each of the real recordings comes out as independent readers found it: by summary and by scan, whole or broken."""
+"""Summary and scan of every real recording agree with independent readers."""
 
 from __future__ import annotations
 

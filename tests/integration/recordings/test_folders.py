@@ -1,4 +1,4 @@
-"""Recordings of several files: the server says of them what `klein inspect` says of the same folder."""
+"""Recordings of several files: the server agrees with `klein inspect` on the same folder."""
 
 import uuid
 from collections.abc import Mapping
@@ -12,8 +12,8 @@ from sqlalchemy import event
 from kleinkram.recordings import Depth
 from kleinkram.recordings.inspect import Inspection, InspectionKind, inspect_paths
 from kleinkram.server.context import AppContext
-from kleinkram.server.jobs.courtesy import Courtesy
-from kleinkram.server.recordings import derive
+from kleinkram.server.jobs.back_pressure import BackPressure
+from kleinkram.server.recordings import derive as derivation
 from kleinkram.server.recordings import jobs as recording_jobs
 from kleinkram.server.recordings.derive import Derived
 from kleinkram.server.recordings.jobs import Rests
@@ -45,7 +45,7 @@ def _problems(problems: Any) -> list[tuple[str, str, str]]:
 
 
 @pytest.mark.slow
-def test_every_real_recording_of_several_files_says_the_same(corpus: Corpus) -> None:
+def test_every_real_recording_of_several_files_has_equal_summaries(corpus: Corpus) -> None:
     named = {item["name"]: item for item in corpus.api.all(f"/missions/{corpus.mission_id}/recordings")}
     here = {item.path: item for item in inspect_paths([corpus.folder], depth=Depth.scan)}
     several = {
@@ -80,11 +80,11 @@ def test_deriving_takes_as_many_queries_for_many_recordings_as_for_one(api: Api,
     topic = {"name": "/imu", "message_type": "sensor_msgs/msg/Imu", "count": 5}
     counts: list[int] = []
 
-    async def derive_counted(context: AppContext) -> list[Derived]:
+    async def derive(context: AppContext) -> list[Derived]:
         seen: list[str] = []
         event.listen(context.database.engine.sync_engine, "before_cursor_execute", lambda *named: seen.append(named[2]))
         async with context.database.begin() as db:
-            actual = await derive.derive(db, await derive.live_files(db, uuid.UUID(mission_id)), {})
+            actual = await derivation.derive(db, await derivation.live_files(db, uuid.UUID(mission_id)), {})
         counts.append(len(seen))
         return actual
 
@@ -92,7 +92,7 @@ def test_deriving_takes_as_many_queries_for_many_recordings_as_for_one(api: Api,
         for part in range(2):
             name = f"run{number}_{part}.mcap"
             sample.file(mission_id, name, topics=[topic], message_count=5, start_ns=part, end_ns=part + 1)
-        actual = on_site(api, derive_counted)
+        actual = on_site(api, derive)
         assert [item.values["message_count"] for item in actual] == [10] * number
     assert counts == [2, 2, 2]
 
@@ -138,9 +138,9 @@ def test_a_mission_that_took_long_rests_and_is_not_forgotten(api: Api, mission_i
 
 
 async def _drain_courteously(context: AppContext, rests: Rests) -> None:
-    courtesy = Courtesy(context.database, context.settings)
-    courtesy.end()
-    await drain(context, courtesy, rests)
+    back_pressure = BackPressure(context.database, context.settings)
+    back_pressure.end()
+    await drain(context, back_pressure, rests)
 
 
 def test_a_mission_rests_as_long_as_it_took_some_times_over() -> None:

@@ -1,4 +1,4 @@
-"""`inspect_paths` and `combine`: recordings of several files as one."""
+"""`inspect_paths` and `combine`: several files as one recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The child process: gives the same summary, is stopped at its bounds, and its end is understood."""
+"""The reader process returns the same summary, is stopped at its limits, and its end is classified."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_bytes_that_break_off(tmp_path: Path) -> None:
         read_answer(done.stdout, done.stderr, 0)
 
 
-def test_a_summary_that_would_cost_too_much_says_what(tmp_path: Path) -> None:
+def test_a_pending_summary_states_the_cost_of_a_scan(tmp_path: Path) -> None:
     truth = generate_mcap(tmp_path / "drive.mcap", duration_s=1)
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(truth.path.read_bytes()[:-100])

@@ -1,4 +1,4 @@
-"""rosbag2 databases of killed recorders, uploaded with the log that SQLite left beside them."""
+"""rosbag2 databases of killed recorders, uploaded with the SQLite log beside them."""
 
 from pathlib import Path
 

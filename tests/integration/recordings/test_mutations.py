@@ -1,4 +1,4 @@
-"""Whatever happens to the bytes of a file, there is a summary: no exception, no hang, no count out of thin air."""
+"""Any change of a file's bytes yields a summary: no exception, no hang, no invented count."""
 
 from __future__ import annotations
 

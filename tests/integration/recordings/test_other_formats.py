@@ -1,4 +1,4 @@
-"""Files beside recordings: recognised by content, and the facts that are cheap."""
+"""Files other than recordings are recognised by content, with cheap facts."""
 
 from __future__ import annotations
 
@@ -22,8 +22,7 @@ from kleinkram.recordings import (
     summarise,
 )
 from kleinkram.recordings.errors import NotARecording
-from kleinkram.recordings.formats.documents import MAX_LINE_BYTES, read_lines
-from kleinkram.recordings.formats.trajectories import parse_stamp
+from kleinkram.recordings.formats.text_files import MAX_LINE_BYTES, parse_stamp, read_lines
 from kleinkram.recordings.sample.writers import McapWriter
 from kleinkram.recordings.sources import source_reader
 from kleinkram.recordings.summary import scan
@@ -245,7 +244,7 @@ def test_poses_of_euroc(columns: int, header: str) -> None:
     assert summary.problems == ()
 
 
-def test_opening_a_trajectory_says_what_to_use(tmp_path: Path) -> None:
+def test_opening_a_trajectory_names_the_tools_to_use(tmp_path: Path) -> None:
     path = tmp_path / "a.tum"
     path.write_text("1 0 0 0 0 0 0 1\n" * 9)
     with pytest.raises(NotARecording, match=r"trajectory.*klein inspect"):

@@ -1,4 +1,4 @@
-"""All readers say the same of every real recording, and of every small input that once failed."""
+"""All readers agree on every real recording and on every small input that once failed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings on the server, read where they are: through the SDK, from a real store, by presigned ranges."""
+"""Recordings on the server are read in place through the SDK, by presigned ranges."""
 
 import uuid
 from collections.abc import Iterator
@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from kleinkram.client import Client, connect
-from kleinkram.client._remote import RemoteFiles
+from kleinkram.client.recordings import RemoteFiles
 from kleinkram.contract.errors import NotFound
 from kleinkram.recordings import RawMessage, Recording, SourceError
 from kleinkram.recordings.http_source import HttpSource

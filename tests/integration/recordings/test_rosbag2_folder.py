@@ -1,4 +1,4 @@
-"""A rosbag2 folder as one recording: what is missing, what is surplus, and where metadata.yaml is wrong."""
+"""A rosbag2 folder as one recording: missing files, extra files, and wrong metadata.yaml."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sample missions are what they say: our summaries, and readers that are not ours, find the truth in them."""
+"""Sample missions: our summaries and independent readers find the values that were written."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A database whose recorder was killed: the log beside it holds messages that it does not."""
+"""Databases of killed recorders: messages in the SQLite log beside them are read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs on this machine, by every executor that there is."""
+"""Runs on this machine with each executor."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from typing import TypeVar
 import pytest
 
 from kleinkram.contract.actions import Network, Resources
-from kleinkram.runner.executors.base import Ending, Executor, PortForward, RunJob, wait_for_end
-from kleinkram.runner.executors.docker import DockerExecutor
+from kleinkram.runner.executors.base import Ending, Executor, RunJob, wait_for_end
+from kleinkram.runner.executors.docker.executor import DockerExecutor
+from kleinkram.runner.executors.port_forward import PortForward
 from kleinkram.runner.executors.process import ProcessExecutor
-from tests.integration.runner import engines, podmen
+from tests.integration.runner import engines, podman_engines
 from tests.integration.runner.engines import Dockerd
-from tests.integration.runner.podmen import Podman
+from tests.integration.runner.podman_engines import Podman
 from tests.requirements import missing, need
 
 AnEngine = TypeVar("AnEngine", bound=Dockerd)
@@ -98,7 +99,7 @@ def docker() -> Iterator[Dockerd]:
 @pytest.fixture(scope="session")
 def podman() -> Iterator[Podman]:
     """A Podman of the tests' own, with an image of this Python."""
-    yield from _loaded("a Podman", podmen.PROGRAMS, podmen.podman)
+    yield from _loaded("a Podman", podman_engines.PROGRAMS, podman_engines.podman)
 
 
 def _loaded(

@@ -1,4 +1,4 @@
-"""An engine of containers for tests: a Docker of their own, with folders, socket and registry that nobody else has."""
+"""A Docker daemon for tests, with folders, socket and registry of its own."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from kleinkram.runner.executors.docker_client import DockerClient, EngineUnavailable
-from kleinkram.runner.executors.docker_container import SHELL
+from kleinkram.runner.executors.docker.client import DockerClient, EngineUnavailable
+from kleinkram.runner.executors.docker.container import SHELL
 from tests.requirements import path_of
 
 IMAGE = "kleinkram.test/python"

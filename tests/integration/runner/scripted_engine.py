@@ -1,4 +1,4 @@
-"""Engines that are played: whatever answers requests in place of one."""
+"""A scripted container engine: it answers requests as a test defines."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 
-from kleinkram.runner.executors.docker import DockerExecutor
-from kleinkram.runner.executors.docker_client import DockerClient
+from kleinkram.runner.executors.docker.client import DockerClient
+from kleinkram.runner.executors.docker.executor import DockerExecutor
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""What an engine is told of a run, and which images it is asked for: without an engine."""
+"""The container descriptions sent to an engine, and the images requested, without an engine."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from pathlib import Path
 import pytest
 
 from kleinkram.contract.actions import Network, Resources
-from kleinkram.runner.executors import docker_container
-from kleinkram.runner.executors.base import PortForward, RunJob
-from kleinkram.runner.executors.docker_client import ImageInfo
-from kleinkram.runner.executors.docker_container import describe, execution_error, with_barrier
-from kleinkram.runner.executors.docker_images import credentials_for, is_allowed, parse_image_name
+from kleinkram.runner.executors.base import RunJob
+from kleinkram.runner.executors.docker import container as docker_container
+from kleinkram.runner.executors.docker.client import ImageInfo
+from kleinkram.runner.executors.docker.container import describe, execution_error, with_barrier
+from kleinkram.runner.executors.docker.images import credentials_for, is_allowed, parse_image_name
+from kleinkram.runner.executors.port_forward import PortForward
 
 
 def job_of(folder: Path, network: Network = Network.none, **resources: int) -> RunJob:

@@ -1,4 +1,4 @@
-"""Containers: what no other executor has: images, an engine that may go away, leftovers."""
+"""Docker only: images, an unavailable daemon, leftover containers."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ import pytest
 
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner.executors.base import CannotStart, PortForward, RunJob, wait_for_end
-from kleinkram.runner.executors.docker import DockerExecutor
-from kleinkram.runner.executors.docker_images import Pull
+from kleinkram.runner.executors.base import CannotStart, RunJob, wait_for_end
+from kleinkram.runner.executors.docker.executor import DockerExecutor
+from kleinkram.runner.executors.docker.images import Pull
+from kleinkram.runner.executors.port_forward import PortForward
 from tests.integration.runner import engines
 from tests.integration.runner.conftest import Bench, lent, log_of
 from tests.integration.runner.engines import Dockerd, Registry
@@ -182,8 +183,8 @@ RUNNER = """
 import sys, time
 from pathlib import Path
 from kleinkram.contract.actions import Network, Resources
-from kleinkram.runner.executors.docker_client import DockerClient
-from kleinkram.runner.executors.docker import DockerExecutor
+from kleinkram.runner.executors.docker.client import DockerClient
+from kleinkram.runner.executors.docker.executor import DockerExecutor
 from kleinkram.runner.executors.base import RunJob
 socket, folder, key, image, text = sys.argv[1:]
 job = RunJob(key, Path(folder), ["python3", "-c", text], image, Resources(), Network.none)

@@ -1,4 +1,4 @@
-"""An engine of containers that does not remove one: a runner starts and ends its runs nevertheless."""
+"""An engine that does not remove a container: the runner still starts and ends its runs."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import pytest
 
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.runner.executors.base import CannotStart, RunJob
-from kleinkram.runner.executors.docker import DockerExecutor
-from kleinkram.runner.executors.docker_container import JOB_LABEL
+from kleinkram.runner.executors.docker.container import JOB_LABEL
+from kleinkram.runner.executors.docker.executor import DockerExecutor
 from tests.integration.runner.scripted_engine import with_engine
 
 STATE = {"Status": "running", "Pid": 1, "ExitCode": 0, "StartedAt": "2026", "FinishedAt": "0001-", "OOMKilled": False}

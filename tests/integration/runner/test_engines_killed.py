@@ -1,4 +1,4 @@
-"""Engines that are killed under their containers: Docker, whose daemon holds them, and Podman, which has none."""
+"""Engines are killed while containers run: Docker with its daemon, and Podman without one."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import pytest
 
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import wait_for_end
-from kleinkram.runner.executors.docker import DockerExecutor
-from tests.integration.runner import engines, podmen
+from kleinkram.runner.executors.docker.executor import DockerExecutor
+from tests.integration.runner import engines, podman_engines
 from tests.integration.runner.conftest import Bench, log_of
 from tests.integration.runner.engines import Dockerd
 from tests.integration.runner.test_docker import COUNTS, another_runner, is_numbered, until_logged
@@ -63,9 +63,9 @@ def test_dockerd_is_killed(tmp_path: Path) -> None:
 
 
 @pytest.mark.soak
-def test_podmans_service_is_killed_and_runs_go_on(tmp_path: Path) -> None:
-    need(*podmen.PROGRAMS)
-    with podmen.podman("none", "127.0.0.1") as podman:
+def test_runs_continue_when_the_podman_service_is_killed(tmp_path: Path) -> None:
+    need(*podman_engines.PROGRAMS)
+    with podman_engines.podman("none", "127.0.0.1") as podman:
         bench = bench_on(podman, tmp_path)
         text = COUNTS.replace("10_000", "300")
 
@@ -86,9 +86,9 @@ def test_podmans_service_is_killed_and_runs_go_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.soak
-def test_the_machine_goes_down_with_podman_and_its_runs(tmp_path: Path) -> None:
-    need(*podmen.PROGRAMS)
-    with podmen.podman("none", "127.0.0.1") as podman:
+def test_runs_of_podman_are_lost_with_the_machine(tmp_path: Path) -> None:
+    need(*podman_engines.PROGRAMS)
+    with podman_engines.podman("none", "127.0.0.1") as podman:
         bench = bench_on(podman, tmp_path)
         job = bench.job(COUNTS)
         with another_runner(bench, podman, job, COUNTS):

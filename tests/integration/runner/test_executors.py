@@ -1,4 +1,4 @@
-"""What every executor promises: a run gets its folders and nothing else, is held to its bounds, and its end is told."""
+"""Guarantees of every executor: its folders only, enforced limits, and a reported end."""
 
 from __future__ import annotations
 
@@ -16,9 +16,11 @@ import pytest
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import Isolation
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner.executors import docker, local
-from kleinkram.runner.executors.base import CannotStart, Ending, PortForward, RunJob, wait_for_end
+from kleinkram.runner.executors import local
+from kleinkram.runner.executors.base import CannotStart, Ending, RunJob, wait_for_end
+from kleinkram.runner.executors.docker import container_log
 from kleinkram.runner.executors.limits import GRACE_S, boot_time_s
+from kleinkram.runner.executors.port_forward import PortForward
 from tests.integration.runner.conftest import EVERYWHERE, Bench, log_of
 from tests.requirements import missing
 
@@ -274,7 +276,7 @@ def test_a_run_may_tidy_up_when_it_is_cancelled(bench: Bench) -> None:
 
 @pytest.mark.slow
 def test_endless_output_is_cut(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (local, docker):
+    for module in (local, container_log):
         monkeypatch.setattr(module, "LOG_BYTES", 1_000_000)
     job, ending = bench.run("while True: print('y' * 1000)", time_s=2)
     assert ending.reason is EndReason.time

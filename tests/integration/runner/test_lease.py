@@ -1,4 +1,4 @@
-"""The lease of a job, beside the job."""
+"""The lease file of a job."""
 
 from pathlib import Path
 

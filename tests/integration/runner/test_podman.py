@@ -1,11 +1,11 @@
-"""Where Podman differs from Docker, as the page on security of runs says."""
+"""Differences between Podman and Docker, as the page on the security of runs describes them."""
 
 from __future__ import annotations
 
 import pytest
 
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner.executors.docker import DockerExecutor
+from kleinkram.runner.executors.docker.executor import DockerExecutor
 from tests.integration.runner.conftest import Bench, log_of
 from tests.integration.runner.test_docker import COUNTS
 

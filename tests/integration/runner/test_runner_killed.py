@@ -1,4 +1,4 @@
-"""A runner that is killed while it starts a run, or removes one: the next goes on with it, and never with two."""
+"""A runner is killed while it starts or removes a container: the next one continues with exactly one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from kleinkram.contract.runs import EndReason
 from kleinkram.runner import state_directory
 from kleinkram.runner.executors import process_supervisor
 from kleinkram.runner.executors.base import wait_for_end
-from kleinkram.runner.executors.docker import DockerExecutor
+from kleinkram.runner.executors.docker.executor import DockerExecutor
 from tests.integration.runner.conftest import EVERYWHERE, Bench, log_of
 from tests.integration.runner.test_executors import LASTING, until_logged_by
 

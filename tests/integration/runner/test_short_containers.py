@@ -1,4 +1,4 @@
-"""Containers whose first process is ending, or has ended, when the executor looks at it."""
+"""Containers whose first process has ended before the executor inspects them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import pytest
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import RunJob, wait_for_end
-from kleinkram.runner.executors.docker import DockerExecutor
+from kleinkram.runner.executors.docker.executor import DockerExecutor
 from tests.integration.runner.scripted_engine import with_engine
 from tests.requirements import missing, need
 

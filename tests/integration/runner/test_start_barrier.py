@@ -12,9 +12,10 @@ import pytest
 
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runs import EndReason
-from kleinkram.runner.executors import docker_container
-from kleinkram.runner.executors.base import PortForward, RunJob
-from kleinkram.runner.executors.docker_client import DockerClient
+from kleinkram.runner.executors.base import RunJob
+from kleinkram.runner.executors.docker import container as docker_container
+from kleinkram.runner.executors.docker.client import DockerClient
+from kleinkram.runner.executors.port_forward import PortForward
 from tests.integration.runner import engines
 from tests.integration.runner.conftest import Bench, lent, log_of
 from tests.integration.runner.test_executors import ending_of_start
@@ -79,7 +80,7 @@ def test_a_command_at_the_barrier_can_be_ended(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("command", ["/usr/bin/nonsense", "nonsense", "/etc/hosts"])
-def test_a_command_that_is_not_there(bench: Bench, command: str) -> None:
+def test_a_missing_command(bench: Bench, command: str) -> None:
     ending = ending_of_start(bench, bench.job([command], network=Network.api, port_forwards=PORT_FORWARDS))
     assert (ending.reason, command in ending.message) == (EndReason.command_not_found, True)
 

@@ -1,4 +1,4 @@
-"""Runners that speak with a stand-in for the server: in this process, or as one that can be killed."""
+"""Runners against a fake server: in this process, or as a process to kill."""
 
 from __future__ import annotations
 

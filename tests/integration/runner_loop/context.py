@@ -1,4 +1,4 @@
-"""What a run is told of a mission that is not there."""
+"""The context of a run on a mission that does not exist."""
 
 import datetime
 import uuid

@@ -1,4 +1,4 @@
-"""How the stand-in for the server and its store is spoken with: by HTTP, as fast and as willing as it is told to be."""
+"""The HTTP interface of the fake server and its store, with adjustable delays and failures."""
 
 from __future__ import annotations
 

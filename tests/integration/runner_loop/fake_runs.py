@@ -1,4 +1,4 @@
-"""Runs as the stand-in for the server knows them."""
+"""The runs of the fake server."""
 
 from __future__ import annotations
 

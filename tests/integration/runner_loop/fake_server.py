@@ -1,4 +1,4 @@
-"""A stand-in for the server and its store, as far as a runner speaks with them: in this process, by real HTTP.
+"""A fake server and store for runners: in this process, by real HTTP.
 
 It does what tests tell it to, at once: cancels, forgets a runner's run, falls silent, gives wrong bytes.
 """

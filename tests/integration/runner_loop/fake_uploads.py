@@ -1,4 +1,4 @@
-"""The upload protocol of the stand-in for the server, as far as runs leave things by it."""
+"""The upload protocol of the fake server, as far as artifacts need it."""
 
 from __future__ import annotations
 

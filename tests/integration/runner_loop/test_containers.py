@@ -1,4 +1,4 @@
-"""A runner with an engine of containers: from the claim to the end, killed in between."""
+"""A runner with a container engine: from the claim to the end, with kills in between."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner.__main__ import ExecutorChoice, ImagePolicy, choose_executor
-from kleinkram.runner.executors.docker import DockerExecutor
-from kleinkram.runner.executors.docker_images import Pull
+from kleinkram.runner.executors.docker.executor import DockerExecutor
+from kleinkram.runner.executors.docker.images import Pull
 from tests.integration.runner import engines
 from tests.integration.runner.conftest import docker, engine, podman  # noqa: F401  fixtures
 from tests.integration.runner.engines import Dockerd
@@ -31,7 +31,7 @@ open("/out/x", "w").write("x")
 LASTING = "import time\nfor n in range(60): print(n, flush=True); time.sleep(0.1)"
 
 
-def test_a_container_has_its_inputs_and_the_api_and_leaves_files(
+def test_a_container_reads_inputs_calls_the_api_and_writes_artifacts(
     server: FakeServer,
     runners: Runners,
     engine: Dockerd,  # noqa: F811  the fixture
@@ -71,7 +71,7 @@ def test_a_container_outlives_its_runner(
     wait_until(lambda: not engine.docker("ps", "--all", "--quiet").strip())
 
 
-def test_containers_are_chosen_where_scripts_can_be_run_in_them(
+def test_containers_are_chosen_where_the_default_image_is_available(
     engine: Dockerd,  # noqa: F811  the fixture
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -1,4 +1,4 @@
-"""What goes wrong: runners that are killed, servers that fall silent, runs that are cancelled, clocks that are off."""
+"""Killed runners, silent servers, cancelled runs, wrong clocks."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.client import _retry
+from kleinkram.client import _http
 from kleinkram.client.transfer import upload_pipeline
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner import artifact_upload
-from kleinkram.runner.cancellation import LEASE_MARGIN_S
+from kleinkram.runner.context import LEASE_MARGIN_S
 from tests.integration.runner_loop.conftest import Runners, ended, wait_until
 from tests.integration.runner_loop.fake_runs import FakeRun
 from tests.integration.runner_loop.fake_server import FakeServer
@@ -104,7 +104,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(artifact_upload, "_RETRY_EVERY_S", 0.01)
     monkeypatch.setattr(sys.modules["kleinkram.client.transfer.upload"], "PATIENCE_S", 0.1)
     monkeypatch.setattr(upload_pipeline, "PATIENCE_S", 0.1)
-    monkeypatch.setattr(_retry, "LONGEST_WAIT_S", 0.05)
+    monkeypatch.setattr(_http, "LONGEST_WAIT_S", 0.05)
 
 
 @pytest.mark.usefixtures("impatient")

@@ -1,4 +1,4 @@
-"""What a machine without room, or without another process, does to a runner: it says so, and goes on."""
+"""A machine without disk space or process slots: the runner reports it and continues."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_a_failed_cancellation_is_repeated(
     assert caplog.text.count("cannot be stopped yet") == 1
 
 
-def test_a_run_whose_log_finds_no_room_ends_with_that(
+def test_a_run_whose_log_fills_the_disk_ends_with_that_reason(
     server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begun = Attempt.change
@@ -81,7 +81,7 @@ def test_a_run_whose_log_finds_no_room_ends_with_that(
     assert "disk of its runner is full" in finish.message
 
 
-def test_a_run_that_ends_without_room_to_note_it_is_not_started_again(
+def test_a_run_whose_ending_cannot_be_recorded_is_not_started_again(
     server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     noted = Attempt.change

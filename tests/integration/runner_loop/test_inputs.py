@@ -1,4 +1,4 @@
-"""Inputs come once, verified, and what a run uses stays."""
+"""Inputs are downloaded once and verified; inputs in use stay in the cache."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run's log as people see it while it lasts: in order, whole, and without secrets."""
+"""The live log of a run: in order, complete, and without secrets."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.integration.runner_loop.fake_server import FakeServer
 
 
 @pytest.mark.slow
-def test_a_log_is_seen_while_it_grows(server: FakeServer, runners: Runners) -> None:
+def test_a_log_is_uploaded_while_it_grows(server: FakeServer, runners: Runners) -> None:
     runners.start()
     run = server.launch(
         "import time\nfrom kleinkram.action import progress\n"
@@ -31,7 +31,7 @@ def test_a_log_is_seen_while_it_grows(server: FakeServer, runners: Runners) -> N
     assert fractions == sorted(fractions)
 
 
-def test_secrets_are_taken_out(server: FakeServer, runners: Runners) -> None:
+def test_secrets_are_redacted(server: FakeServer, runners: Runners) -> None:
     runners.start()
     run = server.launch(
         f"print('mine: {RUN_TOKEN}', 'its: {RUNNER_TOKEN}')\n"
@@ -45,7 +45,7 @@ def test_secrets_are_taken_out(server: FakeServer, runners: Runners) -> None:
 
 
 @pytest.mark.slow
-def test_a_flood_loses_no_line_though_the_runner_is_killed(server: FakeServer, runners: Runners) -> None:
+def test_a_large_log_is_complete_after_the_runner_is_killed(server: FakeServer, runners: Runners) -> None:
     count = 600_000
     first = runners.spawn()
     run = server.launch(

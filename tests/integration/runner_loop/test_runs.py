@@ -12,7 +12,7 @@ from tests.integration.runner_loop.conftest import Runners, ended
 from tests.integration.runner_loop.fake_server import FakeServer
 
 
-def test_a_run_leaves_its_files_its_words_and_its_log(server: FakeServer, runners: Runners) -> None:
+def test_artifacts_report_and_log_of_a_run_are_stored(server: FakeServer, runners: Runners) -> None:
     runners.start()
     run = server.launch(
         "from kleinkram.action import inputs, out, report, context\n"
@@ -30,7 +30,7 @@ def test_a_run_leaves_its_files_its_words_and_its_log(server: FakeServer, runner
     assert RunState.running in run.states
 
 
-def test_a_run_without_walls_has_copies_of_its_inputs(
+def test_a_run_without_a_sandbox_has_copies_of_its_inputs(
     server: FakeServer, runners: Runners, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(process_sandbox, "is_available", lambda: False)

@@ -1,4 +1,4 @@
-"""Runs over HTTP, with a runner that is played by hand."""
+"""Runs over HTTP, with a runner played by the test."""
 
 from __future__ import annotations
 

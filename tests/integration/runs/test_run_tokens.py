@@ -1,4 +1,4 @@
-"""What a run may do by its own token: on its mission, while it lasts, and no more than its action and its starter."""
+"""The token of a run: valid for its mission, while it runs, with the rights of its action and its starter."""
 
 from typing import Any
 

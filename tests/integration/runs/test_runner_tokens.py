@@ -1,4 +1,4 @@
-"""A runner's token is for one runner, and for the projects and labels that it was made for."""
+"""The token of a runner: valid for one runner, and for its projects and labels."""
 
 import uuid
 from typing import Any

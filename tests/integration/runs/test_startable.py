@@ -1,4 +1,4 @@
-"""Runs that no runner can ever start are refused, and shown where they wait already; failed runs need somebody."""
+"""Runs that no runner can start are refused or shown; failed runs are listed as needing attention."""
 
 from __future__ import annotations
 

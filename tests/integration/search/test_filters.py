@@ -1,4 +1,4 @@
-"""What the filters of the lists find."""
+"""The filters of the lists."""
 
 import base64
 import datetime

@@ -1,4 +1,4 @@
-"""One text that finds missions, files and topics, and how what it finds divides."""
+"""Full-text queries for missions, files and topics, and the facets of their results."""
 
 import json
 import uuid

@@ -1,4 +1,4 @@
-"""Searches among very many files: totals estimated from a sample, exact lists, and as many statements for any page."""
+"""Searches among very many files: estimated totals, exact lists, a fixed number of statements."""
 
 import uuid
 from types import ModuleType

@@ -1,4 +1,4 @@
-"""Searches of several people: each is answered with their own words and their own rights."""
+"""Concurrent searches of several people use each person's own words and rights."""
 
 import uuid
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Statistics: what counts where, and how often."""
+"""Statistics: what is counted where, and how often."""
 
 import uuid
 from typing import Any

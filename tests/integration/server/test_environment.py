@@ -1,4 +1,4 @@
-"""Settings from the environment: nothing misspelt is ignored, and secrets may come from files."""
+"""Settings from the environment: misspelt names are errors, and secrets may come from files."""
 
 import re
 import subprocess

@@ -1,4 +1,4 @@
-"""Log lines: what strangers choose of them is read, and never obeyed."""
+"""Log lines with untrusted text are escaped."""
 
 import json
 import logging

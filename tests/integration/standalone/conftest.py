@@ -1,4 +1,4 @@
-"""Instances of `klein up` with real PostgreSQL and S3 and a stand-in server, ended and looked after by tests."""
+"""Instances of `klein up` with real PostgreSQL and S3 and a fake server."""
 
 import json
 import os
@@ -14,8 +14,8 @@ import pytest
 
 from kleinkram.standalone.__main__ import arguments
 from kleinkram.standalone.address import Listening
-from kleinkram.standalone.plan import UpOptions
-from kleinkram.standalone.procs import marked_processes
+from kleinkram.standalone.processes import marked_processes
+from kleinkram.standalone.services import UpOptions
 from tests.ports import choose_port
 
 FAKE_SERVER = (sys.executable, str(Path(__file__).with_name("fake_server.py")))
@@ -39,9 +39,9 @@ class Instance:
 
     def spawn(self, *, stdout: int = subprocess.PIPE, **changes: Any) -> "subprocess.Popen[str]":
         """Start a supervisor; does not wait for it."""
-        given = {"listening": self.listening, "server": FAKE_SERVER, "with_runner": False, **changes}
+        options = {"listening": self.listening, "server": FAKE_SERVER, "with_runner": False, **changes}
         process = subprocess.Popen(
-            arguments(UpOptions(data_dir=self.data_dir, **given)),
+            arguments(UpOptions(data_dir=self.data_dir, **options)),
             stdout=stdout,
             stderr=subprocess.PIPE,
             text=True,
@@ -69,8 +69,8 @@ class Instance:
         return err
 
     @property
-    def told(self) -> dict[str, Any]:
-        """What instance.json says."""
+    def runtime_info(self) -> dict[str, Any]:
+        """The content of instance.json."""
         content: dict[str, Any] = json.loads((self.data_dir / "instance.json").read_text())
         return content
 

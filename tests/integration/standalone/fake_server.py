@@ -1,6 +1,6 @@
-"""A stand-in for `python -m kleinkram.server` that starts in 50 ms: what is tested here is the supervisor alone.
+"""A fake `python -m kleinkram.server` that starts in 50 ms, for tests of the supervisor.
 
-`migrate` notes what it was told, `api` answers health checks, `worker` waits; the latter starts a child of its own.
+`migrate` records its environment, `api` answers health checks, `worker` waits and starts a child of its own.
 """
 
 import http.server
@@ -40,9 +40,9 @@ def _serve(options: dict[str, str]) -> None:
 
 
 def _note_environment(name: str) -> None:
-    told = {key: value for key, value in os.environ.items() if key.startswith("KLEINKRAM_")}
-    unfinished = Path(os.environ["KLEINKRAM_INSTANCE"], f"told-{name}.json.new")
-    unfinished.write_text(json.dumps(told))
+    environment = {key: value for key, value in os.environ.items() if key.startswith("KLEINKRAM_")}
+    unfinished = Path(os.environ["KLEINKRAM_INSTANCE"], f"environment-{name}.json.new")
+    unfinished.write_text(json.dumps(environment))
     unfinished.rename(unfinished.with_suffix(""))
 
 
@@ -50,7 +50,7 @@ def main() -> None:
     name, rest = sys.argv[1], sys.argv[2:]
     _note_environment(name)
     if name == "api":
-        assert rest.pop(0) == "--when-told"
+        assert rest.pop(0) == "--wait-for-stdin"
         if sys.stdin.readline():
             _serve(dict(zip(rest[::2], rest[1::2], strict=True)))
     elif name == "worker":

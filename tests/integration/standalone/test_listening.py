@@ -1,4 +1,4 @@
-"""Other machines, ports, TLS. Another address of this machine stands for another machine."""
+"""Other machines, ports and TLS, with another loopback address as the other machine."""
 
 import http.client
 import os
@@ -10,13 +10,12 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from kleinkram.standalone import s3
+from kleinkram.standalone import object_store
 from kleinkram.standalone.address import Listening, check_listening, public_urls
 from kleinkram.standalone.data_dir import DataDir, load_secrets
 from kleinkram.standalone.errors import StandaloneError
-from kleinkram.standalone.health import get
-from kleinkram.standalone.leftovers import stop_instance
-from kleinkram.standalone.owner_link import ask_owner_link
+from kleinkram.standalone.http_client import create_owner_link, request
+from kleinkram.standalone.supervisor import stop_instance
 from tests.certificate import make_certificate
 from tests.integration.standalone.conftest import Instance
 
@@ -31,26 +30,26 @@ def _open(port: int) -> bool:
 
 def test_by_default_only_this_machine_can_connect(shared_instance: Instance) -> None:
     shared_instance.up()
-    assert not any(_open(port) for port in shared_instance.told["ports"].values())
+    assert not any(_open(port) for port in shared_instance.runtime_info["ports"].values())
     stop_instance(DataDir(shared_instance.data_dir))
 
 
 def test_listening_opens_api_and_store_and_nothing_else(shared_instance: Instance) -> None:
     process = shared_instance.up(listening=replace(shared_instance.listening, address="0.0.0.0"))
-    told = shared_instance.told
-    reachable = {name for name, port in told["ports"].items() if _open(port)}
+    runtime_info = shared_instance.runtime_info
+    reachable = {name for name, port in runtime_info["ports"].items() if _open(port)}
     assert reachable == {"api", "store"}
     secrets = load_secrets(DataDir(shared_instance.data_dir))
-    public = s3.StoreAccess(told["store_url"], secrets.s3_access_key, secrets.s3_secret_key)
-    assert s3.request(public, "PUT", "/kleinkram/from-elsewhere", body=b"bytes")[0] == 200
-    assert s3.request(public, "GET", "/kleinkram/from-elsewhere") == (200, b"bytes")
+    public = object_store.StoreAccess(runtime_info["store_url"], secrets.s3_access_key, secrets.s3_secret_key)
+    assert object_store.request(public, "PUT", "/kleinkram/from-elsewhere", body=b"bytes").status == 200
+    assert object_store.request(public, "GET", "/kleinkram/from-elsewhere").body == b"bytes"
     stop_instance(DataDir(shared_instance.data_dir))
     warned = process.communicate(timeout=60)[1]
     assert warned.count("without TLS") == 1
     assert "can read passwords, tokens and recordings" in warned
 
 
-def test_with_a_certificate_both_addresses_speak_tls(shared_instance: Instance, certificate: tuple[Path, Path]) -> None:
+def test_with_a_certificate_api_and_store_serve_tls(shared_instance: Instance, certificate: tuple[Path, Path]) -> None:
     listening = replace(
         shared_instance.listening,
         address="0.0.0.0",
@@ -59,27 +58,32 @@ def test_with_a_certificate_both_addresses_speak_tls(shared_instance: Instance, 
         tls_key=certificate[1],
     )
     process = shared_instance.up(listening=listening)
-    told = shared_instance.told
-    assert told["url"].startswith("https://")
-    assert told["store_url"].startswith("https://")
-    assert get(f"{told['url']}/health/live").status == 200
+    runtime_info = shared_instance.runtime_info
+    assert runtime_info["url"].startswith("https://")
+    assert runtime_info["store_url"].startswith("https://")
+    assert request("GET", f"{runtime_info['url']}/health/live").status == 200
     trusting = ssl.create_default_context(cafile=str(certificate[0]))
-    store = http.client.HTTPSConnection(urlsplit(told["store_url"]).netloc, timeout=5, context=trusting)
+    store = http.client.HTTPSConnection(urlsplit(runtime_info["store_url"]).netloc, timeout=5, context=trusting)
     store.request("GET", "/")
     assert store.getresponse().status == 403
     store.close()
-    token = Path(told["token_file"]).read_text().strip()
-    assert ask_owner_link(told["local_url"], token, certificate=certificate[0]) == "http://lab/sign-in/link#good-once"
+    token = Path(runtime_info["token_file"]).read_text().strip()
+    assert (
+        create_owner_link(runtime_info["local_url"], token, certificate=certificate[0])
+        == "http://lab/sign-in/link#good-once"
+    )
     (certificate[0].parent / "other").mkdir()
     with pytest.raises(ssl.SSLError):  # the owner's token is for our own server only
-        ask_owner_link(
-            told["local_url"], token, certificate=make_certificate(certificate[0].parent / "other", "127.0.0.1")[0]
+        create_owner_link(
+            runtime_info["local_url"],
+            token,
+            certificate=make_certificate(certificate[0].parent / "other", "127.0.0.1")[0],
         )
     stop_instance(DataDir(shared_instance.data_dir))
     assert "without TLS" not in process.communicate(timeout=60)[1]
 
 
-def test_a_terminal_is_shown_how_the_owner_gets_in_with_a_browser(shared_instance: Instance) -> None:
+def test_a_terminal_shows_the_owners_link(shared_instance: Instance) -> None:
     ours, its = os.openpty()
     process = shared_instance.spawn(stdout=its)
     os.close(its)
@@ -90,22 +94,22 @@ def test_a_terminal_is_shown_how_the_owner_gets_in_with_a_browser(shared_instanc
     process.communicate(timeout=60)
 
 
-def test_a_taken_port_is_named_with_its_holder(shared_instance: Instance) -> None:
+def test_a_taken_port_is_reported_with_its_program(shared_instance: Instance) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        said = shared_instance.refused(listening=replace(shared_instance.listening, port=port))
-    assert f"Port {port} on 127.0.0.1 is taken by " in said
-    assert "choose another port with --port" in said
+        output = shared_instance.refused(listening=replace(shared_instance.listening, port=port))
+    assert f"Port {port} on 127.0.0.1 is taken by " in output
+    assert "choose another port with --port" in output
     assert shared_instance.processes == []
 
 
-def test_a_private_port_that_was_taken_meanwhile_is_chosen_anew(shared_instance: Instance) -> None:
+def test_a_taken_private_port_is_replaced(shared_instance: Instance) -> None:
     shared_instance.up()
-    before = shared_instance.told["ports"]
+    before = shared_instance.runtime_info["ports"]
     stop_instance(DataDir(shared_instance.data_dir))
     with socket.create_server(("127.0.0.1", before["postgres"])):
         shared_instance.up()
-        after = shared_instance.told["ports"]
+        after = shared_instance.runtime_info["ports"]
         stop_instance(DataDir(shared_instance.data_dir))
     assert after["postgres"] != before["postgres"]
     assert after["store"] == before["store"]
@@ -120,12 +124,12 @@ def test_a_private_port_that_was_taken_meanwhile_is_chosen_anew(shared_instance:
         (Listening(tls_cert=Path("/none.pem"), tls_key=Path("/none.pem")), "is not there"),
     ],
 )
-def test_options_that_cannot_be_meant_are_refused(listening: Listening, sentence: str) -> None:
+def test_invalid_options_are_refused(listening: Listening, sentence: str) -> None:
     with pytest.raises(StandaloneError, match=sentence):
         check_listening(listening)
 
 
-def test_the_public_url_gives_the_store_its_host() -> None:
+def test_the_store_has_the_host_of_the_public_url() -> None:
     listening = Listening(address="0.0.0.0", public_url="http://lab.example:9000/")
     assert public_urls(listening, {"api": 1, "store": 2}) == ("http://lab.example:9000", "http://lab.example:2")
 

@@ -1,4 +1,4 @@
-"""The trash through HTTP: what lies there, and how it comes back."""
+"""The trash through HTTP: its list, and restoring."""
 
 import datetime
 import uuid

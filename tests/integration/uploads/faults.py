@@ -1,4 +1,4 @@
-"""Faults to plant into the server, one at a time: the machine must find each, or it proves nothing."""
+"""Faults to inject into the server, one at a time: the state machine must detect each of them."""
 
 import inspect
 import sys
@@ -16,7 +16,7 @@ from kleinkram.server.uploads import completion, parts, rules
 from kleinkram.server.uploads import jobs as upload_jobs
 from kleinkram.server.uploads import queries as upload_queries
 from kleinkram.server.uploads import service as upload_service
-from tests.integration.uploads.machine import Machine, Upload
+from tests.integration.uploads.state_machine import Machine, Upload
 
 
 @dataclass(frozen=True)

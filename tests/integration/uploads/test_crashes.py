@@ -1,4 +1,4 @@
-"""What a crash leaves at each step of an upload, and how it ends well all the same."""
+"""A crash at each step of an upload, and its recovery."""
 
 import os
 import threading

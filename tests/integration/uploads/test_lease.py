@@ -1,4 +1,4 @@
-"""A name that a dead client holds: whoever wants it waits until the lease ends, and no longer."""
+"""A name reserved by a dead client is free when its lease ends."""
 
 import os
 import uuid
@@ -10,7 +10,7 @@ import pytest
 
 from kleinkram.client import Client, connect
 from kleinkram.client.transfer import Outcome, TransferResult, plan_upload, upload
-from kleinkram.client.transfer.report import SilentObserver
+from kleinkram.client.transfer.report import Watcher
 from kleinkram.contract.errors import NameLeased
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
@@ -20,15 +20,15 @@ _PART = 5 * 1024 * 1024
 _LEASE_S = 8.0
 
 
-class _RecordingObserver(SilentObserver):
+class _Listening(Watcher):
     """Keeps what a person would read meanwhile."""
 
     def __init__(self) -> None:
-        self.messages: list[str] = []
+        self.heard: list[str] = []
 
     def notify(self, text: str) -> None:
         """Keep it."""
-        self.messages.append(text)
+        self.heard.append(text)
 
 
 @pytest.fixture(name="api", scope="module")
@@ -52,7 +52,7 @@ def _file(tmp_path: Path) -> Path:
     return file
 
 
-def _send(client: Client, mission_id: str, file: Path, watcher: _RecordingObserver) -> TransferResult:
+def _send(client: Client, mission_id: str, file: Path, watcher: _Listening) -> TransferResult:
     return upload(client, uuid.UUID(mission_id), plan_upload([file]), watcher=watcher).results[0]
 
 
@@ -62,10 +62,10 @@ def test_the_second_client_takes_over_when_the_lease_ends(
     body = file.read_bytes()
     dead = begin(api, mission_id, {"run.bin": body}, hashed=False)[0]["upload"]
     send(api, dead, body, only=[1])
-    watcher = _RecordingObserver()
+    watcher = _Listening()
     result = _send(client, mission_id, file, watcher)
     assert (result.outcome, result.error) == (Outcome.uploaded, None)
-    assert watcher.messages == ["waiting for run.bin: held by an upload that may have died"]
+    assert watcher.heard == ["waiting for run.bin: held by an upload that may have died"]
     assert result.moved_bytes == len(body), "without a journal nothing of the dead client's is taken on trust"
     lease_ended = api.sql("SELECT lease_ends_at FROM upload WHERE id = %s", dead["id"])[0][0]
     taken_over = api.sql("SELECT created_at FROM upload WHERE mission_id = %s AND id <> %s", mission_id, dead["id"])
@@ -77,10 +77,10 @@ def test_the_second_client_takes_over_when_the_lease_ends(
 def test_a_client_that_lives_keeps_its_name(api: Api, client: Client, mission_id: str, file: Path) -> None:
     theirs = os.urandom(_PART + 2000)
     alive = begin(api, mission_id, {"run.bin": theirs}, hashed=False)[0]["upload"]
-    watcher = _RecordingObserver()
+    watcher = _Listening()
     with ThreadPoolExecutor(1) as pool:
         sending = pool.submit(_send, client, mission_id, file, watcher)
-        wait_until(lambda: bool(watcher.messages))
+        wait_until(lambda: bool(watcher.heard))
         # Leases are told to the second: a renewal within the same one would not be seen.
         late = "SELECT lease_ends_at - now() < interval '6.5 s' FROM upload WHERE id = %s"
         wait_until(lambda: api.sql(late, alive["id"]) == [(True,)])

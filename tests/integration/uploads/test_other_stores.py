@@ -1,4 +1,4 @@
-"""The same protocol on stores that know no CRC-64/NVME: one verifies SHA-256, as many do, and one Content-MD5 alone."""
+"""The upload protocol on stores without CRC-64/NVME: one verifies SHA-256, one Content-MD5 only."""
 
 import os
 import re

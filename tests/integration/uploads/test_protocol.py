@@ -1,4 +1,4 @@
-"""The upload protocol through HTTP, on a real store: what goes well, what is refused, and what is never sent twice."""
+"""The upload protocol through HTTP on a real store: success, refusals, and no byte sent twice."""
 
 import os
 import uuid

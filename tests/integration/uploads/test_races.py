@@ -1,4 +1,4 @@
-"""Linking and completing that meet: whoever comes second sees what the first has done, in either order."""
+"""Concurrent linking and completing: in either order the second sees the effect of the first."""
 
 import os
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Small files that were sent, and not completed: whoever comes back after a kill does not send them once more."""
+"""Small files sent but not completed are not sent again after a kill."""
 
 import os
 import uuid

@@ -1,4 +1,4 @@
-"""What each answer of the store means. An upload is gone only when the store itself says that it does not know it."""
+"""Interpretation of store responses: an upload is gone only when the store says that it does not know it."""
 
 import os
 import re
@@ -12,7 +12,7 @@ import pytest
 from kleinkram.client import Client, connect
 from kleinkram.client.transfer import Outcome, TransferResult, download, plan_download, plan_upload, upload
 from kleinkram.client.transfer.download import fetch
-from kleinkram.client.transfer.report import SilentObserver
+from kleinkram.client.transfer.report import Watcher
 from kleinkram.contract.errors import UploadGone
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
@@ -206,7 +206,7 @@ def test_a_file_that_the_store_does_not_return_keeps_no_other_from_arriving(
         bad.append(requested.key)
         return Reply(500, "InternalError")
 
-    class Noted(SilentObserver):
+    class Noted(Watcher):
         def ended(self, path: str, outcome: str, reason: str | None) -> None:
             order.append(outcome)
 

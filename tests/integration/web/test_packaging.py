@@ -1,4 +1,4 @@
-"""What is built from here has the web interface in it."""
+"""The built package contains the web interface."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""The app as the API serves it: under each of its addresses, small, kept by browsers, and held to its policy."""
+"""Serving the web interface: paths, sizes, caching and content security policy."""
 
 import gzip
 import re

@@ -1,4 +1,4 @@
-"""A world where everything that people name is an attack: markup, script addresses, templates of other frameworks."""
+"""Objects whose names are attacks: markup, script URLs, templates of other frameworks."""
 
 import json
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""One's own account, a mission made by a form, why a job failed and a scrub, in a real browser."""
+"""The own account, creating a mission, a failed job and a scrub, in a real browser."""
 
 import json
 from pathlib import Path

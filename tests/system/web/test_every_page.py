@@ -1,4 +1,4 @@
-"""Every page, light and dark, wide and narrow, where everything that people name is an attack."""
+"""Every page, light and dark, wide and narrow, with names that are attacks."""
 
 import json
 import re

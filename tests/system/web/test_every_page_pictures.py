@@ -1,4 +1,4 @@
-"""The pictures that README and tour show, of a friendly world; `make pictures` keeps them in docs/pictures."""
+"""The pictures of README and tour; `make pictures` copies them to docs/pictures."""
 
 from pathlib import Path
 

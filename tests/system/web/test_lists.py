@@ -1,4 +1,4 @@
-"""Lists in a real browser: sorted and filtered by metadata, changed and downloaded many at once, and on a phone."""
+"""Lists in a real browser: sorting, metadata filters, bulk changes and downloads, on desktop and phone."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Missions in a real browser: metadata refused and accepted, many files, rights given and taken, names of markup."""
+"""Missions in a real browser: valid and invalid metadata, many files, rights, names with markup."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What people change in a real browser: names, notes, links, places, what is deleted; and where they begin."""
+"""Editing missions in a real browser: names, notes, links, moving, deleting, and the home page."""
 
 import json
 import random

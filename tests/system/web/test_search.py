@@ -1,4 +1,4 @@
-"""Searching in a real browser: from a word to the files on a disk."""
+"""Search in a real browser, from a word to downloaded files."""
 
 import subprocess
 from pathlib import Path

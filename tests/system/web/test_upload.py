@@ -1,4 +1,4 @@
-"""Uploading from a real browser: what goes up is what is there, whatever happens on the way."""
+"""Uploads from a real browser are complete, whatever happens during the transfer."""
 
 import hashlib
 import random
@@ -81,7 +81,7 @@ def test_trouble_on_the_way(cluster: Cluster, act: Act, pictures: Path, tmp_path
     terminal = cluster.terminal
     terminal.run("project", "create", "Alps")
 
-    seen = act("upload_trouble.mjs", cluster, day, changing, pictures, cluster.runtime_info()["parts"]["api"])
+    seen = act("upload_trouble.mjs", cluster, day, changing, pictures, cluster.runtime_info()["services"]["api"])
 
     assert "The server does not respond" in seen["away"]
     assert "signed out" in seen["signedOut"]

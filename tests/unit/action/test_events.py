@@ -1,4 +1,4 @@
-"""What code inside an action says comes out as events that the contract understands."""
+"""Events reported by code in an action match the contract."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor

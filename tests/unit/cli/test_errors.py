@@ -1,8 +1,8 @@
-"""Every failure has an exit code, and scripts can rely on it."""
+"""Every error has an exit code that scripts can rely on."""
 
 import pytest
 
-from kleinkram.cli.errors import EXIT_CODES, ExitCode, Interrupted, Refused, exit_code_of, explain
+from kleinkram.cli.errors import EXIT_CODES, ExitCode, Interrupted, NotConfirmed, exit_code_of, explain
 from kleinkram.client import errors as local
 from kleinkram.client.errors import ClientError, remember_request
 from kleinkram.contract.errors import ERRORS, FieldProblem, KleinkramError, MetadataInvalid, NotFound
@@ -14,7 +14,7 @@ def test_every_failure_has_an_exit_code() -> None:
         for cls in vars(local).values()
         if isinstance(cls, type) and issubclass(cls, ClientError) and cls is not ClientError
     }
-    assert set(EXIT_CODES) == {*ERRORS.values(), *ours, Interrupted, Refused}
+    assert set(EXIT_CODES) == {*ERRORS.values(), *ours, Interrupted, NotConfirmed}
     assert 0 not in {int(code) for code in EXIT_CODES.values()}
 
 
@@ -48,23 +48,23 @@ def test_several_failures_of_one_kind_keep_it() -> None:
     assert exit_code_of([changed, gone]) == ExitCode.several
 
 
-def test_a_failure_is_said_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_failure_is_printed_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
     assert explain(remember_request(NotFound(noun="file", ref="evil\x1b[2J"), "abc")) == 3
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert "Request id: abc" in said.err
-    assert "\x1b" not in said.err
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert "Request id: abc" in output.err
+    assert "\x1b" not in output.err
 
 
-def test_all_problems_are_said_with_their_place(capsys: pytest.CaptureFixture[str]) -> None:
+def test_all_problems_are_printed_with_their_place(capsys: pytest.CaptureFixture[str]) -> None:
     problems = [
         FieldProblem(field="robot", message="is missing"),
         FieldProblem(field="t", message="is not a number", line=2, column=4),
     ]
     assert explain(MetadataInvalid(problems)) == ExitCode.metadata
-    said = capsys.readouterr().err
-    assert "robot: is missing" in said
-    assert "t (line 2, column 4): is not a number" in said
+    output = capsys.readouterr().err
+    assert "robot: is missing" in output
+    assert "t (line 2, column 4): is not a number" in output
 
 
 def test_a_bug_is_not_explained_away() -> None:

@@ -1,8 +1,8 @@
-"""What a stranger's code writes does not command the terminal of who reads it."""
+"""Untrusted log lines cannot control the terminal."""
 
 import pytest
 
-from kleinkram.cli.log_view import harmless
+from kleinkram.cli.run_view import harmless
 
 
 @pytest.mark.parametrize(
@@ -17,5 +17,5 @@ from kleinkram.cli.log_view import harmless
         ("left\u202eto right", "left\\u202eto right"),
     ],
 )
-def test_only_colours_are_obeyed(written: str, shown: str) -> None:
+def test_only_colours_reach_the_terminal(written: str, shown: str) -> None:
     assert harmless(written) == shown

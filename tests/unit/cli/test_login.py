@@ -1,4 +1,4 @@
-"""Signing in on the command line: what is refused before anybody is asked, and what is shown of what is saved."""
+"""Signing in on the command line: invalid arguments, and the display of saved servers."""
 
 import datetime
 import json

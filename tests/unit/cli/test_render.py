@@ -1,4 +1,4 @@
-"""What a terminal shows."""
+"""Rendering of text for terminals."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""`klein action init` makes what runs as it is."""
+"""`klein action init` creates an action that runs unchanged."""
 
 import subprocess
 import sys
@@ -8,8 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from kleinkram.cli.main import app
+from kleinkram.client.actions import read_manifest
 from kleinkram.client.errors import InvalidInput
-from kleinkram.client.manifest import read_manifest
 
 
 def init(*arguments: object) -> None:

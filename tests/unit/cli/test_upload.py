@@ -1,11 +1,11 @@
-"""A mission for each subfolder: what stops all of them, and what only one."""
+"""One mission per subfolder: errors that stop all of them, and errors that stop only one."""
 
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from kleinkram.cli import upload as module
+from kleinkram.cli import transfer as module
 from kleinkram.cli.errors import ExitCode, Interrupted
 from kleinkram.contract.errors import KleinkramError, NotFound
 
@@ -23,7 +23,7 @@ def _upload(folder: Path, failure: KleinkramError, monkeypatch: pytest.MonkeyPat
         return {}, 0
 
     monkeypatch.setattr(module, "_upload", upload)
-    how = module._How(True, None, False, (), None, 1, None, False)
+    how = module._UploadOptions(True, None, False, (), None, 1, None, False)
     client: Any = None
     return begun, lambda: module._upload_folders(client, "alpine", [str(folder)], how)
 
@@ -37,6 +37,6 @@ def test_ctrl_c_ends_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_one_that_fails_does_not_stop_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     begun, run = _upload(tmp_path, NotFound(noun="mission", ref="a"), monkeypatch)
-    told, code = run()
+    result, code = run()
     assert (begun, code) == (["a", "b"], ExitCode.not_found)
-    assert [item["mission"] for item in told["items"]] == ["a", "b"]
+    assert [item["mission"] for item in result["items"]] == ["a", "b"]

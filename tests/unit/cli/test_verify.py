@@ -1,6 +1,6 @@
-"""How files of one mission, or of several, are named after they were compared."""
+"""Names of compared files of one mission or of several."""
 
-from kleinkram.cli.verify import _named
+from kleinkram.cli.transfer import _named
 from kleinkram.client.transfer import FileVerdict, Verdict
 from tests.api_objects import file_read
 

@@ -1,4 +1,4 @@
-"""Which server, and why."""
+"""Which server is used, and why."""
 
 import json
 from pathlib import Path

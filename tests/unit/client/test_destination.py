@@ -1,4 +1,4 @@
-"""Nothing is written outside the destination, whatever the server says."""
+"""Nothing is written outside the destination, whatever names the server sends."""
 
 from pathlib import Path
 

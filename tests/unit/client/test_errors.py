@@ -1,4 +1,4 @@
-"""Every failure has a sentence that says what, where and what to do."""
+"""Every error sentence names what failed, where, and what to do."""
 
 from dataclasses import fields
 

@@ -1,4 +1,4 @@
-"""What survives a kill -9."""
+"""The journal of a transfer survives kill -9."""
 
 import errno
 import os

@@ -1,12 +1,12 @@
-"""Reading `action.yaml`, which may come from somebody else's repository."""
+"""Reading an untrusted `action.yaml`."""
 
 import time
 from pathlib import Path
 
 import pytest
 
+from kleinkram.client.actions import read_manifest
 from kleinkram.client.errors import InvalidInput
-from kleinkram.client.manifest import read_manifest
 
 
 @pytest.mark.parametrize("text", ["[" * 1000, "name: x\nparameters: " + "[" * 100_000, "- " * 100_000])

@@ -1,4 +1,4 @@
-"""What uploading some paths means."""
+"""The upload plan for a set of paths."""
 
 import os
 import threading

@@ -1,4 +1,4 @@
-"""From a name to the one noun meant."""
+"""Resolving a name to exactly one object."""
 
 from typing import NamedTuple
 
@@ -13,32 +13,32 @@ class Row(NamedTuple):
     place: str
 
 
-def found(ref: str, *rows: Row) -> Row:
+def row(ref: str, *rows: Row) -> Row:
     return resolve_one("mission", ref, rows, name=lambda row: row.name, label=lambda row: f"{row.place}/{row.name}")
 
 
 def test_letter_case_and_unicode_form_do_not_matter() -> None:
-    assert found("ZÜRICH", Row("Zu\u0308rich", "a")).place == "a"
+    assert row("ZÜRICH", Row("Zu\u0308rich", "a")).place == "a"
 
 
 def test_only_the_whole_name_counts() -> None:
     with pytest.raises(NotFound, match="'day'"):
-        found("day", Row("day 1", "a"))
+        row("day", Row("day 1", "a"))
 
 
 def test_several_are_listed() -> None:
     with pytest.raises(AmbiguousName) as caught:
-        found("day", Row("day", "a"), Row("Day", "b"))
+        row("day", Row("day", "a"), Row("Day", "b"))
     assert caught.value.candidates == ["a/day", "b/Day"]
 
 
 def test_a_glob_may_mean_just_one() -> None:
-    assert found("d*", Row("day", "a")).name == "day"
+    assert row("d*", Row("day", "a")).name == "day"
     with pytest.raises(AmbiguousName):
-        found("d*", Row("day", "a"), Row("dusk", "a"))
+        row("d*", Row("day", "a"), Row("dusk", "a"))
     assert is_glob("d?y")
     assert not is_glob("day")
 
 
 def test_a_name_that_looks_like_a_glob_means_itself_first() -> None:
-    assert found("a*", Row("a*", "x"), Row("ab", "x")).name == "a*"
+    assert row("a*", Row("a*", "x"), Row("ab", "x")).name == "a*"

@@ -1,6 +1,6 @@
-"""How long something is tried again."""
+"""How long an operation is retried."""
 
-from kleinkram.client._retry import LONGEST_WAIT_S, Backoff
+from kleinkram.client._http import LONGEST_WAIT_S, Backoff
 
 
 def test_patience_runs_out_and_what_else_was_waited_for_is_not_counted() -> None:

@@ -1,4 +1,4 @@
-"""Definitions of actions: what can be one, and which values its parameters take."""
+"""Definitions of actions: valid forms, and values of parameters."""
 
 import pytest
 from pydantic import ValidationError

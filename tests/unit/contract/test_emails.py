@@ -1,4 +1,4 @@
-"""Which addresses are taken, when two are the same, and times at which something ends."""
+"""Email addresses: valid forms and equality; times of expiry."""
 
 import datetime
 

@@ -1,4 +1,4 @@
-"""The query language: text and filter say the same, both ways; what cannot be read is named with its place."""
+"""The query language: text and filter convert into each other; errors name the column."""
 
 import datetime
 import re

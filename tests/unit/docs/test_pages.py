@@ -1,5 +1,6 @@
 """Commands, options, links and paths on the pages exist."""
 
+import importlib
 import re
 import shlex
 from collections.abc import Iterator
@@ -109,3 +110,17 @@ def test_the_files_that_extensions_change_exist() -> None:
     paths = re.findall(r"`((?:recordings|runner|contract|server|client|cli)/[\w./]+)`", page)
     assert len(paths) >= 20
     assert not [path for path in paths if not (ROOT / "src" / "kleinkram" / path).exists()]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
+def test_python_names_on_pages_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    names = set(re.findall(r"`(kleinkram(?:\.\w+)+)", text))
+    for module, imported in re.findall(r"^from (kleinkram[\w.]*) import (.+)$", text, re.MULTILINE):
+        names |= {f"{module}.{name.strip()}" for name in imported.split(",")}
+    for name in names:
+        module, _, attribute = name.rpartition(".")
+        try:
+            importlib.import_module(name)
+        except ModuleNotFoundError:
+            assert hasattr(importlib.import_module(module), attribute), name

@@ -1,4 +1,4 @@
-"""Bags whose chunks do not follow each other in time, and whose topics have several connections."""
+"""Bags with chunks out of time order and several connections per topic."""
 
 from __future__ import annotations
 

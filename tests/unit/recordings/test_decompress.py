@@ -1,4 +1,4 @@
-"""Compressed chunks as a whole: their data end where the chunk ends, and hold what it claims."""
+"""Complete compressed chunks: the data ends with the chunk and has the claimed size."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scans of files that are made to be read again and again: what is read in vain stays a small share of the file."""
+"""Files that provoke repeated reads: the repeated bytes stay a small share of the file."""
 
 from __future__ import annotations
 

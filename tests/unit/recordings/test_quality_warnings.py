@@ -1,4 +1,4 @@
-"""What is said of topics that are odd, and what is left unsaid of healthy ones."""
+"""Quality warnings about unusual topics, and none about healthy ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Counts, gaps, disorder and suspect stamps, against the plainest code that can say them."""
+"""Counts, gaps, disorder and suspect stamps agree with a naive implementation."""
 
 from __future__ import annotations
 

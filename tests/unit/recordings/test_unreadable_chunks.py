@@ -1,4 +1,4 @@
-"""Chunks that cannot be read, or not to their end: of an unknown compression, or begun and never finished."""
+"""Chunks of an unknown compression, or begun and never finished."""
 
 from __future__ import annotations
 

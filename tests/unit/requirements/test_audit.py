@@ -1,4 +1,4 @@
-"""The rule by which known holes in dependencies fail the check."""
+"""Known vulnerabilities in dependencies fail the check."""
 
 import datetime
 

@@ -1,4 +1,4 @@
-"""The cache keeps what runs use, lets go of what was not used for longest, and believes no other bytes."""
+"""The input cache: keeps inputs in use, evicts the least recently used, and verifies bytes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The copy of a container's log: exact where it was interrupted, cut at its limit, and on a full disk."""
+"""The copy of a container's log: exact after interruptions, truncated at its limit, and on a full disk."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from kleinkram.contract.actions import Network, Resources
-from kleinkram.runner.executors import docker
 from kleinkram.runner.executors.base import RunJob
-from kleinkram.runner.executors.docker import ContainerLog
-from kleinkram.runner.executors.docker_client import ContainerInfo, DockerClient, OutputPiece
-from kleinkram.runner.executors.docker_container import LOG_LABEL
+from kleinkram.runner.executors.docker import container_log
+from kleinkram.runner.executors.docker.client import ContainerInfo, DockerClient, OutputPiece
+from kleinkram.runner.executors.docker.container import LOG_LABEL
+from kleinkram.runner.executors.docker.container_log import ContainerLog
 
 
 class StoredOutput(DockerClient):
@@ -43,7 +43,7 @@ def copy(directory: Path, pieces: list[bytes], offset: int = 0) -> ContainerLog:
 
 
 @pytest.mark.parametrize("copied", [b"", b"one\nt", b"one\ntwo\n", b"one\ntwo\nthree"])
-def test_a_copy_goes_on_where_it_was_interrupted(tmp_path: Path, copied: bytes) -> None:
+def test_an_interrupted_copy_continues(tmp_path: Path, copied: bytes) -> None:
     earlier = b"of an earlier start\n"
     (tmp_path / "log").write_bytes(earlier + copied)
     # As written before an append that was cut short.
@@ -67,6 +67,6 @@ def test_a_full_disk_is_noticed(tmp_path: Path) -> None:
 
 
 def test_a_log_is_copied_up_to_its_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(docker, "LOG_BYTES", 10)
+    monkeypatch.setattr(container_log, "LOG_BYTES", 10)
     assert copy(tmp_path, [b"a word and more\n"]).has_space
     assert (tmp_path / "log").read_bytes().startswith(b"a word and\n[kleinkram] the log is full")

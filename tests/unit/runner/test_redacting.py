@@ -1,4 +1,4 @@
-"""No secret leaves a log, however the log is cut; and nothing else does."""
+"""Secrets are redacted from logs however the log is split, and nothing else is."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def cleaned(redactor: Redactor, data: bytes, most_bytes: int) -> bytes:
     return out
 
 
-def test_pieces_are_what_the_whole_is() -> None:
+def test_redacting_in_chunks_equals_redacting_at_once() -> None:
     redactor = Redactor(["a secret that only the runner knows"])
     parts = [TOKEN.encode(), SIGNED, b"a secret that only the runner knows", b"\n", b"x" * 300, b" words ", b"\r"]
     chance = random.Random(7)
@@ -34,7 +34,7 @@ def test_pieces_are_what_the_whole_is() -> None:
         assert b"only the runner" not in whole
 
 
-def test_a_line_is_waited_for() -> None:
+def test_only_complete_lines_are_cut() -> None:
     redactor = Redactor([])
     assert redactor.cut(b"half a line", 100) == 0
     assert redactor.cut(b"a line\nhalf", 100) == 7

@@ -1,4 +1,4 @@
-"""What a run left is read as a stranger's word: links lead nowhere, and what is broken is told."""
+"""Untrusted results of a run: links are not followed, and invalid files are reported."""
 
 import os
 import tracemalloc
@@ -25,7 +25,7 @@ def test_artifacts_are_regular_files_below_out(tmp_path: Path) -> None:
     assert len(result.problems) == 4
 
 
-def test_events_and_report_are_put_together(tmp_path: Path) -> None:
+def test_events_and_report_are_merged(tmp_path: Path) -> None:
     (tmp_path / ".kleinkram").mkdir()
     (tmp_path / EVENTS_FILE).write_text(
         '{"metric": {"name": "ate_rmse", "value": 1}}\nnonsense\n{"metadata": {"a": 1, "b": 1}}\n'
@@ -44,7 +44,7 @@ def test_events_and_report_are_put_together(tmp_path: Path) -> None:
     ]
 
 
-def test_a_report_that_leads_elsewhere_is_broken(tmp_path: Path) -> None:
+def test_a_report_that_is_a_link_is_broken(tmp_path: Path) -> None:
     (tmp_path / "other.json").write_text("{}")
     out = tmp_path / "out"
     out.mkdir()

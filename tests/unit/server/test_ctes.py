@@ -1,4 +1,4 @@
-"""What is asked of the database first, under a name, has a name of ours."""
+"""Every common table expression has a readable name."""
 
 import ast
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""No route without a guard: what is not in the table of operations does not start."""
+"""Every route is in the table of operations, or the server does not start."""
 
 import pytest
 from fastapi import APIRouter

@@ -1,4 +1,4 @@
-"""What docs/sign-in.md says of settings is what the settings take."""
+"""The settings on docs/sign-in.md exist."""
 
 import json
 import re

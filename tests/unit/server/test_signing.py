@@ -1,4 +1,4 @@
-"""Addresses signed here are those that the S3 library signs."""
+"""Presigned URLs are equal to those of the S3 library."""
 
 import asyncio
 import datetime

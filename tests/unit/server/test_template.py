@@ -1,4 +1,4 @@
-"""The YAML to fill in: whatever the last mission said, it parses and says the same."""
+"""The YAML template of metadata parses and repeats the values of the last mission."""
 
 from hypothesis import given
 from hypothesis import strategies as st

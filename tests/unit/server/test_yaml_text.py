@@ -1,4 +1,4 @@
-"""Reading YAML from strangers: whatever the text, plain values or a place where it went wrong."""
+"""Untrusted YAML yields plain values or the place of the error."""
 
 import math
 import time

@@ -1,11 +1,11 @@
-"""What an upload has sent, kept on this machine so that the same command resumes after a kill -9.
+"""Journals of uploads on this machine, so that the same command resumes after a kill -9.
 
-One append-only file an upload: a head line, then a line a part. A torn last line is ignored, so nothing needs undoing
-after a crash. The parts written here are a hint only: a part is skipped when its bytes, hashed again, still have the
-checksum written here and the store still has the etag. The file is locked: two processes never share one. Small
-uploads of one run use each other's files, once these are empty again (`SpareFiles`).
+One append-only file per upload: a head line, then a line per part. A torn last line is ignored. A part is skipped only
+when its bytes, hashed again, have the checksum written here, and the store still has the ETag. The file is locked: two
+processes never share one.
 """
 
+import contextlib
 import fcntl
 import hashlib
 import json
@@ -25,7 +25,7 @@ _SPARE = "spare-"
 
 
 class JournalHead(BaseModel):
-    """Which upload a journal is of."""
+    """The upload of a journal."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -39,7 +39,7 @@ class JournalHead(BaseModel):
 
 
 class JournalPart(BaseModel):
-    """A part that the store has taken: its number, our checksum of it, the store's etag for it."""
+    """A part that the store has taken: its number, our checksum, the store's ETag."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -50,7 +50,7 @@ class JournalPart(BaseModel):
 
 @dataclass(frozen=True)
 class SavedUpload:
-    """What a journal says of an upload begun earlier."""
+    """An upload that an earlier run began, as its journal describes it."""
 
     upload_id: uuid.UUID
     size_bytes: int
@@ -63,11 +63,10 @@ def journals_dir() -> Path:
 
 
 class SpareFiles:
-    """Files of journals that ended, for those of small files to come: each empty, locked, and under a name of its own.
+    """Reuses the files of ended journals for small uploads: each is empty, locked, and has a name of its own.
 
-    To make and remove a file costs more than to send a small one, the more so the faster they follow each other: file
-    systems are slow to give an inode out again. So of thousands of uploads those under way at once share some hundred
-    files: what ends a journal takes its name from the file, and what begins one gives the file that name as well.
+    Creating and removing a file costs more than sending a small one. So thousands of uploads share some hundred files:
+    a journal that begins gives its name to a spare file, and takes it away at its end.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -75,58 +74,54 @@ class SpareFiles:
         self._free: list[tuple[int, Path]] = []
 
     def take(self, path: Path) -> tuple[int, Path] | None:
-        """Give a file to `path`, and return its handle and its own name; None where there is none, or one is there."""
+        """Link a spare file at `path`; return its handle and its own name, or None where that is not possible."""
         try:
             handle, own = self._free.pop()
         except IndexError:
             return None
         try:
             os.link(own, path)
-        except OSError:  # or where the file system knows no second names
+        except OSError:  # it exists, or the file system has no hard links
             self._free.append((handle, own))
             return None
         return handle, own
 
     def keep(self, handle: int, path: Path, own: Path | None) -> None:
-        """Take a file from `path`; what `take` did not give gets a name of its own."""
+        """Keep the file at `path` as a spare one; `own` is its second name, if `take` gave one."""
         try:
             if own is None:
                 own = path.rename(self._folder / f"{_SPARE}{uuid.uuid4().hex}")
             else:
                 path.unlink()
-        except FileNotFoundError:  # somebody has cleared the folder
+        except FileNotFoundError:  # the folder was cleared
             os.close(handle)
             return
         os.ftruncate(handle, 0)
         self._free.append((handle, own))
 
     def close(self) -> None:
-        """Remove them, and those that a process left that was killed."""
+        """Remove the spare files, and those of processes that were killed."""
         while self._free:
             handle, own = self._free.pop()
             own.unlink(missing_ok=True)
             os.close(handle)
-        for left in self._folder.glob(f"{_SPARE}*"):
-            _remove_left(left)
-
-
-def _remove_left(spare: Path) -> None:
-    try:
-        handle = os.open(spare, os.O_RDWR | os.O_CLOEXEC)
-    except FileNotFoundError:
-        return
-    try:
-        # One that a journal has, too, is left to whoever resumes that upload: not even for a moment locked here.
-        if os.fstat(handle).st_nlink == 1 and _lock(handle):
-            spare.unlink(missing_ok=True)
-    finally:
-        os.close(handle)
+        for spare in self._folder.glob(f"{_SPARE}*"):
+            try:
+                handle = os.open(spare, os.O_RDWR | os.O_CLOEXEC)
+            except FileNotFoundError:
+                continue
+            try:
+                # One with a second name is a journal: it is left to the process that resumes that upload.
+                if os.fstat(handle).st_nlink == 1 and _lock(handle):
+                    spare.unlink(missing_ok=True)
+            finally:
+                os.close(handle)
 
 
 class Journal:
-    """The journal of one file's upload, locked for as long as it is open. Appending is safe from several threads.
+    """The journal of one file's upload, locked while it is open. Appending is safe from several threads.
 
-    Its file is `own` of the spare ones, where it came from them; once it says nothing, it goes to them.
+    `own` is the second name of its file, if it came from the spare ones.
     """
 
     def __init__(
@@ -140,21 +135,18 @@ class Journal:
         self.remembered = remembered
 
     def begin(self, head: JournalHead, *, durable: bool) -> None:
-        """Start the journal of an upload anew, unless it is that upload's already.
-
-        `durable` journals survive a power cut too: every line is forced to disk.
-        """
+        """Start the journal of an upload, unless it is that upload's already. `durable` forces every line to disk."""
         self._durable = durable
         if self.remembered is None or self.remembered.upload_id != head.upload_id:
             os.ftruncate(self._handle, 0)
             self._append(head)
 
     def record(self, part: JournalPart) -> None:
-        """Write down that the store has taken a part."""
+        """Record a part that the store has taken."""
         self._append(part)
 
     def forget(self) -> None:
-        """End the journal: the upload is done, or will never be. Nothing may be recorded from here on."""
+        """Remove the journal: the upload has ended. Nothing may be recorded afterwards."""
         handle, self._handle = self._handle, -1
         if handle >= 0:
             self._spares.keep(handle, self._file, self._own)
@@ -162,7 +154,7 @@ class Journal:
             self._file.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Close and unlock, keeping the journal when it says anything."""
+        """Close and unlock; an empty journal is removed."""
         if self._handle < 0:
             return
         if os.fstat(self._handle).st_size == 0:
@@ -180,35 +172,32 @@ class Journal:
 
 
 class Journals:
-    """The journals of one run of uploads: in `folder`, if not where this user's are."""
+    """The journals of one run of uploads, in `folder` or in the state directory of this user."""
 
     def __init__(self, folder: Path | None = None) -> None:
         self._folder = folder or journals_dir()
         self._spares = SpareFiles(self._folder)
 
     def open(self, server: str, mission_id: uuid.UUID, file: LocalFile) -> Journal:
-        """Open the journal of uploading one file to one place, making it where there is none.
-
-        Raises:
-            UploadElsewhere: another process of this machine holds it.
-        """
+        """Open or create the journal of one upload; raise UploadElsewhere where another process holds it."""
         key = hashlib.sha256(json.dumps([server, str(mission_id), file.path]).encode()).hexdigest()[:32]
         path = self._folder / f"{key}.jsonl"
-        # That of a large file is made anew: to be durable, its name must be forced to disk with its lines.
+        # Not for large files: a durable journal needs a file of its own.
         if file.size_bytes <= MIN_PART_BYTES and (spare := self._spares.take(path)) is not None:
             return Journal(spare[0], path, None, self._spares, spare[1])
         while True:
             handle = _open(path)
             is_free = _lock(handle)
-            if _is_at(handle, path):
-                if is_free:
-                    return Journal(handle, path, _read(handle), self._spares)
-                os.close(handle)
-                raise UploadElsewhere(path=file.path)
+            with contextlib.suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(handle), path.stat()):
+                    if is_free:
+                        return Journal(handle, path, _read(handle), self._spares)
+                    os.close(handle)
+                    raise UploadElsewhere(path=file.path)
             os.close(handle)  # its last owner removed it between our open and our lock
 
     def close(self) -> None:
-        """Remove what is only kept for further journals; those still open are closed by whoever has them, before."""
+        """Remove the spare files. Journals must be closed before."""
         self._spares.close()
 
 
@@ -229,20 +218,13 @@ def _open(path: Path) -> int:
         return os.open(path, flags, 0o600)
 
 
-def _is_at(handle: int, path: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(handle), path.stat())
-    except FileNotFoundError:
-        return False
-
-
 def _read(handle: int) -> SavedUpload | None:
     size = os.fstat(handle).st_size
     if size == 0:
         return None
     content = os.pread(handle, size, 0)
     whole, _, torn = content.rpartition(b"\n")
-    if torn:  # whatever follows must not be glued to it
+    if torn:  # the next line must not continue it
         os.ftruncate(handle, len(content) - len(torn))
     lines = whole.splitlines()
     if not lines:

@@ -1,7 +1,7 @@
-"""How a transfer adapts to its link, what it reports about it, and what a person can do about a bad one.
+"""Adapting a transfer to its network, and telling the person who waits about trouble.
 
 `Window` decides how many bytes may be on their way at once, `Lane` makes the threads of a transfer keep to it, and
-`LinkMonitor` counts lost connections and tells a person about them while they wait.
+`LinkMonitor` counts lost connections and reports them.
 """
 
 import contextlib
@@ -11,17 +11,17 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from urllib.parse import urlsplit
 
 import urllib3
 
-from kleinkram.client._http import reason_of
-from kleinkram.client._network import SILENCE_S
-from kleinkram.client._retry import Backoff
-from kleinkram.client.errors import ServerUnreachable, StoreUnreachable
-from kleinkram.client.transfer.store import PATIENCE_S
-from kleinkram.client.transfer.threads import Stop
+from kleinkram.client._http import Backoff, reason_of, store_unreachable
+from kleinkram.client._network import SILENCE_S, NetworkMonitor
+from kleinkram.client.errors import ServerUnreachable, StoreTroubled, StoreUnreachable
+from kleinkram.client.transfer.report import LinkReport
+from kleinkram.client.transfer.store import MOST_TROUBLED, PATIENCE_S, StoreResult
+from kleinkram.client.transfer.threads import Stop, Stopped
+from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.uploads import MIN_PART_BYTES
 
 # A part that takes less leaves room for another beside it; one that takes more has too many beside it.
@@ -29,19 +29,18 @@ QUICK_S, SLOW_S = 5.0, 15.0
 # After a lost connection, and on a link that is neither quick nor slow, the next step up waits for so long.
 CALM_S = 60.0
 QUICK_AFTER_LOSS_S = 1.0
-_WORTH_SAYING_S, _SAY_AGAIN_S = 5.0, 60.0
+_NOTIFY_AFTER_S, _NOTIFY_AGAIN_S = 5.0, 60.0
 _PROBE_S = 3.0
 _NO_ROUTE = frozenset({errno.ENETUNREACH, errno.EHOSTUNREACH, errno.EADDRNOTAVAIL, errno.ENETDOWN})
-RECONNECT_S = 0.05
+_RECONNECT_S = 0.05
 _MOVED_S = 1.0
 
 
 class Window:
     """How many bytes may be on their way at once. Not safe to share between threads.
 
-    One part at first. A part that arrives quickly adds its size, up to `connections` parts, so that a fast link is
-    used in full after a few parts. A lost connection, or parts that take long, leave one part: a slow link that breaks
-    now and then keeps at least that. A link in between gets one more after a calm minute, since several connections
+    It begins with one part. A part that arrives quickly adds its size, up to `connections` parts. A lost connection, or
+    parts that take long, leave one part. On a link in between, one is added after a calm minute: several connections
     may be faster than one where each is limited by itself.
     """
 
@@ -53,26 +52,23 @@ class Window:
         self.limit_bytes = MIN_PART_BYTES
 
     def arrived(self, size_bytes: int, took_s: float) -> None:
-        """Take note of a part that arrived."""
+        """Adapt to a part that arrived."""
         unit_bytes = max(size_bytes, MIN_PART_BYTES)
         took_s *= MIN_PART_BYTES / unit_bytes
         is_calm = self._clock() - self._calm_since >= CALM_S
         self._has_lost = self._has_lost and not is_calm
+        is_quick = took_s <= (QUICK_AFTER_LOSS_S if self._has_lost else QUICK_S)
         if took_s > SLOW_S:
             self.limit_bytes = max(MIN_PART_BYTES, self.limit_bytes // 2)
             self._calm_since = self._clock()
-        elif took_s <= (QUICK_AFTER_LOSS_S if self._has_lost else QUICK_S):
-            self._grow(size_bytes, unit_bytes)
-        elif is_calm:
-            self._grow(size_bytes, unit_bytes)
-            self._calm_since = self._clock()
-
-    def _grow(self, size_bytes: int, unit_bytes: int) -> None:
-        most_bytes = self._connections * unit_bytes
-        self.limit_bytes = max(self.limit_bytes, min(self.limit_bytes + size_bytes, most_bytes))
+        elif is_quick or is_calm:
+            most_bytes = self._connections * unit_bytes
+            self.limit_bytes = max(self.limit_bytes, min(self.limit_bytes + size_bytes, most_bytes))
+            if not is_quick:
+                self._calm_since = self._clock()
 
     def lost(self) -> None:
-        """Take note of a connection that broke, or of a store that asks for less."""
+        """Adapt to a connection that broke, or to a store that asks for less."""
         self.limit_bytes = MIN_PART_BYTES
         self._calm_since = self._clock()
         self._has_lost = True
@@ -81,8 +77,7 @@ class Window:
 class Lane:
     """Admits parts to the link in order, as its window allows; one may always go. Shared by the threads of a transfer.
 
-    Order matters: a part that broke off goes on before others begin, so that a link that breaks often is not filled
-    with beginnings of parts.
+    A part that broke off continues before others begin, so that a bad link is not filled with beginnings of parts.
     """
 
     def __init__(self, stop: Stop, window: Window) -> None:
@@ -97,7 +92,7 @@ class Lane:
 
     @contextlib.contextmanager
     def place(self) -> Iterator[int]:
-        """Stand in line for as long as the context lasts, whether a turn is held or the next one waited for."""
+        """Hold a place in the line, in turns and between them."""
         with self._changed:
             place = next(self._places)
             self._line.append(place)
@@ -107,7 +102,7 @@ class Lane:
             self.step_out(place)
 
     def step_out(self, place: int) -> None:
-        """Leave the line: what is wrong concerns this part alone. The next turn is waited for at its end."""
+        """Leave the line, for trouble that concerns this part alone. The next turn waits at its end."""
         with self._changed:
             if place in self._line:
                 self._line.remove(place)
@@ -115,11 +110,7 @@ class Lane:
 
     @contextlib.contextmanager
     def turn(self, place: int, size_bytes: int) -> Iterator[float]:
-        """Wait for room for a part, and hold it; yields how many seconds that took.
-
-        Raises:
-            Stopped: it is over.
-        """
+        """Wait for room for a part, and hold it; yields how many seconds it waited."""
         began_at = time.monotonic()
         with self._changed:
             if place not in self._line:
@@ -145,46 +136,15 @@ class Lane:
         return self._used_bytes == 0 or self._used_bytes + size_bytes <= self._window.limit_bytes
 
     def arrived(self, size_bytes: int, took_s: float) -> None:
-        """Take note of a part that arrived."""
+        """Adapt to a part that arrived."""
         with self._changed:
             self._window.arrived(size_bytes, took_s)
             self.arrived_at = time.monotonic()
 
     def lost(self) -> None:
-        """Take note of a part that did not."""
+        """Adapt to a part that did not arrive."""
         with self._changed:
             self._window.lost()
-
-
-@dataclass(frozen=True)
-class LinkReport:
-    """How the link was during a transfer.
-
-    `network_changes`: how often this machine got another address, or a router before it did. `longest_outage_s` is the
-    longest time in which nothing arrived. `resent_bytes` were given to the network and had to be sent again.
-    """
-
-    connections_lost: int = 0
-    network_changes: int = 0
-    longest_outage_s: float = 0.0
-    resent_bytes: int = 0
-
-    def advice(self) -> str | None:
-        """Return what happened and what to try, for the robot's owner; None where there was no trouble."""
-        if self.connections_lost == 0:
-            return None
-        facts = [_count(self.connections_lost, "connection was lost", "connections were lost")]
-        if self.network_changes:
-            facts.append(f"this machine's network changed {_count(self.network_changes, 'time', 'times')}")
-        if self.longest_outage_s >= 1:
-            facts.append(f"the longest outage was {self.longest_outage_s:.0f} s")
-        if self.resent_bytes:
-            facts.append(f"{self.resent_bytes / 1e6:.1f} MB had to be sent again")
-        if self.network_changes:
-            remedy = "the robot moves between networks: a cable, or one access point for the upload, avoids this"
-        else:
-            remedy = "a cable, a place nearer to the access point, or --connections 1 may help"
-        return f"The network was unsteady: {', '.join(facts)}. If this is frequent: {remedy}."
 
 
 class LinkMonitor:
@@ -200,6 +160,25 @@ class LinkMonitor:
         self._moved_at = float("-inf")
         self._notified_at: dict[str, float] = {}
         self._store_url: str | None = None
+        self._troubled_files = 0
+
+    def watch(self, stop: Stop, api_url: str, work: Callable[[], None]) -> None:
+        """Do the work of a transfer while watching the network; explain and raise the failure that ended it."""
+        failure: BaseException | None = None
+        try:
+            with NetworkMonitor(self.moved), contextlib.suppress(Stopped):
+                work()
+        except KleinkramError as error:
+            failure = error
+        stop.now()
+        failure = failure or stop.failure
+        if failure is None:
+            return
+        if isinstance(failure, ServerUnreachable | StoreUnreachable):
+            self._notify(diagnose(api_url, self._store_url))
+        if (advice := self.report().advice()) is not None:
+            self._notify(advice)
+        raise failure
 
     def report(self) -> LinkReport:
         """Return what happened so far."""
@@ -209,7 +188,7 @@ class LinkMonitor:
             )
 
     def moved(self, address: str | None) -> None:
-        """Tell that this machine no longer has an address that connections were made from, or what looks like it."""
+        """Report that this machine lost an address, or, for None, that its old connections get no answer."""
         with self._lock:
             self._network_changes += 1
             self._moved_at = self._clock()
@@ -219,14 +198,25 @@ class LinkMonitor:
             self._say("path", "old connections get no answer and new ones do (another network?), reconnecting")
 
     def has_moved(self) -> bool:
-        """Say whether a connection broke just now because the address changed: then another is worth trying at once."""
+        """Say whether a connection broke just now because the address changed."""
         return self._clock() - self._moved_at < _MOVED_S
 
-    def lost(self, url: str, backoff: Backoff, error: BaseException | None, reason: str, resent_bytes: int = 0) -> None:
-        """Take note of one more failed try, and tell about it where it will not pass by itself in seconds.
+    def pause(self, backoff: Backoff, stop: Stop) -> bool:
+        """Wait before the next try, briefly where the address changed; return False when patience has run out."""
+        if not self.has_moved():
+            return backoff.pause()
+        stop.wait(_RECONNECT_S)
+        return True
 
-        `error` is that of the connection; None where the store answered.
-        """
+    def give_up(self, url: str, path: str, result: StoreResult) -> KleinkramError:
+        """Return the error for a file that the store refused for too long: the store's own after several files."""
+        self._troubled_files += 1
+        if result.is_of_all or self._troubled_files > MOST_TROUBLED:
+            return store_unreachable(url, result.why)
+        return StoreTroubled(path=path, reason=result.why)
+
+    def lost(self, url: str, backoff: Backoff, error: BaseException | None, reason: str, resent_bytes: int = 0) -> None:
+        """Count a failed try, and report trouble that lasts. `error` is that of the connection, if any."""
         silent = is_silence(error)
         self._store_url = url
         with self._lock:
@@ -237,37 +227,31 @@ class LinkMonitor:
                 self._outage_since = self._clock() - (SILENCE_S if silent else 0.0)
         host = urlsplit(url).netloc
         if silent:
-            self._say("silence", f"no answer for {SILENCE_S} s from {host}, reconnecting", again_after_s=_SAY_AGAIN_S)
+            self._say("silence", f"no answer for {SILENCE_S} s from {host}, reconnecting", _NOTIFY_AGAIN_S)
+        elif backoff.lasting_s() < _NOTIFY_AFTER_S:
+            return
         elif has_no_network(error):
-            if backoff.lasting_s() >= _WORTH_SAYING_S:
-                text = f"this machine cannot reach {host} ({reason}): it may have no network; trying again"
-                self._say("network", text, again_after_s=_SAY_AGAIN_S)
-        elif backoff.lasting_s() >= _WORTH_SAYING_S:
-            self._say(
-                "trouble",
+            text = f"this machine cannot reach {host} ({reason}): it may have no network; trying again"
+            self._say("network", text, _NOTIFY_AGAIN_S)
+        else:
+            text = (
                 f"waiting for the store, which is away or full ({reason}): goes on by itself if that ends within "
-                f"{PATIENCE_S / 60:.0f} minutes; `klein doctor` on the server's machine says what is wrong",
-                again_after_s=PATIENCE_S,
+                f"{PATIENCE_S / 60:.0f} minutes; `klein doctor` on the server's machine says what is wrong"
             )
+            self._say("trouble", text, PATIENCE_S)
 
     def waits_for_server(self, url: str) -> None:
-        """Tell that the API does not answer."""
+        """Report that the API does not answer."""
         with self._lock:
             if self._outage_since is None:
                 self._outage_since = self._clock()
             lasting_s = self._clock() - self._outage_since
-        if lasting_s >= _WORTH_SAYING_S:
-            self._say("server", f"waiting for {url}, which does not answer", again_after_s=PATIENCE_S)
-
-    def explain(self, failure: BaseException, api_url: str) -> None:
-        """Tell why a transfer ended, where the network or a server ended it: which part of the way does not work."""
-        if isinstance(failure, ServerUnreachable | StoreUnreachable):
-            self._notify(diagnose(api_url, self._store_url))
-        if (advice := self.report().advice()) is not None:
-            self._notify(advice)
+        if lasting_s >= _NOTIFY_AFTER_S:
+            self._say("server", f"waiting for {url}, which does not answer", PATIENCE_S)
 
     def arrived(self, took_s: float = 0.0) -> None:
-        """Take note that bytes arrived, by a try that took so long."""
+        """Note that bytes arrived, by a try that took so long."""
+        self._troubled_files = 0
         if self._outage_since is None:
             return
         with self._lock:
@@ -276,11 +260,11 @@ class LinkMonitor:
             outage_s = max(0.0, self._clock() - took_s - self._outage_since)
             self._longest_outage_s = max(self._longest_outage_s, outage_s)
             self._outage_since = None
-        if outage_s >= _WORTH_SAYING_S:
+        if outage_s >= _NOTIFY_AFTER_S:
             self._notify(f"connected again after {outage_s:.0f} s")
             self._notified_at.clear()
 
-    def _say(self, kind: str, text: str, *, again_after_s: float = _WORTH_SAYING_S) -> None:
+    def _say(self, kind: str, text: str, again_after_s: float = _NOTIFY_AFTER_S) -> None:
         with self._lock:
             now = self._clock()
             is_new = now - self._notified_at.get(kind, float("-inf")) >= again_after_s
@@ -291,7 +275,7 @@ class LinkMonitor:
 
 
 def is_silence(error: BaseException | None) -> bool:
-    """Say whether a connection ended because the other side was silent, and not because it notify so."""
+    """Say whether a connection ended because the other side was silent, not because it closed or refused."""
     if has_no_network(error):
         return False
     for cause in _causes(error):
@@ -299,16 +283,14 @@ def is_silence(error: BaseException | None) -> bool:
         if isinstance(cause, TimeoutError | urllib3.exceptions.TimeoutError) and not is_refusal:
             return True
         if isinstance(cause, OSError) and cause.errno in {errno.ETIMEDOUT, *_NO_ROUTE}:
-            return True  # the kernel gave up, for the reason that it heard of meanwhile
+            return True  # the kernel gave up
     return False
 
 
 def has_no_network(error: BaseException | None) -> bool:
-    """Say whether no connection could be made because this machine knows no way: no route, no address, no names."""
+    """Say whether no connection could be made because this machine has no route, no address, or no name server."""
     causes = [*_causes(error)]
-    if not any(isinstance(cause, urllib3.exceptions.NewConnectionError) for cause in causes):
-        return False
-    return any(
+    return any(isinstance(cause, urllib3.exceptions.NewConnectionError) for cause in causes) and any(
         isinstance(cause, socket.gaierror) or (isinstance(cause, OSError) and cause.errno in _NO_ROUTE)
         for cause in causes
     )
@@ -331,7 +313,7 @@ def diagnose(api_url: str, store_url: str | None) -> str:
         return f"{again} again now. Run the same command again; what has arrived stays."
     if len(failed) < len(reachability):
         works = ", ".join(f"{what} ({place}) answers" for what, place, reason in reachability if not reason)
-        return f"{failed[0]}, while {works}. Ask whoever runs the server: one part of it is away, or behind a firewall."
+        return f"{failed[0]}, while {works}. Ask an admin: a part of the server is down, or behind a firewall."
     return f"{'; '.join(failed)}. Look at this machine's network first: cable, Wi-Fi, VPN, name server."
 
 
@@ -343,11 +325,5 @@ def _try_to_connect(url: str) -> str | None:
     except socket.gaierror:
         return f"the name {host!r} cannot be resolved"
     except OSError as error:
-        if error.errno in _NO_ROUTE:
-            return "this machine has no route to it"
-        return reason_of(error)
+        return "this machine has no route to it" if error.errno in _NO_ROUTE else reason_of(error)
     return None
-
-
-def _count(number: int, one: str, many: str) -> str:
-    return f"{number} {one if number == 1 else many}"

@@ -1,8 +1,8 @@
-"""From paths on this machine to files of a mission, before a byte is read.
+"""The plan of an upload: from paths on this machine to files of a mission, before a byte is read.
 
-A file given goes to the top of the mission under its own name. A folder given keeps its tree, as with rsync: `day1`
+A file goes to the top of the mission under its own name. A folder keeps its tree, as with rsync: `day1`
 puts `day1/cam.mcap`, while `day1/` (or `.`) puts its contents, `cam.mcap`. Links to files are followed; links to
-folders only where they are given themselves. Everything left out is named.
+folders only where they are named themselves. Everything left out is listed.
 """
 
 import os
@@ -33,7 +33,7 @@ _WATCH_S = 1.0
 
 
 class FileIdentity(NamedTuple):
-    """What tells that a file is still the one that was planned."""
+    """Tells whether a file is still the one that was planned."""
 
     size_bytes: int
     mtime_ns: int
@@ -71,71 +71,68 @@ class UploadPlan:
 def plan_upload(
     paths: Iterable[str | os.PathLike[str]], *, include_active: bool = False, exclude: Sequence[str] = ()
 ) -> UploadPlan:
-    """Return what uploading these paths means.
+    """Return the plan of uploading these paths.
 
     Files that are still being recorded are left out unless `include_active`: those whose name ends in `.active`, and
-    those that grow while they are watched for a second (only files modified in the last seconds are). Of files that
-    would have the same path in the mission, none is uploaded: nobody but their owner can say which is meant.
-
-    Those that match a glob in `exclude` are left out without a word, as if they were not there (`is_excluded`).
+    those that grow while they are watched for a second (only files modified in the last seconds are). Files that would
+    have the same path in the mission are left out. Those that match a glob in `exclude` are ignored (`is_excluded`).
 
     Raises:
-        InvalidInput: a path given does not exist.
+        InvalidInput: a path does not exist.
     """
     plan = UploadPlan()
     by_key: dict[str, list[LocalFile]] = defaultdict(list)
     for source, path in _walk(paths, plan.left_out):
         if is_excluded(path, exclude):
             continue
-        file = _judged(source, path, plan.left_out)
-        if file is not None and all(other.source != file.source for other in by_key[name_key(file.path)]):
+        file = _checked_file(source, path)
+        if isinstance(file, ClientError):
+            plan.left_out.append(file)
+        elif all(other.source != file.source for other in by_key[name_key(file.path)]):
             by_key[name_key(file.path)].append(file)
-    plan.left_out.extend(_collision(alike) for alike in by_key.values() if len(alike) > 1)
-    files = sorted((alike[0] for alike in by_key.values() if len(alike) == 1), key=lambda file: file.path)
-    plan.files.extend(files if include_active else _quiet(files, plan.left_out))
+    files = []
+    for group in by_key.values():
+        if len(group) == 1:
+            files += group
+            continue
+        *others, last = [distinct_text(str(file.source)) for file in group]
+        path, first = distinct_text(group[0].path), ", ".join(others)
+        plan.left_out.append(PathsCollide(path=path, first=first, second=last, remedy="rename all but one"))
+    files.sort(key=lambda file: file.path)
+    plan.files.extend(files if include_active else _without_active(files, plan.left_out))
     return plan
 
 
-def _collision(alike: list[LocalFile]) -> PathsCollide:
-    """Name files that would have one path, so that they can be told apart though they look the same."""
-    *others, last = [distinct_text(str(file.source)) for file in alike]
-    first = ", ".join(others)
-    return PathsCollide(path=distinct_text(alike[0].path), first=first, second=last, remedy="rename all but one")
-
-
 def distinct_text(text: str) -> str:
-    """Return a text in quotes, with the code points of what is not ASCII: texts that look the same may differ there.
-
-    `'café.txt' (cafe\u0301.txt)`: here the accent is a character of its own.
-    """
+    """Return a text in quotes, with the code points of what is not ASCII: `'café.txt' (cafe\u0301.txt)`."""
     if text.isascii():
         return repr(text)
     return f"{text!r} ({text.encode('ascii', 'backslashreplace').decode()})"
 
 
 def mission_folders(paths: Iterable[str | os.PathLike[str]], exclude: Sequence[str] = ()) -> dict[str, Path]:
-    """Return the subfolders of some folders by their names, which are to be names of missions; hidden ones are not.
+    """Return the subfolders of some folders, except hidden ones, by name; each becomes a mission.
 
     Raises:
         InvalidInput: a path is no folder, or has no subfolder, or holds files beside them; or two have one name.
     """
-    found: dict[str, Path] = {}
-    for given in map(Path, paths):
-        what = f"The folder {shown(str(given))}"
+    missions: dict[str, Path] = {}
+    for parent in map(Path, paths):
+        what = f"The folder {shown(str(parent))}"
         try:
-            inside = sorted(each for each in given.iterdir() if not is_excluded(each.name, [*exclude, ".*"]))
+            entries = sorted(entry for entry in parent.iterdir() if not is_excluded(entry.name, [*exclude, ".*"]))
         except OSError as error:
             raise InvalidInput(what=what, reason=error.strerror or str(error)) from None
-        if loose := [each.name for each in inside if not each.is_dir()]:
+        if loose := [entry.name for entry in entries if not entry.is_dir()]:
             reason = f"{loose[0]!r} in it belongs to no mission; move it into one, or leave it out with --exclude"
             raise InvalidInput(what=what, reason=reason)
-        if not inside:
+        if not entries:
             raise InvalidInput(what=what, reason="it has no subfolder that could be a mission")
-        for folder in inside:
-            if folder.name in found:
+        for folder in entries:
+            if folder.name in missions:
                 raise InvalidInput(what=what, reason=f"there is a second folder named {folder.name!r}")
-            found[folder.name] = folder
-    return found
+            missions[folder.name] = folder
+    return missions
 
 
 def is_excluded(path: str, globs: Iterable[str]) -> bool:
@@ -151,68 +148,66 @@ def identity_of(status: os.stat_result) -> FileIdentity:
 
 
 def _walk(paths: Iterable[str | os.PathLike[str]], left_out: list[ClientError]) -> Iterator[tuple[Path, str]]:
-    for given in paths:
-        text = os.fspath(given)
+    """Yield each file with its path in the mission."""
+
+    def unreadable(error: OSError) -> None:
+        left_out.append(FileUnreadable(path=shown(str(error.filename)), reason=error.strerror or str(error)))
+
+    for entry in paths:
+        text = os.fspath(entry)
         root = Path(text)
         try:
             is_folder = stat.S_ISDIR(root.stat().st_mode)
         except OSError as error:
             raise InvalidInput(what=f"The path {shown(text)}", reason=error.strerror or str(error)) from None
-        if is_folder:
-            contents = text.endswith(("/", "/.", "..")) or text == "."
-            yield from _walk_folder(root, "" if contents else f"{root.name}/", left_out)
-        else:
+        if not is_folder:
             yield root, root.name
+            continue
+        prefix = "" if text.endswith(("/", "/.", "..")) or text == "." else f"{root.name}/"
+        for folder, folders, names in os.walk(root, onerror=unreadable):
+            here = Path(folder)
+            links = [here / name for name in folders if (here / name).is_symlink()]
+            left_out.extend(NotAFile(path=shown(str(link)), kind="a link to a folder") for link in links)
+            inside = here.relative_to(root).as_posix()
+            for name in names:
+                yield here / name, prefix + (name if inside == "." else f"{inside}/{name}")
 
 
-def _walk_folder(root: Path, prefix: str, left_out: list[ClientError]) -> Iterator[tuple[Path, str]]:
-    def unreadable(error: OSError) -> None:
-        left_out.append(FileUnreadable(path=shown(str(error.filename)), reason=error.strerror or str(error)))
-
-    for folder, folders, names in os.walk(root, onerror=unreadable):
-        here = Path(folder)
-        links = [here / name for name in folders if (here / name).is_symlink()]
-        left_out.extend(NotAFile(path=shown(str(link)), kind="a link to a folder") for link in links)
-        inside = here.relative_to(root).as_posix()
-        for name in names:
-            yield here / name, prefix + (name if inside == "." else f"{inside}/{name}")
-
-
-def _judged(source: Path, path: str, left_out: list[ClientError]) -> LocalFile | None:
+def _checked_file(source: Path, path: str) -> LocalFile | ClientError:
+    """Return a file, or why it cannot be uploaded."""
     try:
         path.encode()
         path = check_file_path(path)
     except UnicodeEncodeError:
-        left_out.append(NameUnusable(path=shown(str(source)), reason="is not UTF-8"))
-        return None
+        return NameUnusable(path=shown(str(source)), reason="is not UTF-8")
     except ValueError as error:
-        left_out.append(NameUnusable(path=path, reason=str(error)))
-        return None
+        return NameUnusable(path=path, reason=str(error))
     try:
         status = source.stat()
     except OSError as error:
-        left_out.append(FileUnreadable(path=str(source), reason=error.strerror or str(error)))
-        return None
+        return FileUnreadable(path=str(source), reason=error.strerror or str(error))
     if not stat.S_ISREG(status.st_mode):
-        left_out.append(NotAFile(path=str(source), kind=_kind(status.st_mode)))
-        return None
+        kinds = {stat.S_IFIFO: "a named pipe", stat.S_IFSOCK: "a socket", stat.S_IFDIR: "a folder"}
+        return NotAFile(path=str(source), kind=kinds.get(stat.S_IFMT(status.st_mode), "a device"))
     if status.st_size > MAX_FILE_BYTES:
-        left_out.append(NameUnusable(path=str(source), reason="is larger than the 5 TiB that a store takes"))
-        return None
+        return NameUnusable(path=str(source), reason="is larger than the 5 TiB that a store takes")
     return LocalFile(source, path, identity_of(status))
 
 
-def _quiet(files: list[LocalFile], left_out: list[ClientError]) -> list[LocalFile]:
-    recent = [file for file in files if time.time_ns() - file.identity.mtime_ns < _RECENT_NS]
+def _without_active(files: list[LocalFile], left_out: list[ClientError]) -> list[LocalFile]:
+    recent = {file for file in files if time.time_ns() - file.identity.mtime_ns < _RECENT_NS}
     if any(not file.path.endswith(ACTIVE_SUFFIX) for file in recent):
         time.sleep(_WATCH_S)
-    growing = {file.path for file in recent if _has_changed(file)}
+    closed = []
     for file in files:
-        if file.path.endswith(ACTIVE_SUFFIX):
-            left_out.append(StillRecording(path=str(file.source), reason="its name ends in .active"))
-        elif file.path in growing:
-            left_out.append(StillRecording(path=str(file.source), reason="something is writing to it"))
-    return [file for file in files if not file.path.endswith(ACTIVE_SUFFIX) and file.path not in growing]
+        reason = "its name ends in .active" if file.path.endswith(ACTIVE_SUFFIX) else None
+        if reason is None and file in recent and _has_changed(file):
+            reason = "something is writing to it"
+        if reason is None:
+            closed.append(file)
+        else:
+            left_out.append(StillRecording(path=str(file.source), reason=reason))
+    return closed
 
 
 def _has_changed(file: LocalFile) -> bool:
@@ -222,11 +217,6 @@ def _has_changed(file: LocalFile) -> bool:
         return True
 
 
-def _kind(mode: int) -> str:
-    kinds = {stat.S_IFIFO: "a named pipe", stat.S_IFSOCK: "a socket", stat.S_IFDIR: "a folder"}
-    return kinds.get(stat.S_IFMT(mode), "a device")
-
-
 def shown(path: str) -> str:
-    """Return a path from the file system as text that can be printed, bytes that are not UTF-8 escaped."""
+    """Return a path as printable text, with bytes that are not UTF-8 escaped."""
     return os.fsencode(path).decode("utf-8", "backslashreplace")

@@ -5,7 +5,7 @@ where the file system or the kernel cannot do it, it is read and sent. urllib3 m
 PUT itself is written here because it must be cheap: measured on one core, a small file costs 60 us of CPU time instead
 of 310 us through urllib3, and a part of 5 MiB 1.2 ms instead of 1.9 ms.
 
-Knows nothing of uploads or files. One pool of connections, shared by the threads of a transfer.
+One pool of connections, shared by the threads of a transfer.
 """
 
 import contextlib
@@ -47,6 +47,20 @@ _LENGTH_0 = re.compile(rb"\r\ncontent-length: *0\r\n", re.IGNORECASE)
 _OTHERWISE = re.compile(rb"\r\n(?:transfer-encoding:|connection: *close)", re.IGNORECASE)
 _ETAG = re.compile(rb"\r\netag: *([^\r\n]*?) *\r\n", re.IGNORECASE)
 
+PATIENCE_S = 240.0
+# After so many files in a row that the store refused for so long, the store itself is in trouble.
+MOST_TROUBLED = 3
+
+_LEAST_SLICE_BYTES = 64 * 1024
+_QUICK_SLICE_S = 0.5
+
+_GONE = frozenset({"NoSuchUpload", "NoSuchKey"})
+# Codes that concern the store as a whole, not one object.
+_OF_ALL = frozenset({"", "ServiceUnavailable", "SlowDown", "XMinioStorageFull"})
+# Errors of the server that no retry helps.
+_NEVER = frozenset({501, 505})
+_CODE = re.compile(rb"<Code>([A-Za-z]{1,64})</Code>")
+
 
 class Reply(NamedTuple):
     """What the store answered to a PUT."""
@@ -79,37 +93,31 @@ class _PutConnection(WatchedConnection):
             self.connect()
         if self._incoming is None:
             self._incoming = self.sock.makefile("rb")
-        # The store may have answered, and left, before it was sent all.
-        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
-            self._send_request(self._head(target, headers), body)
-        return self._reply(self._incoming)
-
-    def _head(self, target: str, headers: Mapping[str, str]) -> bytes:
         host = f"[{self.host}]" if ":" in self.host else self.host
-        notify = {
+        fields = {
             "Host": host if self.port == self.default_port else f"{host}:{self.port}",
             "User-Agent": f"klein/{kleinkram.__version__}",
             "Accept-Encoding": "identity",
             **headers,
         }
-        lines = "".join(f"{name}: {value}\r\n" for name, value in notify.items())
-        head = f"PUT {target} HTTP/1.1\r\n{lines}\r\n"
-        if not _REQUEST.fullmatch(head) or head.count("\r\n") != len(notify) + 2:
+        head = f"PUT {target} HTTP/1.1\r\n" + "".join(f"{name}: {value}\r\n" for name, value in fields.items()) + "\r\n"
+        if not _REQUEST.fullmatch(head) or head.count("\r\n") != len(fields) + 2:
             raise ValueError("an address or a header holds what would be read as another")
-        return head.encode()
-
-    def _send_request(self, unsent: bytes, body: Iterable[FileSlice | bytes]) -> None:
-        for piece in body:
-            if isinstance(piece, bytes):
-                unsent += piece
-            elif piece.length <= _TOGETHER_BYTES:
-                unsent += b"".join(piece.read())
-            else:
+        unsent = head.encode()
+        # The store may answer, and close the connection, before it was sent all.
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+            for piece in body:
+                if isinstance(piece, bytes):
+                    unsent += piece
+                elif piece.length <= _TOGETHER_BYTES:
+                    unsent += b"".join(piece.read())
+                else:
+                    self.sock.sendall(unsent)
+                    _send_slice(self.sock, piece)
+                    unsent = b""
+            if unsent:
                 self.sock.sendall(unsent)
-                _send_slice(self.sock, piece)
-                unsent = b""
-        if unsent:
-            self.sock.sendall(unsent)
+        return self._reply(self._incoming)
 
     def _reply(self, incoming: io.BufferedReader) -> Reply:
         head = incoming.peek()
@@ -169,7 +177,7 @@ class _TlsPutPool(_Pool, HTTPSConnectionPool):
 
 
 class Connections(WatchedPools):
-    """Connections to stores, `most` kept of each; nothing is tried twice."""
+    """Connections to stores, at most `most` of each; nothing is tried twice."""
 
     def __init__(self, most: int) -> None:
         timeout = urllib3.Timeout(connect=CONNECT_TIMEOUT_S, read=READ_TIMEOUT_S)
@@ -192,15 +200,9 @@ class Connections(WatchedPools):
 
 
 def _send_slice(sock: Any, piece: FileSlice) -> None:
-    sent = 0 if isinstance(sock, ssl.SSLSocket) else _send_by_kernel(sock, piece)
-    for view in piece.from_byte(sent).read():
-        sock.sendall(view)
-
-
-def _send_by_kernel(sock: Any, piece: FileSlice) -> int:
-    """Send a slice, and return how much of it; not all only where the kernel cannot, or the file ends before."""
+    """Send a slice by the kernel as far as it can; read and send the rest, and all of it over TLS."""
     sent = 0
-    while sent < piece.length:
+    while sent < piece.length and not isinstance(sock, ssl.SSLSocket):
         try:
             count = os.sendfile(sock.fileno(), piece.handle, piece.offset + sent, piece.length - sent)
         except BlockingIOError:
@@ -208,32 +210,18 @@ def _send_by_kernel(sock: Any, piece: FileSlice) -> int:
                 raise TimeoutError(f"the store took nothing for {sock.gettimeout():.0f} s") from None
             continue
         except OSError as error:
-            if error.errno in _CANNOT:
-                return sent
-            raise
+            if error.errno not in _CANNOT:
+                raise
+            break
         if count == 0:
-            return sent
+            break
         sent += count
-    return sent
-
-
-PATIENCE_S = 240.0
-# Of files that the store gave trouble with for so long, one after the other: then it is in trouble itself.
-MOST_TROUBLED = 3
-
-_LEAST_SLICE_BYTES = 64 * 1024
-_QUICK_SLICE_S = 0.5
-
-_GONE = frozenset({"NoSuchUpload", "NoSuchKey"})
-# What is no word about one object: of the store as a whole, where all others would meet the same.
-_OF_ALL = frozenset({"", "ServiceUnavailable", "SlowDown", "XMinioStorageFull"})
-# Never well, however often it is tried.
-_NEVER = frozenset({501, 505})
-_CODE = re.compile(rb"<Code>([A-Za-z]{1,64})</Code>")
+    for view in piece.from_byte(sent).read():
+        sock.sendall(view)
 
 
 class StoreAnswer(enum.Enum):
-    """What the store's answer means for whoever asked."""
+    """What the client does after an answer of the store."""
 
     taken = enum.auto()
     try_again = enum.auto()
@@ -242,28 +230,66 @@ class StoreAnswer(enum.Enum):
     refused = enum.auto()
 
 
-@dataclass(frozen=True)
-class PutResult:
-    """What became of a PUT: the etag when taken, else the store's word for why not.
-
-    `is_of_all`: others would meet the same. `sent_bytes`: how much of the body was given to the network.
-    """
+@dataclass
+class StoreResult:
+    """The result of a request: `reason` and `code` are the store's, `error` that of the connection."""
 
     answer: StoreAnswer
-    etag: str = ""
     reason: str = ""
+    code: str = ""
     error: BaseException | None = None
-    is_of_all: bool = False
-    sent_bytes: int = 0
 
     @property
     def why(self) -> str:
-        """Why it was not taken, in words."""
-        return reason_of(self.error) if self.error else self.reason
+        """Why it failed, in words."""
+        return reason_of(self.error) if self.error else self.reason or "it sends nothing"
+
+    @property
+    def is_of_all(self) -> bool:
+        """Whether requests for other objects would fail, too."""
+        return self.error is not None or (self.answer is StoreAnswer.try_again and self.code in _OF_ALL)
+
+
+@dataclass
+class PutResult(StoreResult):
+    """The result of a PUT. `sent_bytes`: how much of the body was given to the network."""
+
+    etag: str = ""
+    sent_bytes: int = 0
+
+
+@dataclass
+class GetResult(StoreResult):
+    """The result of a GET, with its bytes when the store gives them; must be closed."""
+
+    response: urllib3.BaseHTTPResponse | None = None
+    slice_bytes: int = _LEAST_SLICE_BYTES
+
+    def slices(self) -> Iterator[bytes]:
+        """Yield the bytes, in small slices from a slow link: an incomplete slice is lost with the connection.
+
+        Raises:
+            urllib3.exceptions.HTTPError: the connection ended early.
+        """
+        if self.response is None:
+            return
+        slice_bytes = least_bytes = min(_LEAST_SLICE_BYTES, self.slice_bytes)
+        began_at = time.monotonic()
+        while data := self.response.read(slice_bytes, decode_content=False):
+            is_quick = time.monotonic() - began_at < _QUICK_SLICE_S
+            slice_bytes = min(2 * slice_bytes, self.slice_bytes) if is_quick else max(slice_bytes // 2, least_bytes)
+            yield data
+            began_at = time.monotonic()
+        self.response.release_conn()
+
+    def close(self) -> None:
+        """Drop what has not been read."""
+        if self.response is not None:
+            self.response.close()
 
 
 class StoreClient:
-    """Connections to the store."""
+    """Requests to the store."""
 
     def __init__(self, connections: int) -> None:
         self._connections = Connections(connections)
@@ -280,92 +306,36 @@ class StoreClient:
         try:
             reply = self._connections.put(url, headers, body)
         except (urllib3.exceptions.HTTPError, http.client.HTTPException, OSError) as error:
-            return PutResult(StoreAnswer.try_again, error=error, is_of_all=True)
+            return PutResult(StoreAnswer.try_again, error=error)
         # 412: written already, by an earlier try whose answer was lost; the address was signed for these bytes only.
         if reply.status < 300 or reply.status == 412:
             return PutResult(StoreAnswer.taken, etag=reply.etag.strip('"'))
         code = _code(reply.content)
-        notify = _reason(reply.status, code)
-        return PutResult(meaning(reply.status, code), reason=notify, is_of_all=code in _OF_ALL)
+        return PutResult(meaning(reply.status, code), _reason(reply.status, code), code)
 
-    def get(self, url: str, first: int, last: int, slice_bytes: int) -> "GetResult":
-        """GET the bytes first..last, both inclusive; the answer must be closed."""
+    def get(self, url: str, first: int, last: int, slice_bytes: int) -> GetResult:
+        """GET the bytes first..last, both inclusive; the result must be closed."""
         headers = {"Range": f"bytes={first}-{last}", "Accept-Encoding": "identity"}
         try:
-            answer = self._connections.request(
+            response = self._connections.request(
                 "GET", url, headers=headers, redirect=False, preload_content=False, decode_content=False
             )
         except urllib3.exceptions.HTTPError as error:
-            return GetResult(StoreAnswer.try_again, None, slice_bytes, error=error)
-        whole = answer.status == 200 and first == 0
-        if answer.status == 206 or whole:
-            return GetResult(StoreAnswer.taken, answer, slice_bytes)
-        code = _code(answer.read(2000))
-        answer.close()
-        reason = _reason(answer.status, code)
-        return GetResult(meaning(answer.status, code), None, slice_bytes, reason=reason, is_of_all=code in _OF_ALL)
-
-
-class GetResult:
-    """The answer to a GET: its meaning, and its bytes when the store gives them."""
-
-    def __init__(
-        self,
-        answer: StoreAnswer,
-        response: urllib3.BaseHTTPResponse | None,
-        slice_bytes: int,
-        *,
-        reason: str = "",
-        error: BaseException | None = None,
-        is_of_all: bool = False,
-    ) -> None:
-        self.answer = answer
-        self.reason = reason
-        self.error = error
-        self._is_of_all = is_of_all
-        self._response = response
-        self._slice_bytes = slice_bytes
-
-    @property
-    def why(self) -> str:
-        """Why it gave nothing, or not all, in words."""
-        return reason_of(self.error) if self.error else self.reason or "it sends nothing"
-
-    @property
-    def is_of_all(self) -> bool:
-        """Whether others would meet the same, as nobody answers or not for any object."""
-        return self.error is not None or (self.answer is StoreAnswer.try_again and self._is_of_all)
-
-    def slices(self) -> Iterator[bytes]:
-        """Yield the bytes: in small slices from a slow link, since what has come of a slice is lost with a connection.
-
-        Raises:
-            urllib3.exceptions.HTTPError: the connection ended early.
-        """
-        if self._response is None:
-            return
-        slice_bytes = least_bytes = min(_LEAST_SLICE_BYTES, self._slice_bytes)
-        began_at = time.monotonic()
-        while data := self._response.read(slice_bytes, decode_content=False):
-            is_quick = time.monotonic() - began_at < _QUICK_SLICE_S
-            slice_bytes = min(2 * slice_bytes, self._slice_bytes) if is_quick else max(slice_bytes // 2, least_bytes)
-            yield data
-            began_at = time.monotonic()
-        self._response.release_conn()
-
-    def close(self) -> None:
-        """Drop what has not been read."""
-        if self._response is not None:
-            self._response.close()
+            return GetResult(StoreAnswer.try_again, error=error)
+        if response.status == 206 or (response.status == 200 and first == 0):
+            return GetResult(StoreAnswer.taken, response=response, slice_bytes=slice_bytes)
+        code = _code(response.read(2000))
+        response.close()
+        return GetResult(meaning(response.status, code), _reason(response.status, code), code)
 
 
 def meaning(status: int, code: str) -> StoreAnswer:
-    """Return what a status other than success means, with the store's code for it ("" where it gave none)."""
+    """Return the meaning of a status other than success, with the store's code for it ("" for none)."""
     if code in _GONE:
         return StoreAnswer.gone
     if status == 403:
         return StoreAnswer.sign_again
-    # 404 without the store's own word is that of a proxy which does not reach the store.
+    # A 404 without a code is that of a proxy which does not reach the store.
     if status in {404, 408, 410, 429} or (status >= 500 and status not in _NEVER) or code == "RequestTimeout":
         return StoreAnswer.try_again
     return StoreAnswer.refused

@@ -1,4 +1,4 @@
-"""Coordination of a transfer's threads: channels, budgets of work ahead, a rate limit, and one way to stop all."""
+"""Coordination of a transfer's threads: queues, budgets of work ahead, a rate limit, and one way to stop all."""
 
 import threading
 import time
@@ -12,23 +12,23 @@ T = TypeVar("T")
 
 
 class Stopped(Exception):
-    """The transfer is being stopped; the thread that sees this goes home."""
+    """The transfer is being stopped."""
 
 
 class Stop:
-    """Says to all threads that it is over, and keeps the first failure that ended it."""
+    """Stops all threads of a transfer, and keeps the first failure. Waits on it raise `Stopped`."""
 
     def __init__(self) -> None:
         self._event = threading.Event()
         self._lock = threading.Lock()
-        self._wakers: list[threading.Condition] = []
+        self._conditions: list[threading.Condition] = []
         self.failure: BaseException | None = None
 
     def condition(self) -> threading.Condition:
-        """Return a condition that is notified when it is over."""
+        """Return a condition that is notified at the stop."""
         condition = threading.Condition()
         with self._lock:
-            self._wakers.append(condition)
+            self._conditions.append(condition)
         return condition
 
     def now(self, failure: BaseException | None = None) -> None:
@@ -37,28 +37,39 @@ class Stop:
             if not self._event.is_set():
                 self.failure = failure
             self._event.set()
-            wakers = [*self._wakers]
-        for condition in wakers:
+            conditions = [*self._conditions]
+        for condition in conditions:
             with condition:
                 condition.notify_all()
 
-    def is_set(self) -> bool:
-        """Say whether it is over."""
-        return self._event.is_set()
-
     def check(self) -> None:
-        """Raise `Stopped` when it is over."""
+        """Raise `Stopped` if stopped."""
         if self._event.is_set():
             raise Stopped
 
     def wait(self, seconds: float) -> None:
-        """Wait so long, or raise `Stopped` as soon as it is over."""
+        """Wait so long, or raise `Stopped` as soon as stopped."""
         if self._event.wait(seconds):
             raise Stopped
 
+    def start(self, loop: Callable[[], None]) -> threading.Thread:
+        """Run a loop in a new thread; its failure stops everything."""
+
+        def run() -> None:
+            try:
+                loop()
+            except Stopped:
+                return
+            except BaseException as error:  # the caller's thread raises it
+                self.now(error)
+
+        thread = threading.Thread(target=run, daemon=True)
+        thread.start()
+        return thread
+
 
 class WorkQueue(Generic[T]):
-    """Things on their way from one thread to another, in order."""
+    """Items on their way from one thread to another, in order."""
 
     def __init__(self, stop: Stop) -> None:
         self._stop = stop
@@ -67,22 +78,18 @@ class WorkQueue(Generic[T]):
         self._changed = stop.condition()
 
     def put(self, item: T) -> None:
-        """Add one thing."""
+        """Add one item."""
         self._stop.check()
         with self._changed:
             self._items.append(item)
-            if (
-                len(self._items) >= self._needed_items
-            ):  # to wake a thread that waits for more costs more than all else here
+            # Waking a thread that waits for more items costs more than all else here.
+            if len(self._items) >= self._needed_items:
                 self._changed.notify()
 
     def take(self, at_most: int, timeout_s: float | None = None, *, at_least: int = 1) -> list[T]:
-        """Return what is there, waiting until it is `at_least` so much; on timeout what there is.
+        """Wait for `at_least` so many items, and return them; on timeout return what is there.
 
-        More than one thing only one thread at a time may wait for.
-
-        Raises:
-            Stopped: it is over.
+        Only one thread at a time may wait for more than one item.
         """
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         with self._changed:
@@ -98,9 +105,9 @@ class WorkQueue(Generic[T]):
 
 
 class Budget:
-    """So much may be under way at once. One thing that is larger than all of it may go alone.
+    """Bounds how much is under way at once. An amount larger than the limit may go alone.
 
-    Whoever must wait waits until half of it is free, so that work comes in bursts and can be spoken of in batches.
+    A thread that must wait waits until half is free, so that work comes in batches.
     """
 
     def __init__(self, stop: Stop, limit: int) -> None:
@@ -110,11 +117,7 @@ class Budget:
         self._changed = stop.condition()
 
     def acquire(self, amount: int) -> None:
-        """Wait until there is room for `amount`, and take it.
-
-        Raises:
-            Stopped: it is over.
-        """
+        """Wait until there is room for `amount`, and take it."""
         with self._changed:
             room = self._limit
             while self._used > 0 and self._used + amount > room:
@@ -133,15 +136,11 @@ class Budget:
         """Give `amount` back."""
         with self._changed:
             self._used -= amount
-            if self._used <= self._limit // 2:  # before, nobody who waits could go on
+            if self._used <= self._limit // 2:  # no thread could go on earlier
                 self._changed.notify_all()
 
     def wait_until_free(self) -> None:
-        """Wait until nothing is under way.
-
-        Raises:
-            Stopped: it is over.
-        """
+        """Wait until nothing is under way."""
         with self._changed:
             while self._used > 0:
                 self._stop.check()
@@ -150,11 +149,7 @@ class Budget:
 
 
 def check_limits(connections: int, bytes_per_s: float | None) -> None:
-    """Refuse limits with which nothing would ever move.
-
-    Raises:
-        InvalidInput: one is not above zero.
-    """
+    """Raise InvalidInput for limits with which nothing would ever move."""
     if connections < 1:
         raise InvalidInput(what=f"connections={connections}", reason="it must be at least 1")
     if bytes_per_s is not None and not bytes_per_s > 0:

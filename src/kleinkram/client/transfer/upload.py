@@ -1,42 +1,45 @@
 """Uploading a plan. The same command, run again after any interruption, sends only what is missing.
 
-Files are announced to the server a batch at a time, just before they are sent, so that no lease runs out while others
-are sent. The pipeline sends the bytes.
+Files are announced to the server in batches, just before they are sent, so that no lease expires while others are
+sent. `UploadPipeline` sends the bytes.
 """
 
 import contextlib
-import threading
 import time
 import uuid
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from kleinkram.client._client import Client
-from kleinkram.client._network import NetworkMonitor
 from kleinkram.client.errors import FileChanged, FileUnreadable, TransferFailed, UploadElsewhere
-from kleinkram.client.transfer.file_upload import FileUpload
 from kleinkram.client.transfer.journal import Journal, JournalHead, Journals
-from kleinkram.client.transfer.link import LinkMonitor, LinkReport
+from kleinkram.client.transfer.link import LinkMonitor
 from kleinkram.client.transfer.local_file import FileHashes, OpenFile
 from kleinkram.client.transfer.plan import LocalFile, UploadPlan
-from kleinkram.client.transfer.report import Outcome, SilentObserver, TransferReport, TransferResult, Watcher
+from kleinkram.client.transfer.report import (
+    CONNECTIONS,
+    LinkReport,
+    Outcome,
+    ResultCollector,
+    TransferReport,
+    TransferResult,
+    Watcher,
+)
 from kleinkram.client.transfer.store import PATIENCE_S
-from kleinkram.client.transfer.threads import RateLimit, Stop, Stopped, check_limits
-from kleinkram.client.transfer.upload_pipeline import UploadPipeline
+from kleinkram.client.transfer.threads import RateLimit, Stop, check_limits
+from kleinkram.client.transfer.upload_pipeline import FileUpload, UploadPipeline
 from kleinkram.client.uploads import Uploads
 from kleinkram.contract.errors import KleinkramError, NameLeased, QuotaExceeded, UploadGone
 from kleinkram.contract.problems import from_problem
 from kleinkram.contract.uploads import (
     MIN_PART_BYTES,
     HashFirst,
-    Linked,
-    Present,
-    Refused,
     Send,
     UploadDecision,
     UploadFile,
     UploadRead,
+    UploadRefused,
 )
 
 _FIRST_BATCH_FILES = 16
@@ -44,6 +47,40 @@ _BATCH_FILES = 100
 _BATCH_BYTES = 128 * 1024 * 1024
 _LEASE_PATIENCE_S = 90.0
 _LEASE_POLL_S = 2.0
+
+
+def upload(
+    client: Client,
+    mission_id: uuid.UUID,
+    plan: UploadPlan,
+    *,
+    connections: int = CONNECTIONS,
+    bytes_per_s: float | None = None,
+    watcher: Watcher | None = None,
+) -> TransferReport:
+    """Upload the planned files into a mission and return the result for each.
+
+    One refused file does not stop the others. Memory does not grow with the size of files. A server or store that is
+    unavailable is retried for some minutes.
+
+    Raises:
+        ServerUnreachable, StoreUnreachable: one of them stayed unavailable.
+        KleinkramError: something else that concerns all files, such as a mission that was deleted.
+    """
+    check_limits(connections, bytes_per_s)
+    watcher = watcher or Watcher()
+    results = ResultCollector(watcher)
+    watcher.began(len(plan.files), plan.size_bytes)
+    uploader = Uploader(
+        client.uploads,
+        client.endpoint.url,
+        mission_id,
+        pace=RateLimit(bytes_per_s),
+        watcher=watcher,
+        ended=lambda result: results.add(result.path, result),
+    )
+    link = uploader.run(plan.files, connections)
+    return TransferReport(results.in_order([file.path for file in plan.files]), plan.left_out, link)
 
 
 @dataclass
@@ -56,14 +93,14 @@ class PendingFile:
     new_id: uuid.UUID = field(default_factory=uuid.uuid4)
 
     def announcement(self) -> UploadFile:
-        """Return what the server is told."""
-        notify: dict[str, object] = {"path": self.source.file.path, "size_bytes": self.source.file.size_bytes}
+        """Return the request to upload it."""
+        fields: dict[str, object] = {"path": self.source.file.path, "size_bytes": self.source.file.size_bytes}
         if self.whole is not None:
-            notify |= {"sha256": self.whole.sha256.hexdigest(), "crc64nvme": self.whole.crc64nvme.hexdigest()}
-        # By an id of our own: an answer may be lost, and its upload would hold the name against us.
+            fields |= {"sha256": self.whole.sha256.hexdigest(), "crc64nvme": self.whole.crc64nvme.hexdigest()}
+        # The client chooses the id: if an answer is lost, its upload must not block the name.
         remembered = self.journal.remembered
-        notify["upload_id"] = self.new_id if remembered is None else remembered.upload_id
-        return UploadFile.model_validate(notify)
+        fields["upload_id"] = self.new_id if remembered is None else remembered.upload_id
+        return UploadFile.model_validate(fields)
 
     def hash_whole(self, check: Callable[[], None]) -> None:
         """Read all of the file for its checksums; `check` may end it between two slices."""
@@ -71,6 +108,7 @@ class PendingFile:
         for view in self.source.slices(0, self.source.file.size_bytes):
             check()
             whole.update(view)
+        self.source.check_unchanged()
         self.whole = whole
 
     def close(self) -> None:
@@ -80,9 +118,9 @@ class PendingFile:
 
 
 class Uploader:
-    """One run of an upload into one mission. `ended` is called once a file, with its end; from any thread.
+    """One run of an upload into one mission. `ended` is called once per file, from any thread.
 
-    `journals` is where its journals are; by default, where this user's are.
+    `journals` is the folder of its journals; by default, in this user's state directory.
     """
 
     def __init__(
@@ -114,28 +152,24 @@ class Uploader:
         self._stop.now()
 
     def run(self, files: Sequence[LocalFile], connections: int) -> LinkReport:
-        """Upload the files; returns when each has ended, with how the link was.
+        """Upload the files; return when each has ended, with how the network was.
 
         Raises:
             KleinkramError: something that concerns all files; those that had not ended have not been uploaded.
         """
+
+        def send_all() -> None:
+            for batch in batches(files):
+                self._announce(batch)
+            self._settle_leased()
+            self._pipeline.drain()
+
         self._pipeline.start(connections)
-        failure: BaseException | None = None
         try:
-            with NetworkMonitor(self._link.moved), contextlib.suppress(Stopped):
-                for batch in batches(files):
-                    self._announce(batch)
-                self._settle_leased()
-                self._pipeline.drain()
-        except KleinkramError as error:
-            failure = error
+            self._link.watch(self._stop, self._server, send_all)
         finally:
             self._pipeline.close()
             self._journals.close()
-        failure = failure or self._stop.failure
-        if failure is not None:
-            self._link.explain(failure, self._server)
-            raise failure
         return self._link.report()
 
     def _wait_for_server(self, seconds: float) -> None:
@@ -143,90 +177,80 @@ class Uploader:
         self._stop.wait(seconds)
 
     def _announce(self, batch: Sequence[LocalFile]) -> None:
-        asking = [candidate for file in batch if (candidate := self._opened(file)) is not None]
+        pending = [candidate for file in batch if (candidate := self._open(file)) is not None]
         try:
-            while asking:
+            while pending:
                 self._stop.check()
                 try:
-                    decisions = self._begin(asking)
+                    requests = [candidate.announcement() for candidate in pending]
+                    decisions = self._uploads.begin(self._mission_id, requests).items
                 except QuotaExceeded as error:
-                    asking = [candidate for candidate in asking if self._refused(candidate, error)]
+                    pending = [candidate for candidate in pending if self._refuse(candidate, error)]
                     continue
-                answered = [*zip(asking, decisions, strict=True)]
-                # All written down before the first is sent: a kill from here on leaves none that cannot be resumed.
+                answered = [*zip(pending, decisions, strict=True)]
+                # All are recorded before the first is sent: a kill from here on leaves none that cannot be resumed.
                 for candidate, decision in answered:
                     if isinstance(decision, Send):
-                        self._write_down(candidate, decision.upload)
-                asking = [candidate for candidate, decision in answered if self._asks_again(candidate, decision)]
+                        self._record(candidate, decision.upload)
+                pending = [candidate for candidate, decision in answered if self._must_ask_again(candidate, decision)]
         except BaseException:
             self._stop.now()
-            for candidate in asking:
+            for candidate in pending:
                 candidate.close()
             raise
 
-    def _begin(self, asking: Sequence[PendingFile]) -> Sequence[UploadDecision]:
-        return self._uploads.begin(self._mission_id, [candidate.announcement() for candidate in asking]).items
-
-    def _opened(self, file: LocalFile) -> PendingFile | None:
+    def _open(self, file: LocalFile) -> PendingFile | None:
         """Open a file and its journal, and hash it when it is small."""
-        journal: Journal | None = None
-        source: OpenFile | None = None
-        try:
-            journal = self._journals.open(self._server, self._mission_id, file)
-            source = OpenFile(file)
-            candidate = PendingFile(source, journal)
-            self._drop_other_size(candidate)
-            if file.size_bytes <= MIN_PART_BYTES:
-                candidate.hash_whole(self._stop.check)
-                source.check_unchanged()
-        except (FileChanged, FileUnreadable, UploadElsewhere) as error:
-            for opened in (journal, source):
-                if opened is not None:
-                    opened.close()
-            self._end_refused(file, error)
-            return None
+        with contextlib.ExitStack() as opened:
+            try:
+                journal = self._journals.open(self._server, self._mission_id, file)
+                opened.callback(journal.close)
+                source = OpenFile(file)
+                opened.callback(source.close)
+                candidate = PendingFile(source, journal)
+                remembered = journal.remembered
+                if remembered is not None and remembered.size_bytes != file.size_bytes:
+                    with contextlib.suppress(KleinkramError):  # without this the upload expires
+                        self._uploads.abort(remembered.upload_id)
+                    journal.remembered = None
+                if file.size_bytes <= MIN_PART_BYTES:
+                    candidate.hash_whole(self._stop.check)
+            except (FileChanged, FileUnreadable, UploadElsewhere) as error:
+                opened.close()
+                self._end_refused(file, error)
+                return None
+            opened.pop_all()
         return candidate
 
-    def _drop_other_size(self, candidate: PendingFile) -> None:
-        remembered = candidate.journal.remembered
-        if remembered is not None and remembered.size_bytes != candidate.source.file.size_bytes:
-            with contextlib.suppress(KleinkramError):  # it expires by itself where this cannot be notify
-                self._uploads.abort(remembered.upload_id)
-            candidate.journal.remembered = None
-
-    def _asks_again(self, candidate: PendingFile, decision: UploadDecision) -> bool:
-        """Act on the server's decision; return True when it wants to be asked again, with what it lacked."""
+    def _must_ask_again(self, candidate: PendingFile, decision: UploadDecision) -> bool:
+        """Act on the server's decision; return True for a file to announce again, with what the server lacked."""
         file = candidate.source.file
-        if isinstance(decision, HashFirst):
-            return self._hash_first(candidate)
-        if isinstance(decision, Refused):
-            return self._refused(candidate, from_problem(decision.problem))
-        if isinstance(decision, Present | Linked):
-            candidate.journal.forget()
-            candidate.close()
-            self._watcher.skipped(file.path, file.size_bytes, file.size_bytes)
-            outcome = Outcome(decision.decision)
-            existing = decision.file
-            file_id, sha256 = (existing.id, existing.sha256) if existing else (None, _known_hash(candidate))
-            result = TransferResult(file.path, file.source, file.size_bytes, outcome, 0, file_id, sha256)
-            self._ended(result)
-        else:
+        if isinstance(decision, Send):
             self._pipeline.submit(FileUpload(candidate.source, candidate.journal, decision, candidate.whole))
+            return False
+        if isinstance(decision, UploadRefused):
+            return self._refuse(candidate, from_problem(decision.problem))
+        if isinstance(decision, HashFirst):
+            if candidate.whole is not None:
+                reason = "the server asks for a checksum that it was given"
+                return self._refuse(candidate, TransferFailed(path=file.path, reason=reason))
+            try:
+                candidate.hash_whole(self._stop.check)
+            except (FileChanged, FileUnreadable) as unusable:
+                return self._refuse(candidate, unusable)
+            return True
+        candidate.journal.forget()
+        candidate.close()
+        self._watcher.skipped(file.path, file.size_bytes, file.size_bytes)
+        existing = decision.file
+        sha256 = candidate.whole.sha256.hexdigest() if candidate.whole else None
+        file_id, sha256 = (existing.id, existing.sha256) if existing else (None, sha256)
+        outcome = Outcome(decision.decision)
+        self._ended(TransferResult(file.path, file.source, file.size_bytes, outcome, 0, file_id, sha256))
         return False
 
-    def _hash_first(self, candidate: PendingFile) -> bool:
-        file = candidate.source.file
-        if candidate.whole is not None:
-            error = TransferFailed(path=file.path, reason="the server asks for a checksum that it was given")
-            return self._refused(candidate, error)
-        try:
-            candidate.hash_whole(self._stop.check)
-            candidate.source.check_unchanged()
-        except (FileChanged, FileUnreadable) as unusable:
-            return self._refused(candidate, unusable)
-        return True
-
-    def _refused(self, candidate: PendingFile, error: KleinkramError) -> bool:
+    def _refuse(self, candidate: PendingFile, error: KleinkramError) -> bool:
+        """End a file; return True for one whose earlier upload is gone, which begins anew."""
         if isinstance(error, UploadGone) and candidate.journal.remembered is not None:
             candidate.journal.remembered = None
             return True
@@ -238,7 +262,7 @@ class Uploader:
             self._end_refused(file, error)
         return False
 
-    def _write_down(self, candidate: PendingFile, upload: UploadRead) -> None:
+    def _record(self, candidate: PendingFile, upload: UploadRead) -> None:
         file = candidate.source.file
         head = JournalHead(
             server=self._server,
@@ -251,29 +275,25 @@ class Uploader:
         candidate.journal.begin(head, durable=file.size_bytes > upload.part_size_bytes)
 
     def _settle_leased(self) -> None:
-        """Wait for names that another client holds; one that died holds them for a minute at most.
+        """Wait for names that other clients hold: the lease of a dead client ends within a minute.
 
         A lease that is renewed meanwhile belongs to a client that lives: that file is refused at once.
         """
         gives_up_at = time.monotonic() + _LEASE_PATIENCE_S
         waiting, self._leased = self._leased, {}
         if waiting:
-            self._watcher.notify(f"waiting for {_named(waiting)}: held by an upload that may have died")
-        while waiting:
-            if time.monotonic() > gives_up_at:
-                self._end_all(waiting)
-                return
+            first, more = next(iter(waiting)).path, len(waiting) - 1
+            named = f"{first} and {more} more" if more else first
+            self._watcher.notify(f"waiting for {named}: held by an upload that may have died")
+        while waiting and time.monotonic() <= gives_up_at:
             self._stop.wait(_LEASE_POLL_S)
             self._announce([*waiting])
-            again, self._leased = self._leased, {}
-            waiting, renewed = (
-                {file: error for file, error in again.items() if _same_lease(error, waiting[file]) is same}
-                for same in (True, False)
-            )
-            self._end_all(renewed)
-
-    def _end_all(self, refused: Mapping[LocalFile, KleinkramError]) -> None:
-        for file, error in refused.items():
+            leased, self._leased = self._leased, {}
+            for file, error in [*leased.items()]:
+                if error.lease_ends_at != waiting[file].lease_ends_at:
+                    self._end_refused(file, leased.pop(file))
+            waiting = leased
+        for file, error in waiting.items():
             self._end_refused(file, error)
 
     def _end_refused(self, file: LocalFile, error: KleinkramError) -> None:
@@ -295,55 +315,3 @@ def batches(files: Iterable[LocalFile]) -> Iterator[list[LocalFile]]:
         size += file.size_bytes
     if batch:
         yield batch
-
-
-def _known_hash(candidate: PendingFile) -> str | None:
-    return candidate.whole.sha256.hexdigest() if candidate.whole else None
-
-
-def _same_lease(now: NameLeased, then: NameLeased) -> bool:
-    return now.lease_ends_at == then.lease_ends_at
-
-
-def _named(files: Iterable[LocalFile]) -> str:
-    paths = [file.path for file in files]
-    return paths[0] if len(paths) == 1 else f"{paths[0]} and {len(paths) - 1} more"
-
-
-CONNECTIONS = 4
-
-
-def upload(
-    client: Client,
-    mission_id: uuid.UUID,
-    plan: UploadPlan,
-    *,
-    connections: int = CONNECTIONS,
-    bytes_per_s: float | None = None,
-    watcher: Watcher | None = None,
-) -> TransferReport:
-    """Upload the planned files into a mission and return how each ended.
-
-    One refused file does not stop the others. Memory does not grow with the size of files. A server or store that is
-    away for up to some minutes is waited for.
-
-    Raises:
-        ServerUnreachable, StoreUnreachable: one of them stayed away.
-        KleinkramError: something else that concerns all files, such as a mission that was deleted.
-    """
-    check_limits(connections, bytes_per_s)
-    watcher = watcher or SilentObserver()
-    results: dict[str, TransferResult] = {}
-    lock = threading.Lock()
-
-    def ended(result: TransferResult) -> None:
-        with lock:
-            results[result.path] = result
-        watcher.ended(result.path, result.outcome.value, str(result.error) if result.error else None)
-
-    watcher.began(len(plan.files), plan.size_bytes)
-    uploader = Uploader(
-        client.uploads, client.endpoint.url, mission_id, pace=RateLimit(bytes_per_s), watcher=watcher, ended=ended
-    )
-    link = uploader.run(plan.files, connections)
-    return TransferReport([results[file.path] for file in plan.files], plan.left_out, link)

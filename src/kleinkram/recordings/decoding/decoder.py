@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -51,15 +52,10 @@ def json_decode(name: str) -> Callable[[bytes], Any]:
 
 
 def _is_deep(value: Any) -> bool:
-    level = [value]
+    level = [value] if isinstance(value, (dict, list)) else []
     for _ in range(MAX_JSON_DEPTH):
-        level = [
-            part
-            for whole in level
-            if isinstance(whole, (dict, list))
-            for part in (whole.values() if isinstance(whole, dict) else whole)
-            if isinstance(part, (dict, list))
-        ]
+        parts = [part for whole in level for part in (whole.values() if isinstance(whole, dict) else whole)]
+        level = [part for part in parts if isinstance(part, (dict, list))]
         if not level:
             return False
     return True
@@ -135,7 +131,6 @@ def _in_order(files: dict[str, Any]) -> list[Any]:
 
 
 def _known_file(name: str) -> Any:
-    """Return the description of one of Google's own files."""
     from google.protobuf import (  # noqa: F401  # importing them makes them known to the default pool
         any_pb2,
         descriptor_pb2,
@@ -232,19 +227,15 @@ def _well_known(name: str, structs: list[Struct]) -> Decoder:
         try:
             return first(data)
         except DecodeError:
-            fitting = [value for other in others if (value := _decoded(other, data)) is not None]
+            fitting: list[Value] = []
+            for other in others:
+                with suppress(DecodeError):
+                    fitting.append(other(data))
             if len(fitting) != 1:
                 raise
             return fitting[0]
 
     return Decoder(name, "cdr", decode if others else first, structs[0], layout_of(structs[0]))
-
-
-def _decoded(decode: Decode, data: bytes) -> Value | None:
-    try:
-        return decode(data)
-    except DecodeError:
-        return None
 
 
 _PARSERS: dict[tuple[str, str], Callable[[str, str], Struct]] = {

@@ -48,9 +48,7 @@ def generate(root: Struct, wire: Wire) -> Decode:
     writer = _CodeWriter(wire, reads)
     writer.namespace.update(
         errors=(struct.error, ValueError, IndexError, OverflowError, TypeError),
-        fail=_fail_for(root.name),
-        short=_short_for(root.name),
-        left_over=_left_over_for(root.name),
+        **_failures(root.name),
         read_wide=read_wide,
         numbers=reads.numbers,
         flags=reads.flags,
@@ -70,35 +68,28 @@ def generate(root: Struct, wire: Wire) -> Decode:
     return decode
 
 
-def _fail_for(name: str) -> Callable[[bytes, int, Exception | None], NoReturn]:
+def _failures(name: str) -> dict[str, Callable[..., NoReturn]]:
+    """Return the functions that raise what is wrong with a message of a type."""
+
     def fail(data: bytes, offset: int, error: Exception | None) -> NoReturn:
-        raise DecodeError(
-            name, f"the {len(data)} bytes end too early or are not such a message", offset=offset
-        ) from error
+        message = f"the {len(data)} bytes end too early or are not such a message"
+        raise DecodeError(name, message, offset=offset) from error
 
-    return fail
-
-
-def _short_for(name: str) -> Callable[[int, int, int], NoReturn]:
     def short(claimed: int, size: int, offset: int) -> NoReturn:
         message = f"{claimed} elements or bytes are claimed; the message has {size} bytes"
         raise DecodeError(name, message, offset=offset)
 
-    return short
-
-
-def _left_over_for(name: str) -> Callable[[int, int], NoReturn]:
     def left_over(size: int, offset: int) -> NoReturn:
         message = f"{size - offset} of its {size} bytes are left over: the definition does not match the message"
         raise DecodeError(name, message, offset=offset)
 
-    return left_over
+    return {"fail": fail, "short": short, "left_over": left_over}
 
 
 class _CodeWriter:
     """Collects the lines of one function and tracks what is known of the read position.
 
-    The position is `o + ahead`; `modulus` and `residue` say what is known of it, counted from the start.
+    The position is `o + ahead`; counted from the start, it is `residue` modulo `modulus`.
     """
 
     def __init__(self, wire: Wire, reads: NumberReader) -> None:
@@ -232,9 +223,6 @@ class _CodeWriter:
         else:
             self._settle(1)
             count = str(kind.length)
-        self._elements(kind, count, target)
-
-    def _elements(self, kind: Array, count: str, target: str) -> None:
         least, objects = least_size(kind.element, self._wire), 1 + object_count(kind.element)
         self.line(f"left -= {count} * {objects}")
         self.line(f"if left < 0 or {count} * {least} > size - o: short({count}, size, o)")

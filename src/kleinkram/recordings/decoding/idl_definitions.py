@@ -61,7 +61,6 @@ class _Scope:
     constants: dict[str, ConstantValue] = field(default_factory=dict)
 
     def declares(self, path: str) -> bool:
-        """Return whether a path names a type."""
         return path in self.typedefs or path in self.structs or path in self.enums
 
 
@@ -111,7 +110,6 @@ class _Definitions:
         return None
 
     def get(self, path: str) -> Definition:
-        """Return the definition of a struct that is there."""
         if path not in self._built:
             fields = tuple(self._unalias(text, path) for text in self._scope.structs[path])
             self._built[path] = Definition(path, fields, constants_of(self._constants.get(f"{path}_Constants", {})))
@@ -156,8 +154,6 @@ def _tokens(text: str) -> list[str]:
 
 
 class _IdlParser:
-    """Parses the tokens of one file into a scope."""
-
     def __init__(self, text: str, scope: _Scope) -> None:
         self._tokens = _tokens(text)
         self._at = 0
@@ -178,7 +174,8 @@ class _IdlParser:
             elif word == "struct":
                 self._struct(modules)
             elif word == "typedef":
-                self._typedef(modules)
+                for member in self._members(modules):
+                    self._scope.typedefs[modules + member.name] = (member.type_name, modules, member.lengths)
             elif word == "enum":
                 self._enum(modules, annotations)
             elif word == "const":
@@ -209,14 +206,17 @@ class _IdlParser:
         type_name, inner = self._type(owner, 0)
         fields = []
         while True:
-            name, lengths = self._declarator(owner)
-            fields.append(FieldText(name, type_name, inner + lengths))
-            if self._next_of(",", ";") == ";":
+            name = self._identifier()
+            lengths: list[int | None] = []
+            while self._peek() == "[":
+                self._next()
+                lengths.insert(0, self._length(owner))
+                self._expect("]")
+                if len(lengths) > MAX_LOOPS:
+                    raise SchemaError(f"{name[:100]} is an array in more than {MAX_LOOPS} dimensions")
+            fields.append(FieldText(name, type_name, (*inner, *lengths)))
+            if self._expect(",", ";") == ";":
                 return fields
-
-    def _typedef(self, modules: str) -> None:
-        for member in self._members(modules):
-            self._scope.typedefs[modules + member.name] = (member.type_name, modules, member.lengths)
 
     def _enum(self, modules: str, annotations: dict[str, str]) -> None:
         path = modules + self._identifier()
@@ -245,7 +245,7 @@ class _IdlParser:
                 raise SchemaError(f"sequences nest more than {MAX_DEPTH} deep")
             self._expect("<")
             name, lengths = self._type(owner, depth + 1)
-            if self._next_of(",", ">") == ",":
+            if self._expect(",", ">") == ",":
                 self._length(owner)
                 self._expect(">")
             return name, (*lengths, None)
@@ -262,17 +262,6 @@ class _IdlParser:
         if not re.match(r"(::)?[A-Za-z_]", word):
             raise SchemaError(f"'{word[:40]}' is not a type")
         return _NAMES.get(word, word), ()
-
-    def _declarator(self, owner: str) -> tuple[str, tuple[int | None, ...]]:
-        name = self._identifier()
-        lengths: list[int | None] = []
-        while self._peek() == "[":
-            self._next()
-            lengths.insert(0, self._length(owner))
-            self._expect("]")
-            if len(lengths) > MAX_LOOPS:
-                raise SchemaError(f"{name[:100]} is an array in more than {MAX_LOOPS} dimensions")
-        return name, tuple(lengths)
 
     def _length(self, owner: str) -> int:
         word = self._next()
@@ -313,17 +302,14 @@ class _IdlParser:
         self._at += 1
         return word
 
-    def _next_of(self, *words: str) -> str:
+    def _expect(self, *words: str) -> str:
         word = self._next()
         if word not in words:
             raise SchemaError(f"'{word[:40]}' is not one of {' '.join(words)}")
         return word
 
-    def _expect(self, word: str) -> None:
-        self._next_of(word)
-
     def _identifier(self) -> str:
-        """Return a simple name; a leading "_" only says that it is no keyword of IDL."""
+        """Return a simple name; a leading "_" only marks it as no keyword of IDL."""
         word = self._next()
         if not re.fullmatch(r"[A-Za-z_]\w*", word, re.ASCII):
             raise SchemaError(f"'{word[:40]}' is not a name")

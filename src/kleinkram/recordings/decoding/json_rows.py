@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import pyarrow as pa
@@ -31,12 +32,8 @@ class JsonArrays:
         self._log_ns = log_ns
         self._notice = notice
 
-    def build(self, values: list[Any]) -> Any:
-        """Return one array of all messages; never raises because of a value."""
-        return self.build_field("", values)
-
-    def build_field(self, name: str, values: list[Any]) -> Any:
-        """Return the array of one field of all messages; never raises because of a value."""
+    def build(self, values: list[Any], name: str = "") -> Any:
+        """Return one array of all messages, or of one field of them; never raises because of a value."""
         return self._array(name, values, list(range(len(values))))
 
     def _array(self, name: str, values: list[Any], rows: list[int]) -> Any:
@@ -54,7 +51,7 @@ class JsonArrays:
         if kind == "number":
             return self._numbers(name, values, rows)
         if kind == "text":
-            return pa.array(self._checked(name, "text", values, rows, _is_utf8), pa.string())
+            return pa.array(self._checked(name, "text", values, rows, partial(_fits, str.encode)), pa.string())
         return pa.array(values)
 
     def _structs(self, name: str, values: list[Any], rows: list[int]) -> Any:
@@ -83,7 +80,7 @@ class JsonArrays:
     def _numbers(self, name: str, values: list[Any], rows: list[int]) -> Any:
         present = [value for value in values if value is not None]
         if any(isinstance(value, float) for value in present):
-            values = self._checked(name, "float64", values, rows, _is_float)
+            values = self._checked(name, "float64", values, rows, partial(_fits, float))
             return pa.array([None if value is None else float(value) for value in values], pa.float64())
         needs_unsigned = any(value not in _INT64 for value in present) and all(value >= 0 for value in present)
         kind, bounds = ("uint64", _UINT64) if needs_unsigned else ("int64", _INT64)
@@ -99,7 +96,10 @@ class JsonArrays:
             is_fitting = value is None or fits(value)
             fitting.append(value if is_fitting else None)
             if not is_fitting:
-                self._notice(self._log_ns[row], _misfit(self._type_name, name or "value", kind, value))
+                is_short = not isinstance(value, int) or value.bit_length() < 256
+                shown = ascii(value)[:_SHOWN] if is_short else "a number beyond all columns"
+                message = f"its field '{(name or 'value')[:100]}' is {shown}, which a column of {kind} cannot hold"
+                self._notice(self._log_ns[row], DecodeError(self._type_name, message))
         return fitting
 
 
@@ -113,7 +113,7 @@ def joined(type_name: str, tables: Iterable[Any], notice: Callable[[int, DecodeE
         except pa.ArrowException:
             log_ns = [stamp for place in having for stamp in tables[place]["log_time_ns"].to_pylist()]
             values = [value for place in having for value in tables[place][name].to_pylist()]
-            array = JsonArrays(type_name, log_ns, notice).build_field(name, values)
+            array = JsonArrays(type_name, log_ns, notice).build(values, name)
             at = 0
             for place in having:
                 table = tables[place]
@@ -121,11 +121,6 @@ def joined(type_name: str, tables: Iterable[Any], notice: Callable[[int, DecodeE
                 tables[place] = table.set_column(table.column_names.index(name), name, column)
                 at += len(table)
     return pa.concat_tables(tables, promote_options="permissive")
-
-
-def _misfit(type_name: str, name: str, kind: str, value: object) -> DecodeError:
-    shown = ascii(value) if not isinstance(value, int) or value.bit_length() < 256 else "a number beyond all columns"
-    return DecodeError(type_name, f"its field '{name[:100]}' is {shown[:_SHOWN]}, which a column of {kind} cannot hold")
 
 
 def _kind(value: object) -> str:
@@ -140,18 +135,10 @@ def _kind(value: object) -> str:
     return "list" if isinstance(value, list) else "bytes"
 
 
-def _is_float(value: float) -> bool:
+def _fits(convert: Callable[[Any], object], value: object) -> bool:
     try:
-        float(value)
-    except OverflowError:
-        return False
-    return True
-
-
-def _is_utf8(text: str) -> bool:
-    try:
-        text.encode()
-    except UnicodeEncodeError:
+        convert(value)
+    except (OverflowError, UnicodeEncodeError):
         return False
     return True
 
@@ -171,18 +158,21 @@ class JsonRows:
             array = pa.array(values)
         except (ValueError, TypeError, OverflowError, pa.ArrowException):
             array = JsonArrays(self._decoder.type_name, log_ns, self._notice).build(values)
-        named = _named_once(_flattened("", array))
+        # Names that are taken get a "_" behind them: {"a.b": 1, "a": {"b": 2}} has two columns.
+        named, taken = [], set(TIME_COLUMNS)
+        for name, part in _flattened("", array):
+            while name in taken:
+                name += "_"
+            taken.add(name)
+            named.append((name, part))
         if self._fields is not None:
-            self._check([name for name, _ in named] if values else list(self._fields))
+            names = [name for name, _ in named]
+            for field in self._fields if values else ():
+                if not any(_below(name, field) for name in names):
+                    message = f"there is no field '{field}'; there are {', '.join(names[:40])}"
+                    raise NoSuchField(self._decoder.type_name, message)
             named = [(name, part) for name, part in named if any(_below(name, field) for field in self._fields)]
         return timed_batch(log_ns, publish_ns, [name for name, _ in named], [part for _, part in named])
-
-    def _check(self, names: list[str]) -> None:
-        for field in self._fields or ():
-            if not any(_below(name, field) for name in names):
-                raise NoSuchField(
-                    self._decoder.type_name, f"there is no field '{field}'; there are {', '.join(names[:40])}"
-                )
 
     def _decoded(self, log_ns: int, data: bytes) -> Any:
         try:
@@ -191,18 +181,6 @@ class JsonRows:
             self._notice(log_ns, error)
             return None
         return value if isinstance(value, dict) else {"value": value}
-
-
-def _named_once(named: list[tuple[str, Any]]) -> list[tuple[str, Any]]:
-    """Put "_" behind names that are taken: {"a.b": 1, "a": {"b": 2}} has two columns."""
-    taken = set(TIME_COLUMNS)
-    unique = []
-    for name, array in named:
-        while name in taken:
-            name += "_"
-        taken.add(name)
-        unique.append((name, array))
-    return unique
 
 
 def _below(name: str, field: str) -> bool:

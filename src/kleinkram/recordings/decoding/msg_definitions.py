@@ -234,26 +234,17 @@ def well_known_definitions(name: str) -> list[str]:
     root = short_name(name)
     if root not in known or (name.count("/") > 1 and "/msg/" not in name):
         return []
-    needed = _needed(root)
-    default = {needed_name: known[needed_name][0] for needed_name in needed}
-    others = [{**default, changed: other} for changed in needed for other in known[changed][1:]]
-    return [_joined(root, definitions) for definitions in (default, *others)]
-
-
-def _needed(root: str) -> list[str]:
-    """Return a type and all that any of its definitions mention, at whatever depth."""
-    known = known_definitions()
     needed = [root]
-    for name in needed:
-        package = name.partition("/")[0]
-        lines = [line for definition in known[name] for line in definition.splitlines()]
+    for needed_name in needed:  # which grows by all that any definition mentions
+        package = needed_name.partition("/")[0]
+        lines = [line for definition in known[needed_name] for line in definition.splitlines()]
         for kind in (line.partition(" ")[0].partition("[")[0] for line in lines):
             full = kind if "/" in kind else f"{package}/{kind}"
             if full in known and full not in needed:
                 needed.append(full)
-    return needed
-
-
-def _joined(root: str, definitions: dict[str, str]) -> str:
-    others = (f"===\nMSG: {name}\n{text}" for name, text in definitions.items() if name != root)
-    return "\n".join([definitions[root] or "# no fields", *others])
+    default = {needed_name: known[needed_name][0] for needed_name in needed}
+    others = [{**default, changed: other} for changed in needed for other in known[changed][1:]]
+    return [
+        "\n".join([texts.pop(root) or "# no fields", *(f"===\nMSG: {one}\n{text}" for one, text in texts.items())])
+        for texts in (default, *others)
+    ]

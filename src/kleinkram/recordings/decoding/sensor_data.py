@@ -29,6 +29,7 @@ from __future__ import annotations
 import io
 import re
 import struct
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from kleinkram.recordings.decoding.types import MAX_IMAGE_PIXELS, MAX_POINT_FIELDS, DecodeError, ReadingExtraMissing
@@ -51,10 +52,16 @@ def decode_image(data: Any, name: str) -> NDArray[Any]:
     from PIL import Image
 
     try:
-        with Image.open(io.BytesIO(data), formats=_FORMATS) as picture:
+        with Image.open(io.BytesIO(data), formats=_FORMATS) as opened:
+            picture: Image.Image = opened
             if picture.width * picture.height > MAX_IMAGE_PIXELS:
                 raise DecodeError(name, f"{picture.width} x {picture.height} pixels are more than {MAX_IMAGE_PIXELS}")
-            array = np.asarray(_in_array_mode(picture))
+            if picture.mode == "1":
+                picture = picture.convert("L")
+            elif picture.mode not in ("L", "RGB", "RGBA") and not picture.mode.startswith("I"):
+                has_alpha = "transparency" in picture.info or picture.mode.endswith("A")
+                picture = picture.convert("RGBA" if has_alpha else "RGB")
+            array = np.asarray(picture)
     except (Image.DecompressionBombError, Image.DecompressionBombWarning):
         raise DecodeError(name, f"an image of more than {MAX_IMAGE_PIXELS} pixels") from None
     except _BROKEN as error:
@@ -62,15 +69,6 @@ def decode_image(data: Any, name: str) -> NDArray[Any]:
     if array.dtype.kind in "ui" and array.dtype.itemsize > 1:
         array = array.astype(np.uint16)
     return array[..., np.newaxis] if array.ndim == 2 else array
-
-
-def _in_array_mode(picture: Any) -> Any:
-    """Return an image in a mode that numpy can represent."""
-    if picture.mode in ("L", "RGB", "RGBA") or picture.mode.startswith("I"):
-        return picture
-    if picture.mode == "1":
-        return picture.convert("L")
-    return picture.convert("RGBA" if "transparency" in picture.info or picture.mode.endswith("A") else "RGB")
 
 
 def uncompressed_depth(data: Any, form: str, name: str) -> NDArray[Any]:
@@ -107,19 +105,23 @@ def image(value: object) -> NDArray[Any]:
         DecodeError: it has none, its sizes are inconsistent, or its encoding is unknown.
         ReadingExtraMissing: numpy or pillow is not installed.
     """
-    _require_numpy()
+    _require("numpy")
     if part(value, "encoding") is not None and part(value, "height") is not None:
         return _raw(value)
-    if part(value, "format") is not None and part(value, "data") is not None:
-        return _compressed(value)
-    raise DecodeError(type_name(value), "it has no image")
+    if part(value, "format") is None or part(value, "data") is None:
+        raise DecodeError(type_name(value), "it has no image")
+    _require("PIL", "pillow")
+    form, data = str(part(value, "format")).lower(), payload(value)
+    if "compresseddepth" in form:
+        return uncompressed_depth(data, form, type_name(value))
+    return decode_image(data, type_name(value))
 
 
-def _require_numpy() -> None:
+def _require(module: str, library: str = "") -> None:
     try:
-        import numpy  # noqa: F401  # checks that it is installed
+        import_module(module)
     except ImportError:
-        raise ReadingExtraMissing("numpy") from None
+        raise ReadingExtraMissing(library or module) from None
 
 
 def _raw(value: object) -> NDArray[Any]:
@@ -196,17 +198,6 @@ def _rgb(luma: NDArray[Any], u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.uin
     return bounded
 
 
-def _compressed(value: object) -> NDArray[Any]:
-    form, data = str(part(value, "format")).lower(), payload(value)
-    try:
-        import PIL  # noqa: F401  # checks that it is installed
-    except ImportError:
-        raise ReadingExtraMissing("pillow") from None
-    if "compresseddepth" in form:
-        return uncompressed_depth(data, form, type_name(value))
-    return decode_image(data, type_name(value))
-
-
 _ROS_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _FOXGLOVE_TYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
 
@@ -218,10 +209,7 @@ def points(value: object) -> NDArray[Any]:
         DecodeError: it has none, or its sizes are inconsistent.
         ReadingExtraMissing: numpy is not installed.
     """
-    try:
-        import numpy  # noqa: F401  # checks that it is installed
-    except ImportError:
-        raise ReadingExtraMissing("numpy") from None
+    _require("numpy")
     if part(value, "fields") is None or part(value, "data") is None:
         raise DecodeError(type_name(value), "it has no point cloud")
     data = payload(value)
@@ -248,7 +236,6 @@ def _view(shape: tuple[int, ...], dtype: Any, data: Any, strides: tuple[int, ...
 
 
 def _point_type(value: object, step: int, types: dict[int, str], key: str, order: str) -> Any:
-    """Return the dtype of a point."""
     import numpy as np
 
     name = type_name(value)

@@ -146,8 +146,7 @@ def timed_batch(log_ns: list[int], publish_ns: list[int], names: list[str], arra
     return pa.RecordBatch.from_arrays(columns, names=[*TIME_COLUMNS, *names])
 
 
-TimedMessage = tuple[int, int, bytes]
-"""(log time, publish time, bytes); times in nanoseconds."""
+TimedMessage = tuple[int, int, bytes]  # (log time, publish time, bytes); times in nanoseconds
 
 
 def _ignore(log_time_ns: int, error: DecodeError) -> None:

@@ -1,6 +1,6 @@
 """ROS messages as Arrow batches: messages of one shape are read together, the others one by one.
 
-A shape says where each value lies in a message. Two messages have the same shape exactly if they have the same size
+A shape is the positions of the values in a message. Two messages have the same shape exactly if they have the same size
 and the same bytes wherever a length is written, and most messages of a topic do. Such messages form rows of a byte
 matrix, and the columns of the table are cut out of it without decoding any message by itself.
 """
@@ -8,7 +8,6 @@ matrix, and the columns of the table are cut out of it without decoding any mess
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -136,18 +135,15 @@ class _ShapeReader:
             self._length()
         count = self._length() if kind.length is None else kind.length
         if not is_numbers(kind):
-            return Parts(tuple(self._elements(kind.element, count)))
+            if count > _MAX_NODES:
+                raise NoShape
+            return Parts(tuple(self._read(kind.element) for _ in range(count)))
         if not isinstance(kind.element, Primitive):
             raise NoShape
         if count:
             self._align(kind.element.size)
         self.at += count * kind.element.size
         return Numbers(self.at - count * kind.element.size, count, kind.element)
-
-    def _elements(self, kind: Type, count: int) -> Iterator[Node]:
-        if count > _MAX_NODES:
-            raise NoShape
-        return (self._read(kind) for _ in range(count))
 
     def _length(self) -> int:
         self._align(4)
@@ -184,7 +180,6 @@ class _ColumnReader:
         self._order = order
 
     def array(self, node: Node, kind: Type) -> Any:
-        """Return the values of one node in all rows."""
         if isinstance(node, Number):
             return arrow_of(self._numbers(node.offset, 1, node.kind))
         if isinstance(node, Text):
@@ -232,9 +227,9 @@ class _ColumnReader:
 
     def _listed(self, values: Any, count: int, kind: Array) -> Any:
         if kind.length is not None:
-            return (
-                pa.FixedSizeListArray.from_arrays(values, type=arrow_type(kind)) if count else _empty(self._rows, kind)
-            )
+            if not count:
+                return pa.array([[]] * len(self._rows), arrow_type(kind))
+            return pa.FixedSizeListArray.from_arrays(values, type=arrow_type(kind))
         return pa.ListArray.from_arrays(arrow_of(self._offsets(count)), values)
 
     def _offsets(self, length: int) -> Any:
@@ -250,13 +245,8 @@ class _ColumnReader:
         return pa.array([str(row.tobytes(), "utf-8", "replace") for row in cut], pa.string())
 
     def _strings(self, length: int, joined: Any) -> Any:
-        """Return consecutive texts of `length` bytes each."""
         buffers = [None, pa.py_buffer(self._offsets(length)), pa.py_buffer(joined)]
         return pa.Array.from_buffers(pa.string(), len(self._rows), buffers)
-
-
-def _empty(rows: Any, kind: Array) -> Any:
-    return pa.array([[]] * len(rows), arrow_type(kind))
 
 
 class TypedRows:
@@ -272,9 +262,11 @@ class TypedRows:
         """Return the batch of some messages."""
         groups: list[tuple[Any, list[Any]]] = []
         single: list[int] = []
-        for places in _by_size(data):
-            left = self._shaped(places, data, groups)
-            single += left.tolist()
+        sizes = np.fromiter(map(len, data), np.int64, len(data))
+        by_size = np.argsort(sizes, kind="stable")
+        ends = np.flatnonzero(np.diff(sizes[by_size])) + 1
+        for places in np.split(by_size, ends) if len(data) else ():
+            single += self._shaped(places, data, groups).tolist()
         if single or not groups:
             single.sort()
             values = [self._decoded(log_ns[place], data[place]) for place in single]
@@ -313,14 +305,6 @@ class TypedRows:
         except DecodeError as error:
             self._notice(log_ns, error)
             return None
-
-
-def _by_size(data: list[bytes]) -> Iterator[Any]:
-    """Yield the indices of the messages of one size, for each size."""
-    sizes = np.fromiter(map(len, data), np.int64, len(data))
-    order = np.argsort(sizes, kind="stable")
-    ends = np.flatnonzero(np.diff(sizes[order])) + 1
-    yield from np.split(order, ends) if len(order) else ()
 
 
 def _column(column: TableColumn, values: list[Any]) -> Any:

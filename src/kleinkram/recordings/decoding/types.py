@@ -16,41 +16,21 @@ from kleinkram.recordings.errors import RecordingError
 MAX_SCHEMA_BYTES = 2 * 2**20
 """Bytes of one schema's text. The largest ROS types have about 100 KB with all that they need."""
 
-MAX_TYPES = 2000
-"""Types that one schema may define."""
-
-MAX_FIELDS = 6000
-"""Fields of a type after all nested types are written out: this bounds the size of generated code."""
-
-MAX_DEPTH = 24
-"""How deep types may nest."""
-
-MAX_LOOPS = 12
-"""How deep arrays of types may nest: Python allows 20 blocks in one function."""
-
-MAX_ARRAY = 2**31
-"""Elements of an array of fixed length."""
-
-MAX_OBJECTS = 1_000_000
-"""Objects (nested values and arrays) that one message may turn into: at most about 200 MB."""
-
-MAX_JSON_VALUES = 2_000_000
-"""Values in one JSON message, by the commas and brackets in it."""
-
-MAX_JSON_DEPTH = 100
-"""How deep JSON may nest."""
+MAX_TYPES = 2000  # types that one schema may define
+MAX_FIELDS = 6000  # fields of a type after all nested types are written out: this bounds the size of generated code
+MAX_DEPTH = 24  # how deep types may nest
+MAX_LOOPS = 12  # how deep arrays of types may nest: Python allows 20 blocks in one function
+MAX_ARRAY = 2**31  # elements of an array of fixed length
+MAX_OBJECTS = 1_000_000  # objects (nested values and arrays) that one message may turn into: at most about 200 MB
+MAX_JSON_VALUES = 2_000_000  # values in one JSON message, by the commas and brackets in it
+MAX_JSON_DEPTH = 100  # how deep JSON may nest
 
 MAX_IMAGE_PIXELS = 64_000_000
 """Pixels of one picture: above any camera on a robot, far below what a compressed bomb unpacks to."""
 
-MAX_POINT_FIELDS = 1000
-"""Fields of a point in a cloud."""
-
-BATCH_MESSAGES = 65_536
-"""Messages of one batch of a table."""
-
-BATCH_BYTES = 16 * 2**20
-"""Bytes of messages that are collected for one batch of a table."""
+MAX_POINT_FIELDS = 1000  # fields of a point in a cloud
+BATCH_MESSAGES = 65_536  # messages of one batch of a table
+BATCH_BYTES = 16 * 2**20  # bytes of messages that are collected for one batch of a table
 
 
 class SchemaError(RecordingError):
@@ -112,7 +92,7 @@ class Primitive:
 
 @dataclass(frozen=True, eq=False)
 class Array:
-    """Elements of one type; `length` is None where the message says how many."""
+    """Elements of one type; `length` is None where the message has their number."""
 
     element: Type
     length: int | None
@@ -255,8 +235,7 @@ def constants_of(pairs: Mapping[str, ConstantValue]) -> tuple[tuple[str, Constan
     return tuple((identifier(name), value) for name, value in pairs.items() if _IDENTIFIER.match(name))
 
 
-Layout = tuple[object, ...]
-"""What decoding depends on: equal for definitions that differ only in how they are written."""
+Layout = tuple[object, ...]  # what decoding depends on: equal for definitions that differ only in how they are written
 
 
 def layout_of(kind: Type) -> Layout:

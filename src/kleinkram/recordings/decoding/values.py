@@ -15,6 +15,8 @@ from typing import Any, ClassVar
 from kleinkram.recordings.decoding.types import ConstantValue, DecodeError, Struct
 
 NS = 1_000_000_000
+# Seconds and nanoseconds of ROS 2, ROS 1, protobuf, and Foxglove's JSON.
+_STAMPS = (("sec", "nanosec"), ("secs", "nsecs"), ("seconds", "nanos"), ("sec", "nsec"))
 Constants = tuple[tuple[str, ConstantValue], ...]
 
 
@@ -124,26 +126,9 @@ def stamp_ns(value: object) -> int | None:
     Raises:
         DecodeError: the stamp is not a time.
     """
-    return _time(_stamp(value))
-
-
-def part(value: object, name: str) -> Any:
-    """Return a field of a decoded message of any encoding, or None."""
-    return value.get(name) if isinstance(value, Mapping) else getattr(value, name, None)
-
-
-def _stamp(value: object) -> object:
-    header = part(value, "header")
-    for place in (header, value):
-        for name in ("stamp", "timestamp"):
-            stamp = part(place, name)
-            if stamp is not None and not callable(stamp):
-                return stamp
-    return value
-
-
-def _time(stamp: object) -> int | None:
-    for seconds, nanoseconds in (("sec", "nanosec"), ("secs", "nsecs"), ("seconds", "nanos"), ("sec", "nsec")):
+    stamps = (part(place, name) for place in (part(value, "header"), value) for name in ("stamp", "timestamp"))
+    stamp = next((stamp for stamp in stamps if stamp is not None and not callable(stamp)), value)
+    for seconds, nanoseconds in _STAMPS:
         whole, rest = part(stamp, seconds), part(stamp, nanoseconds)
         if whole is None or rest is None:
             continue
@@ -152,6 +137,11 @@ def _time(stamp: object) -> int | None:
         except (TypeError, ValueError, OverflowError):
             raise DecodeError("", f"'{whole!s:.40}' and '{rest!s:.40}' are not a time") from None
     return None
+
+
+def part(value: object, name: str) -> Any:
+    """Return a field of a decoded message of any encoding, or None."""
+    return value.get(name) if isinstance(value, Mapping) else getattr(value, name, None)
 
 
 def type_name(value: Any) -> str:

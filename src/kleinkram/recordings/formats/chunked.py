@@ -36,8 +36,7 @@ from kleinkram.recordings.sources import SequentialReader, Source, SourceReader
 from kleinkram.recordings.streams import LookaheadStream
 from kleinkram.recordings.timeline import ChunkEntries, Timeline
 
-LOOK = 64 * 2**10
-"""Bytes from the start of a record within which its fixed fields and names are."""
+LOOK = 64 * 2**10  # bytes from the start of a record within which its fixed fields and names are
 
 _SEARCH_BYTES = 4 * 2**20
 _FIRST_NS = Row._fields.index("first_ns")
@@ -250,13 +249,13 @@ class ChunkScanner(ABC, Generic[FactsT]):
             self._chunk.settle(self._scan.losses)
             self._chunk, self._content = None, b""
 
-    def _resync(self, damage: Malformed, believed: int = 0) -> None:
-        """Skip damage up to the next record; the first `believed` bytes are not lost."""
+    def _resync(self, damage: Malformed, valid_bytes: int = 0) -> None:
+        """Skip damage up to the next record; the first `valid_bytes` are not lost."""
         stream, losses = self._stream, self._scan.losses
         self._end_chunk()
         losses.note(damage)
         losses.messages_are_known = False
-        start = stream.position + believed
+        start = stream.position + valid_bytes
         self._search()
         losses.bytes += max(0, stream.position - start)
 
@@ -268,7 +267,6 @@ class ChunkScanner(ABC, Generic[FactsT]):
         self._stream.advance(self._stream.left)
 
     def _drop_undefined(self, where: str, what: str) -> None:
-        """Leave out the messages of channels that the file does not define."""
         if undefined := self._scan.counter.finish():
             message = f"{counted(undefined, 'message is', 'messages are')} {what}"
             self._scan.losses.note(Malformed(where, message))

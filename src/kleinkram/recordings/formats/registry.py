@@ -8,12 +8,11 @@ from __future__ import annotations
 from pathlib import Path, PurePosixPath
 
 from kleinkram.recordings.formats.base import HEAD_BYTES, LONG_HEAD_BYTES, Format, Head
-from kleinkram.recordings.formats.documents import JSON, ROSBAG2_METADATA, UNKNOWN, YAML
 from kleinkram.recordings.formats.mcap.format import MCAP, SVO2
 from kleinkram.recordings.formats.rosbag1.format import ROSBAG1, ROSBAG1_OLD
 from kleinkram.recordings.formats.rosbag2.database import is_database
 from kleinkram.recordings.formats.rosbag2.db3 import ROSBAG2_DB3
-from kleinkram.recordings.formats.trajectories import CSV, KITTI, TUM
+from kleinkram.recordings.formats.text_files import CSV, JSON, KITTI, ROSBAG2_METADATA, TUM, UNKNOWN, YAML
 from kleinkram.recordings.formats.ulog import ULOG
 from kleinkram.recordings.formats.zstd_file import ZSTD
 from kleinkram.recordings.model import Content, Problem, RecordingFormat, RecordingSummary
@@ -22,16 +21,11 @@ from kleinkram.recordings.sources import Source
 _TEXT_EXTENSIONS = frozenset((".yaml", ".yml", ".csv", ".tum", ".txt", ".json"))
 
 
-def _summarise_empty(_source: Source, *, most_bytes: int) -> RecordingSummary:
-    return RecordingSummary(RecordingFormat.empty, Content.broken, "the file has 0 bytes")
-
-
 EMPTY = Format(
     RecordingFormat.empty,
     lambda head: not head.data,
     "empty",
     scan=lambda _: RecordingSummary(RecordingFormat.empty, Content.broken, "the file has 0 bytes"),
-    summarise=_summarise_empty,
     refusal="it has 0 bytes",
 )
 FORMATS = (

@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 from kleinkram.recordings.chunk_reader import ChunkFormat, ChunkTableBuilder, FileGap, JoinedGaps, SalvagedMessages
@@ -141,7 +141,6 @@ def parse_fields(text: str) -> list[UlogField]:
 
 
 def _size_of(formats: Mapping[str, str], type_name: str, depth: int = 0) -> int:
-    """Return the bytes of a type."""
     if type_name in _SIZES:
         return _SIZES[type_name]
     if depth == _MAX_NESTING:
@@ -182,19 +181,14 @@ def _ros1_fields(text: str, *, is_top: bool = False) -> str:
     fields = parse_fields(text)
     while is_top and fields and fields[-1].name.startswith("_padding"):
         fields.pop()
-    return "\n".join(
-        f"{_ros1_type(one.type_name)}{'' if one.length is None else f'[{one.length}]'} {_ros1_name(one.name)}"
-        for one in fields
-    )
-
-
-def _ros1_name(name: str) -> str:
-    """Return a name that ROS allows: that of padding begins with "_"."""
-    return f"{name.lstrip('_')}_" if name.startswith("_") else name
-
-
-def _ros1_type(name: str) -> str:
-    return _ROS_TYPES.get(name, name.removesuffix("_t")) if name in _SIZES else f"ulog/{name}"
+    lines = []
+    for one in fields:
+        is_basic = one.type_name in _SIZES
+        kind = _ROS_TYPES.get(one.type_name, one.type_name.removesuffix("_t")) if is_basic else f"ulog/{one.type_name}"
+        # ROS allows no name that begins with "_", as that of padding does.
+        name = f"{one.name.lstrip('_')}_" if one.name.startswith("_") else one.name
+        lines.append(f"{kind}{'' if one.length is None else f'[{one.length}]'} {name}")
+    return "\n".join(lines)
 
 
 class _UlogScanner:
@@ -256,7 +250,7 @@ class _UlogScanner:
                 self._read_other(kind, bytes(window[body_at:after]))
             at = after
             if kind == MessageType.flag_bits:
-                break  # it may say where messages end
+                break  # it may define where messages end
         return at, False
 
     def _read_data(self, window: memoryview, at: int, size: int) -> None:
@@ -267,10 +261,8 @@ class _UlogScanner:
             scan.undefined += 1
             return
         place = subscription.stamp_at
-        if place is None or _U16.size + place + _U64.size > size:
-            scan.without_time += 1
-            return
-        stamp_us = _U64.unpack_from(window, at + _U16.size + place)[0]
+        is_there = place is not None and _U16.size + place + _U64.size <= size
+        stamp_us = _U64.unpack_from(window, at + _U16.size + (place or 0))[0] if is_there else _LATEST_US + 1
         if stamp_us > _LATEST_US:
             scan.without_time += 1
             return
@@ -279,53 +271,34 @@ class _UlogScanner:
 
     def _read_other(self, kind: int, body: bytes) -> None:
         scan = self.scan
-        if kind == MessageType.add_logged:
-            self._read_subscription(body)
+        if kind == MessageType.add_logged and len(body) >= 3 and len(scan.subscriptions) < MAX_TOPICS:
+            instance, (number,) = body[0], _U16.unpack_from(body, 1)
+            name = body[3 : 3 + MAX_NAME].decode("utf-8", "replace")
+            if number not in scan.subscriptions:  # the first one of a message id counts
+                topic = f"{name}#{instance}" if instance else name
+                scan.subscriptions[number] = Subscription(topic, name, stamp_place(name, scan._definition(name)))
         elif kind == MessageType.format:
-            self._read_format(body)
-        elif kind == MessageType.information:
-            self._read_information(body)
-        elif kind == MessageType.flag_bits:
-            self._read_flag_bits(body)
+            name, _, fields = body[:_MAX_FORMAT_BYTES].decode("utf-8", "replace").partition(":")
+            scan.format_bytes += len(body)
+            if len(scan.formats) < MAX_TOPICS and scan.format_bytes <= MAX_DEFINITIONS:
+                scan.formats.setdefault(name[:MAX_NAME], fields)
+        elif kind == MessageType.information and body:
+            # A key with its type, such as `char[4] sys_name`, and its value.
+            key, value = body[1 : 1 + body[0]], body[1 + body[0] :]
+            value_type, _, name = key.decode("utf-8", "replace").partition(" ")
+            if value_type.startswith("char") and name in _INFORMATION:
+                scan.information[name] = value[:MAX_NAME].decode("utf-8", "replace")
+        elif kind == MessageType.flag_bits and len(body) >= _FLAG_BITS.size:
+            _compatible, incompatible, *offsets = _FLAG_BITS.unpack_from(body)
+            if incompatible[0] & ~_DATA_APPENDED or any(incompatible[1:]):
+                scan.refused = "the log uses features of a later version of ULog, which are not read"
+            elif incompatible[0] & _DATA_APPENDED:
+                self._appended = [offset for offset in offsets if offset]
         elif kind == MessageType.dropout and len(body) >= _U16.size:
             scan.dropouts += 1
             scan.dropped_ms += _U16.unpack_from(body)[0]
         scan.texts += kind in (MessageType.logged_string, MessageType.logged_string_tagged)
         scan.parameters += kind == MessageType.parameter
-
-    def _read_format(self, body: bytes) -> None:
-        name, _, fields = body[:_MAX_FORMAT_BYTES].decode("utf-8", "replace").partition(":")
-        self.scan.format_bytes += len(body)
-        if len(self.scan.formats) < MAX_TOPICS and self.scan.format_bytes <= MAX_DEFINITIONS:
-            self.scan.formats.setdefault(name[:MAX_NAME], fields)
-
-    def _read_subscription(self, body: bytes) -> None:
-        """Note a topic; the first one of a message id counts."""
-        scan = self.scan
-        if len(body) < 3 or len(scan.subscriptions) >= MAX_TOPICS:
-            return
-        instance, (number,) = body[0], _U16.unpack_from(body, 1)
-        kind = body[3 : 3 + MAX_NAME].decode("utf-8", "replace")
-        if number not in scan.subscriptions:
-            place = stamp_place(kind, scan._definition(kind))
-            scan.subscriptions[number] = Subscription(f"{kind}#{instance}" if instance else kind, kind, place)
-
-    def _read_information(self, body: bytes) -> None:
-        """Keep what tells which vehicle it was: a key such as `char[4] sys_name`, and its text."""
-        key_bytes = body[0] if body else 0
-        key, value = body[1 : 1 + key_bytes], body[1 + key_bytes :]
-        kind, _, name = key.decode("utf-8", "replace").partition(" ")
-        if kind.startswith("char") and name in _INFORMATION:
-            self.scan.information[name] = value[:MAX_NAME].decode("utf-8", "replace")
-
-    def _read_flag_bits(self, body: bytes) -> None:
-        if len(body) < _FLAG_BITS.size:
-            return
-        _compatible, incompatible, *offsets = _FLAG_BITS.unpack_from(body)
-        if incompatible[0] & ~_DATA_APPENDED or any(incompatible[1:]):
-            self.scan.refused = "the log uses features of a later version of ULog, which are not read"
-        elif incompatible[0] & _DATA_APPENDED:
-            self._appended = [offset for offset in offsets if offset]
 
     def _flush(self, length: int) -> None:
         """Count what was read of the next `length` bytes, and pass over them."""
@@ -405,25 +378,20 @@ def summarise_scan(scan: UlogScan) -> RecordingSummary:
     )
 
 
-def _problems(scan: UlogScan) -> list[Problem]:
-    problems: list[Problem] = []
+def _problems(scan: UlogScan) -> Iterator[Problem]:
     if scan.dropouts:
         message = f"the logger lost messages {counted(scan.dropouts, 'time')}, {scan.dropped_ms} ms in all"
-        problems.append(Problem("dropouts", "file", message))
+        yield Problem("dropouts", "file", message)
     if scan.without_time:
-        message = (
-            f"{counted(scan.without_time, 'message has', 'messages have')} no timestamp that can be read; left out"
-        )
-        problems.append(Problem("rows-unusable", "file", message))
+        without = counted(scan.without_time, "message has", "messages have")
+        yield Problem("rows-unusable", "file", f"{without} no timestamp that can be read; left out")
     if scan.before_start:
         early = counted(scan.before_start, "message is", "messages are")
         message = f"{early} stamped before the log's start; the log time is that of the start"
-        problems.append(Problem("stamps-before-start", "file", message))
+        yield Problem("stamps-before-start", "file", message)
     if scan.undefined:
         undefined = counted(scan.undefined, "message belongs", "messages belong")
-        message = f"{undefined} to no topic that the log defines; left out"
-        problems.append(Problem("topic-undefined", "file", message))
-    return problems
+        yield Problem("topic-undefined", "file", f"{undefined} to no topic that the log defines; left out")
 
 
 def open_ulog(file: RecordingFile, context: OpenContext) -> ChunkedMember:
@@ -435,36 +403,32 @@ def open_ulog(file: RecordingFile, context: OpenContext) -> ChunkedMember:
     builder.close()
     channels = {number: one for number, one in scan.channels().items() if number in builder.counts}
     contents = MemberContents(channels, builder.counts, scan.counter.messages, *builder.table.span())
-    ulog = ChunkFormat(_open_chunk, _MessageParser(scan.start_us), _salvage, _no_message_index)
+    ulog = ChunkFormat(_open_chunk, partial(_parse_messages, start_us=scan.start_us), _salvage, _no_message_index)
     return ChunkedMember(source, ulog, builder.table, contents, problem_log, summary=summarise_scan(scan))
 
 
-@dataclass(frozen=True)
-class _MessageParser:
-    start_us: int
-
-    def __call__(self, content: Buffer, channels: Mapping[int, Channel], selection: Selection) -> Block:
-        """Return the wanted messages of whole ULog messages, in the order in which they are."""
-        view = bytes(content)
-        messages: Block = []
-        at = 0
-        while at + _MESSAGE_HEADER.size <= len(view):
-            size, kind = _MESSAGE_HEADER.unpack_from(view, at)
-            body_at, at = at + _MESSAGE_HEADER.size, at + _MESSAGE_HEADER.size + size
-            if kind != MessageType.data or size < _U16.size:
-                continue
-            channel = channels.get(_U16.unpack_from(view, body_at)[0])
-            if channel is None:
-                continue
-            data = view[body_at + _U16.size : at]
-            place = stamp_place(channel.schema.name, channel.schema.data)
-            if place is None or place + _U64.size > len(data):
-                continue
-            stamp_us = _U64.unpack_from(data, place)[0]
-            log_ns = max(stamp_us, self.start_us) * 1000
-            if stamp_us <= _LATEST_US and selection.start_ns <= log_ns < selection.end_ns:
-                messages.append(RawMessage(channel.topic, log_ns, log_ns, 0, data, channel))
-        return messages
+def _parse_messages(content: Buffer, channels: Mapping[int, Channel], selection: Selection, *, start_us: int) -> Block:
+    """Return the selected messages of whole ULog messages, in file order."""
+    view = bytes(content)
+    messages: Block = []
+    at = 0
+    while at + _MESSAGE_HEADER.size <= len(view):
+        size, kind = _MESSAGE_HEADER.unpack_from(view, at)
+        body_at, at = at + _MESSAGE_HEADER.size, at + _MESSAGE_HEADER.size + size
+        if kind != MessageType.data or size < _U16.size:
+            continue
+        channel = channels.get(_U16.unpack_from(view, body_at)[0])
+        if channel is None:
+            continue
+        data = view[body_at + _U16.size : at]
+        place = stamp_place(channel.schema.name, channel.schema.data)
+        if place is None or place + _U64.size > len(data):
+            continue
+        stamp_us = _U64.unpack_from(data, place)[0]
+        log_ns = max(stamp_us, start_us) * 1000
+        if stamp_us <= _LATEST_US and selection.start_ns <= log_ns < selection.end_ns:
+            messages.append(RawMessage(channel.topic, log_ns, log_ns, 0, data, channel))
+    return messages
 
 
 def _open_chunk(stream: ByteStream) -> ChunkHead:

@@ -23,8 +23,7 @@ from kleinkram.recordings.sources import FileSource, SequentialReader, Source, S
 from kleinkram.recordings.temporary_files import MAX_SPOOL_BYTES, TooLarge, temporary_copy
 from kleinkram.recordings.topic_statistics import pending
 
-FILE_ZSTD = "file-zstd"
-"""What `compression` says of a file that is compressed as a whole."""
+FILE_ZSTD = "file-zstd"  # what `compression` says of a file that is compressed as a whole
 
 Scan = Callable[[SequentialReader], RecordingSummary]
 _NO_LIMIT = 2**63  # temporary files have one
@@ -41,7 +40,6 @@ class _Unpacked:
         self._left = b""
 
     def read(self, length: int) -> bytes:
-        """Return the next bytes, at most `length`; b"" at the end."""
         if not self._left and self.fault is None:
             try:
                 return self._stream.take_some(length)
@@ -53,7 +51,6 @@ class _Unpacked:
         return piece
 
     def peek(self, length: int) -> bytes:
-        """Return the first bytes without passing them."""
         head = b""
         while len(head) < length and (piece := self.read(length - len(head))):
             head += piece
@@ -129,7 +126,6 @@ def _summarise(source: Source, *, most_bytes: int) -> RecordingSummary:
 
 
 def _open(file: RecordingFile, context: OpenContext) -> Member:
-    """Decompress a file to a temporary one, as far as possible, and open that."""
     from kleinkram.recordings.formats import registry  # which imports this module
 
     source = file.source

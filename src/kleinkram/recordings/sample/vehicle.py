@@ -185,11 +185,11 @@ class Vehicle:
         # Enough of them that no compressor finds one again within its window.
         scans = [_scan(chance, points) for _ in range(max(_LEAST_SCANS, min(_MOST_SCANS, _SCAN_BYTES // size)))]
         is_dense = b"\x01"
+        return lambda k, _s, stamp_ns: b"".join((layout.pack(*_stamp(stamp_ns)), scans[k % len(scans)], is_dense))
 
-        def make(k: int, _seconds: float, stamp_ns: int) -> bytes:
-            return b"".join((layout.pack(*_stamp(stamp_ns)), scans[k % len(scans)], is_dense))
-
-        return make
+    def _measurement(self, layout: Layout, measure: Callable[[float], tuple[float, ...]]) -> Maker:
+        """Make messages of a stamp and the values at a time."""
+        return lambda _k, seconds, stamp_ns: layout.pack(*_stamp(stamp_ns), *measure(seconds))
 
     def _imu(self) -> Maker:
         layout = self._layout(
@@ -198,12 +198,12 @@ class Vehicle:
         )  # fmt: skip
         noise = self._random("imu noise").gauss
 
-        def make(_k: int, seconds: float, stamp_ns: int) -> bytes:
+        def measure(seconds: float) -> tuple[float, ...]:
             angular = (noise(0, 1e-3), noise(0, 1e-3), TURN_RAD_S + noise(0, 1e-3))
             linear = (noise(0, 0.03), SPEED_M_S * TURN_RAD_S + noise(0, 0.03), GRAVITY_M_S2 + noise(0, 0.03))
-            return layout.pack(*_stamp(stamp_ns), *_orientation(seconds), *angular, *linear)
+            return (*_orientation(seconds), *angular, *linear)
 
-        return make
+        return self._measurement(layout, measure)
 
     def _gps(self) -> Maker:
         status: list[Item] = [("b", 0), ("H", 1)]
@@ -211,13 +211,13 @@ class Vehicle:
         noise = self._random("gps noise").gauss
         metres_per_degree_east = _METRES_PER_DEGREE * math.cos(math.radians(LATITUDE_DEG))
 
-        def make(_k: int, seconds: float, stamp_ns: int) -> bytes:
+        def measure(seconds: float) -> tuple[float, ...]:
             east, north = _place(seconds)
             latitude = LATITUDE_DEG + (north + noise(0, 0.2)) / _METRES_PER_DEGREE
             longitude = LONGITUDE_DEG + (east + noise(0, 0.2)) / metres_per_degree_east
-            return layout.pack(*_stamp(stamp_ns), latitude, longitude, ALTITUDE_M + noise(0, 0.4))
+            return latitude, longitude, ALTITUDE_M + noise(0, 0.4)
 
-        return make
+        return self._measurement(layout, measure)
 
     def _odometry(self) -> Maker:
         twist: list[Item] = [("d", SPEED_M_S), *[("d", 0.0)] * 4, ("d", TURN_RAD_S)]
@@ -227,20 +227,15 @@ class Vehicle:
         )  # fmt: skip
         noise = self._random("odometry noise").gauss
 
-        def make(_k: int, seconds: float, stamp_ns: int) -> bytes:
+        def measure(seconds: float) -> tuple[float, ...]:
             east, north = _place(seconds)
-            position = (east + noise(0, 0.01), north + noise(0, 0.01), 0.0)
-            return layout.pack(*_stamp(stamp_ns), *position, *_orientation(seconds))
+            return (east + noise(0, 0.01), north + noise(0, 0.01), 0.0, *_orientation(seconds))
 
-        return make
+        return self._measurement(layout, measure)
 
     def _tf(self) -> Maker:
         layout = self._layout([("I", 1)], header("odom", self._encoding), [("s", "base_link")], variable(7))
-
-        def make(_k: int, seconds: float, stamp_ns: int) -> bytes:
-            return layout.pack(*_stamp(stamp_ns), *_place(seconds), 0.0, *_orientation(seconds))
-
-        return make
+        return self._measurement(layout, lambda seconds: (*_place(seconds), 0.0, *_orientation(seconds)))
 
     def _tf_static(self) -> Maker:
         mounts = {"camera": (0.3, 0.0, 0.4), "lidar": (0.0, 0.0, 0.6), "imu": (0.0, 0.0, 0.1), "gps": (-0.2, 0.0, 0.5)}
@@ -249,11 +244,7 @@ class Vehicle:
             level: list[Item] = [("d", 0.0), ("d", 0.0), ("d", 0.0), ("d", 1.0)]
             items += [*header("base_link", self._encoding), ("s", name), *(("d", metres) for metres in place), *level]
         layout = self._layout(items)
-
-        def make(_k: int, _seconds: float, stamp_ns: int) -> bytes:
-            return layout.pack(*_stamp(stamp_ns) * len(mounts))
-
-        return make
+        return lambda _k, _seconds, stamp_ns: layout.pack(*_stamp(stamp_ns) * len(mounts))
 
 
 def _stamp(stamp_ns: int) -> tuple[int, int]:
@@ -273,7 +264,6 @@ def _orientation(seconds: float) -> tuple[float, float, float, float]:
 
 
 def _picture(number: int) -> bytes:
-    """Return a picture of a bright disc that moves over a gradient."""
     centre = _COLUMNS * (number + 0.5) / _PICTURES
     rows = range(_ROWS)
     return mosaic_jpeg(

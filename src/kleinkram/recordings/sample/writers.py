@@ -91,7 +91,6 @@ class _ChunkedWriter:
         raise NotImplementedError
 
     def _compressed(self) -> tuple[bytes, bytes]:
-        """Return the chunk, and the chunk compressed."""
         raw = b"".join(self._pieces)
         stored = self._compress(raw)
         self._raw_bytes += len(raw)

@@ -1,7 +1,7 @@
-"""The interface between the runner and whatever runs its jobs: an engine of containers, processes, or a cluster.
+"""The interface of executors, which run jobs: by a container engine, as processes, or on a cluster.
 
-An executor decides where a job runs. It owns capacity, images, the placement of inputs, limits and isolation. A job
-outlives the process that submitted it: an executor of a later runner process finds it by its key.
+An executor owns capacity, images, the placement of inputs, limits and isolation. A job outlives the process that
+submitted it: the executor of a later runner process finds it by its key.
 """
 
 import time
@@ -14,19 +14,10 @@ from typing import Protocol
 from kleinkram.contract.actions import Network, Resources
 from kleinkram.contract.runners import Capacity, ExecutorAbilities
 from kleinkram.contract.runs import EndReason, Usage
+from kleinkram.runner.executors.port_forward import PortForward
 from kleinkram.runner.input_cache import InputCache, InputFile
 
 _POLL_EVERY_S = 0.25
-
-
-@dataclass(frozen=True)
-class PortForward:
-    """What a job with the network `api` reaches as `host` and `port`; the target is resolved by the runner."""
-
-    host: str
-    port: int
-    target_host: str
-    target_port: int
 
 
 @dataclass(frozen=True)
@@ -61,6 +52,11 @@ class Ending:
     reason: EndReason
     message: str
     exit_code: int | None = None
+
+    @classmethod
+    def of(cls, reason: tuple[str, str], exit_code: int | None = None) -> "Ending":
+        """Return an ending by its reason and sentence."""
+        return cls(EndReason(reason[0]), reason[1], exit_code)
 
 
 class CannotStart(Exception):

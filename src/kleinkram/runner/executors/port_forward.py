@@ -27,8 +27,8 @@ _SIOCSIFADDR = 0x8916
 _libc = ctypes.CDLL(None, use_errno=True)
 
 
-class Forward(NamedTuple):
-    """A host and port inside the job, and their target."""
+class PortForward(NamedTuple):
+    """A host and port inside a job, and their target, which the runner resolves."""
 
     host: str
     port: int
@@ -63,7 +63,7 @@ def host_entries(hosts: Sequence[str]) -> dict[str, str]:
     return {name: address for name, address in loopback_addresses(hosts).items() if name not in (address, "localhost")}
 
 
-def listen(forwards: Sequence[Forward]) -> list[socket.socket]:
+def listen(forwards: Sequence[PortForward]) -> list[socket.socket]:
     """Open the listening sockets, in order, in the network namespace of this thread.
 
     Raises:
@@ -71,27 +71,23 @@ def listen(forwards: Sequence[Forward]) -> list[socket.socket]:
     """
     addresses = loopback_addresses([forward.host for forward in forwards])
     other = [address for address in addresses.values() if not ipaddress.ip_address(address).is_loopback]
-    for number, address in enumerate(dict.fromkeys(other)):
-        _add_to_loopback(address, number)
-    return [_listener(addresses[forward.host], forward.port) for forward in forwards]
-
-
-def _listener(address: str, port: int) -> socket.socket:
-    listener = socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET)
-    # Connections of an earlier runner may linger.
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    listener.bind((address, port))
-    listener.listen(64)
-    return listener
-
-
-def _add_to_loopback(address: str, number: int) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
-        value = struct.pack("HH4s8x", socket.AF_INET, 0, socket.inet_aton(address))
-        fcntl.ioctl(any_socket, _SIOCSIFADDR, struct.pack("16s16s8x", f"lo:{number}".encode(), value))
+        for number, address in enumerate(dict.fromkeys(other)):
+            value = struct.pack("HH4s8x", socket.AF_INET, 0, socket.inet_aton(address))
+            fcntl.ioctl(any_socket, _SIOCSIFADDR, struct.pack("16s16s8x", f"lo:{number}".encode(), value))
+    listeners = []
+    for forward in forwards:
+        address = addresses[forward.host]
+        listener = socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET)
+        # Connections of an earlier runner may linger.
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((address, forward.port))
+        listener.listen(64)
+        listeners.append(listener)
+    return listeners
 
 
-def listen_in_namespace(pid: int, forwards: Sequence[Forward]) -> list[socket.socket]:
+def listen_in_namespace(pid: int, forwards: Sequence[PortForward]) -> list[socket.socket]:
     """Open the listening sockets in the network namespace of a process.
 
     Raises:
@@ -119,12 +115,11 @@ def listen_in_namespace(pid: int, forwards: Sequence[Forward]) -> list[socket.so
 def _enter_network_namespace(pid: int) -> None:
     with Path(f"/proc/{pid}/ns/net").open("rb") as namespace:
         if _libc.setns(namespace.fileno(), _CLONE_NEWNET) != 0:
-            error = ctypes.get_errno()
-            raise OSError(error, f"setns: {os.strerror(error)}")
+            raise OSError(ctypes.get_errno(), f"setns: {os.strerror(ctypes.get_errno())}")
 
 
-def serve(listeners: Sequence[socket.socket], forwards: Sequence[Forward]) -> None:
-    """Forward all connections to their targets, in threads that end once `close` is called."""
+def serve(listeners: Sequence[socket.socket], forwards: Sequence[PortForward]) -> None:
+    """PortForward all connections to their targets, in threads that end once `close` is called."""
     slots = threading.Semaphore(_CONNECTIONS)
     for listener, forward in zip(listeners, forwards, strict=True):
         threading.Thread(target=_accept, args=(listener, forward, slots), daemon=True).start()
@@ -138,7 +133,7 @@ def close(listeners: Sequence[socket.socket]) -> None:
         listener.close()
 
 
-def _accept(listener: socket.socket, forward: Forward, slots: threading.Semaphore) -> None:
+def _accept(listener: socket.socket, forward: PortForward, slots: threading.Semaphore) -> None:
     while True:
         slots.acquire()
         try:
@@ -152,7 +147,7 @@ def _accept(listener: socket.socket, forward: Forward, slots: threading.Semaphor
         threading.Thread(target=_forward_one, args=(inside, forward, slots), daemon=True).start()
 
 
-def _forward_one(inside: socket.socket, forward: Forward, slots: threading.Semaphore) -> None:
+def _forward_one(inside: socket.socket, forward: PortForward, slots: threading.Semaphore) -> None:
     try:
         target = (forward.target_host, forward.target_port)
         with inside, socket.create_connection(target, _CONNECT_TIMEOUT_S) as outside:
@@ -168,7 +163,7 @@ def _forward_one(inside: socket.socket, forward: Forward, slots: threading.Semap
 
 
 def _pump(source: socket.socket, target: socket.socket) -> None:
-    """Forward one direction to its end; the other one may go on."""
+    """PortForward one direction to its end; the other one may go on."""
     try:
         while data := source.recv(_BUFFER_BYTES):
             target.sendall(data)

@@ -68,7 +68,7 @@ class ProcessExecutor(LocalExecutor):
             "has_network": job.network is Network.open,
             "uid": uid,
             "limits": limits_of(job),
-            "port_forwards": [[*vars(forward).values()] for forward in job.port_forwards],
+            "port_forwards": job.port_forwards,
         }
         write_atomically(job.directory / process_supervisor.JOB, json.dumps(task))
         # The ending can be written however full the disk is by then.
@@ -114,7 +114,14 @@ class ProcessExecutor(LocalExecutor):
     def _start_supervisor(self, job: RunJob) -> None:
         lock = os.open(job.directory / process_supervisor.LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
-            _acquire(lock)
+            for _ in range(_LOCK_RETRIES):
+                # Another thread may be checking whether a supervisor is alive.
+                with contextlib.suppress(BlockingIOError):
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    break
+                time.sleep(_POLL_EVERY_S)
+            else:
+                raise cannot_start("An earlier start of this job still runs.")
             os.ftruncate(lock, 0)
             # Blocked until the supervisor has a handler: it may be cancelled from now on.
             previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
@@ -154,10 +161,8 @@ class ProcessExecutor(LocalExecutor):
 
     def _signal(self, job: RunJob, number: signal.Signals) -> None:
         if pid := self._supervisor_pid(job):
-            try:
+            with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, number)
-            except ProcessLookupError:
-                return
 
     def _environment(self, job: RunJob) -> dict[str, str]:
         environment = {"PATH": os.environ.get("PATH", os.defpath), "LANG": "C.UTF-8", "PYTHONUNBUFFERED": "1"}
@@ -173,13 +178,3 @@ class ProcessExecutor(LocalExecutor):
 
     def _network_refusal(self, network: str) -> str:
         return f"Without an engine of containers, no run here has the network {network!r}."
-
-
-def _acquire(lock: int) -> None:
-    for _ in range(_LOCK_RETRIES):
-        with contextlib.suppress(BlockingIOError):
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return
-        # Another thread may be looking whether a supervisor is alive.
-        time.sleep(_POLL_EVERY_S)
-    raise cannot_start("An earlier start of this job still runs.")

@@ -37,7 +37,7 @@ class Sandbox:
     has_network: bool
     disk_bytes: int
     uid: int | None
-    forwards: Sequence[port_forward.Forward]
+    forwards: Sequence[port_forward.PortForward]
     listeners: socket.socket
 
 
@@ -98,7 +98,10 @@ def _be_first(sandbox: Sandbox, command: Sequence[str], environment: Mapping[str
     _mount_root(sandbox)
     if not sandbox.has_network:
         kernel.raise_loopback()
-        _open_port_forwards(sandbox)
+        sockets = port_forward.listen(sandbox.forwards)
+        socket.send_fds(sandbox.listeners, [b"listeners"], [listener.fileno() for listener in sockets])
+        for end in (*sockets, sandbox.listeners):
+            end.close()
     if sandbox.uid is not None:
         os.setgroups([])
         os.setresgid(sandbox.uid, sandbox.uid, sandbox.uid)
@@ -120,13 +123,6 @@ def _be_first(sandbox: Sandbox, command: Sequence[str], environment: Mapping[str
     # The kernel shields the first process from signals without a handler; it passes this one on.
     signal.signal(signal.SIGTERM, lambda *_: _terminate_all())
     os._exit(_code_of(pid))
-
-
-def _open_port_forwards(sandbox: Sandbox) -> None:
-    sockets = port_forward.listen(sandbox.forwards)
-    socket.send_fds(sandbox.listeners, [b"listeners"], [listener.fileno() for listener in sockets])
-    for end in (*sockets, sandbox.listeners):
-        end.close()
 
 
 def _terminate_all() -> None:
@@ -166,15 +162,6 @@ def _mount_root(sandbox: Sandbox) -> None:
     for place in _system_paths():
         _bind_read_only(place, root / str(place)[1:])
     _bind_read_only(sandbox.directory / "in", root / "in")
-    _write_hosts(sandbox, root)
-    _make_devices(root)
-    (root / "proc").mkdir()
-    kernel.mount("proc", root / "proc", "proc", kernel.MS_NOSUID | kernel.MS_NODEV)
-    kernel.change_root(root)
-    kernel.make_read_only(Path("/"), with_all_below=False)
-
-
-def _write_hosts(sandbox: Sandbox, root: Path) -> None:
     names = port_forward.host_entries([forward.host for forward in sandbox.forwards])
     if names:
         hosts = sandbox.directory / "hosts"
@@ -183,6 +170,19 @@ def _write_hosts(sandbox: Sandbox, root: Path) -> None:
         target = root / "etc" / "hosts"
         kernel.mount(str(hosts), target, None, kernel.MS_BIND)
         kernel.make_read_only(target)
+    devices = root / "dev"
+    (devices / "shm").mkdir(parents=True)
+    for name in _DEVICES:
+        (devices / name).touch()
+        kernel.mount(f"/dev/{name}", devices / name, None, kernel.MS_BIND)
+    for name, number in (("fd", ""), ("stdin", "/0"), ("stdout", "/1"), ("stderr", "/2")):
+        (devices / name).symlink_to(f"/proc/self/fd{number}")
+    flags = kernel.MS_NOSUID | kernel.MS_NODEV
+    kernel.mount("tmpfs", devices / "shm", "tmpfs", flags, f"size={SHARED_MEMORY_BYTES},mode=1777")
+    (root / "proc").mkdir()
+    kernel.mount("proc", root / "proc", "proc", kernel.MS_NOSUID | kernel.MS_NODEV)
+    kernel.change_root(root)
+    kernel.make_read_only(Path("/"), with_all_below=False)
 
 
 def _system_paths() -> list[Path]:
@@ -207,15 +207,3 @@ def _bind_read_only(source: Path, target: Path) -> None:
 def _bind(source: Path, target: Path) -> None:
     target.mkdir(parents=True, exist_ok=True)
     kernel.mount(str(source), target, None, kernel.MS_BIND | kernel.MS_REC)
-
-
-def _make_devices(root: Path) -> None:
-    devices = root / "dev"
-    (devices / "shm").mkdir(parents=True)
-    for name in _DEVICES:
-        (devices / name).touch()
-        kernel.mount(f"/dev/{name}", devices / name, None, kernel.MS_BIND)
-    for name, number in (("fd", ""), ("stdin", "/0"), ("stdout", "/1"), ("stderr", "/2")):
-        (devices / name).symlink_to(f"/proc/self/fd{number}")
-    flags = kernel.MS_NOSUID | kernel.MS_NODEV
-    kernel.mount("tmpfs", devices / "shm", "tmpfs", flags, f"size={SHARED_MEMORY_BYTES},mode=1777")

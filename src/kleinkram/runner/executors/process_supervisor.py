@@ -15,9 +15,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from kleinkram.runner.executors import kernel, port_forward
 from kleinkram.runner.executors.limits import (
@@ -46,6 +45,7 @@ _CHECK_EVERY_S = 0.1
 _WRITE_USAGE_EVERY_S = 1.0
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 _NOT_FOUND = "not found: "
+_USAGE_FIELDS = ("cpu_s", "memory_bytes", "peak_memory_bytes", "read_bytes", "written_bytes")
 
 
 def write_pid(lock: int, pid: int) -> None:
@@ -53,12 +53,10 @@ def write_pid(lock: int, pid: int) -> None:
     os.pwrite(lock, str(pid).ljust(16).encode(), 0)
 
 
-@dataclass(frozen=True)
-class _ProcessUsage:
+class _ProcessUsage(NamedTuple):
     cpu_s: float = 0.0
     memory_bytes: int = 0
     shared_bytes: int = 0
-    peak_memory_bytes: int = 0
     read_bytes: int = 0
     written_bytes: int = 0
 
@@ -72,11 +70,11 @@ class JobSupervisor:
         self._job = job
         self._limits_of_job = JobLimits(*job["limits"])
         self._limits = LimitMonitor(directory, self._limits_of_job)
-        self._forwards = [port_forward.Forward(*values) for values in job["port_forwards"]]
+        self._forwards = [port_forward.PortForward(*values) for values in job["port_forwards"]]
         self._started_s = time.monotonic()
-        self._usage = _ProcessUsage()
+        self._usage: dict[str, float] = dict.fromkeys(_USAGE_FIELDS, 0)
         self._usage_written_s = 0.0
-        self._start_error = b""
+        self._start_error = bytearray()
         self._log_remaining_bytes = self._limits_of_job.log_bytes
 
     def run(self) -> None:
@@ -127,9 +125,9 @@ class JobSupervisor:
 
     def _watch(self, pid: int, output: int, error: int) -> int:
         log = os.open(self._directory / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
-        readers: dict[int, Callable[[bytes], None]] = {
+        readers: dict[int, Callable[[bytes], object]] = {
             output: lambda data: self._append_to_log(data, log),
-            error: self._note_start_error,
+            error: self._start_error.extend,
         }
         code: int | None = None
         while code is None:
@@ -140,16 +138,17 @@ class JobSupervisor:
             self._check_limits()
             ended, status = os.waitpid(pid, os.WNOHANG)
             code = os.waitstatus_to_exitcode(status) if ended else None
-        _kill_descendants()
+        while remaining := _descendants(os.getpid()):
+            for remaining_pid in remaining:
+                _kill(remaining_pid, signal.SIGKILL)
+            with contextlib.suppress(ChildProcessError):
+                os.waitpid(-1, 0)
         # What was written before the end.
         while ready := select.select([*readers], [], [], 0)[0]:
             for descriptor in ready:
                 _read_available(descriptor, readers)
         os.close(log)
         return code if code >= 0 else 128 - code
-
-    def _note_start_error(self, data: bytes) -> None:
-        self._start_error += data
 
     def _append_to_log(self, data: bytes, log: int) -> None:
         if self._log_remaining_bytes > 0:
@@ -164,7 +163,7 @@ class JobSupervisor:
 
     def _check_limits(self) -> None:
         self._measure()
-        self._limits.check_memory(self._usage.memory_bytes)
+        self._limits.check_memory(int(self._usage["memory_bytes"]))
         self._limits.check(time.monotonic() - self._started_s)
         if (due := self._limits.next_signal()) is not None:
             for pid in _descendants(os.getpid()):
@@ -172,26 +171,23 @@ class JobSupervisor:
 
     def _measure(self) -> None:
         running = _descendants(os.getpid())
-        used = _sum([_usage_of(pid) for pid in running])
+        usages = [_usage_of(pid) for pid in running]
+        used = _ProcessUsage(*(sum(values) for values in zip(*usages, strict=True)))
         # Files in shared memory count whether mapped or not; mapped ones count once.
-        used = replace(used, memory_bytes=used.memory_bytes + max(used.shared_bytes, self._shared_memory(running)))
+        memory_bytes = used.memory_bytes + max(used.shared_bytes, self._shared_memory(running))
+        self._usage["memory_bytes"] = memory_bytes
         # The usage of a process becomes its parent's a moment after its end: totals never decrease.
-        self._usage = replace(
-            used,
-            peak_memory_bytes=max(self._usage.peak_memory_bytes, used.memory_bytes),
-            cpu_s=max(used.cpu_s, self._usage.cpu_s),
-            read_bytes=max(used.read_bytes, self._usage.read_bytes),
-            written_bytes=max(used.written_bytes, self._usage.written_bytes),
-        )
+        totals = {"cpu_s": used.cpu_s, "read_bytes": used.read_bytes, "written_bytes": used.written_bytes}
+        for name, value in (totals | {"peak_memory_bytes": memory_bytes}).items():
+            self._usage[name] = max(self._usage[name], value)
         if time.monotonic() >= self._usage_written_s + _WRITE_USAGE_EVERY_S:
             self._usage_written_s = time.monotonic()
             self._write_usage()
 
     def _write_usage(self) -> None:
-        values = {name: value for name, value in vars(self._usage).items() if name != "shared_bytes"}
         # Nothing depends on it, should the disk be full.
         with contextlib.suppress(OSError):
-            write_atomically(self._directory / USAGE, json.dumps(values))
+            write_atomically(self._directory / USAGE, json.dumps(self._usage))
 
     def _shared_memory(self, running: list[int]) -> int:
         """Return the bytes in the job's own /dev/shm; 0 where it has none, or no process to look through."""
@@ -208,15 +204,23 @@ class JobSupervisor:
         error = self._start_error.decode(errors="replace")
         self._limits.check_disk()
         times = os.times()
-        self._usage = replace(self._usage, cpu_s=max(self._usage.cpu_s, times.children_user + times.children_system))
+        self._usage["cpu_s"] = max(self._usage["cpu_s"], times.children_user + times.children_system)
         self._write_usage()
-        reason, message = self._limits.reason or _reason_of(error, code)
-        exit_code = None if error or self._limits.reason else code
+        exit_code = None
+        if self._limits.reason is not None:
+            reason, message = self._limits.reason
+        elif error.startswith(_NOT_FOUND):
+            reason, message = command_not_found(error.removeprefix(_NOT_FOUND))
+        elif error:
+            reason, message = "not_possible", f"It could not be started here: {error}."
+        else:
+            reason, message = reason_of_exit_code(code)
+            exit_code = code
         ending = {"reason": reason, "message": message, "exit_code": exit_code}
         write_atomically(self._directory / ENDING, json.dumps(ending))
 
 
-def _read_available(descriptor: int, readers: dict[int, Callable[[bytes], None]]) -> None:
+def _read_available(descriptor: int, readers: dict[int, Callable[[bytes], object]]) -> None:
     data = os.read(descriptor, 65536)
     readers[descriptor](data)
     if not data:
@@ -224,27 +228,9 @@ def _read_available(descriptor: int, readers: dict[int, Callable[[bytes], None]]
         del readers[descriptor]
 
 
-def _reason_of(start_error: str, code: int) -> tuple[str, str]:
-    if start_error.startswith(_NOT_FOUND):
-        return command_not_found(start_error.removeprefix(_NOT_FOUND))
-    if start_error:
-        return "not_possible", f"It could not be started here: {start_error}."
-    return reason_of_exit_code(code)
-
-
 def _kill(pid: int, number: signal.Signals) -> None:
-    try:
+    with contextlib.suppress(ProcessLookupError):
         os.kill(pid, number)
-    except ProcessLookupError:
-        return
-
-
-def _kill_descendants() -> None:
-    while remaining := _descendants(os.getpid()):
-        for pid in remaining:
-            _kill(pid, signal.SIGKILL)
-        with contextlib.suppress(ChildProcessError):
-            os.waitpid(-1, 0)
 
 
 def _descendants(pid: int) -> list[int]:
@@ -273,20 +259,8 @@ def _usage_of(pid: int) -> _ProcessUsage:
         return _ProcessUsage()
     values = dict(line.split(":", 1) for line in (status + traffic).splitlines() if ":" in line)
     own, shared = (int(values.get(name, "0 kB").split()[0]) * 1024 for name in ("RssAnon", "RssShmem"))
-    ticks = sum(map(int, fields[11:15]))
-    read, written = int(values["read_bytes"]), int(values["write_bytes"])
-    return _ProcessUsage(ticks / _TICKS_PER_S, own, shared, 0, read, written)
-
-
-def _sum(usages: list[_ProcessUsage]) -> _ProcessUsage:
-    return _ProcessUsage(
-        sum(usage.cpu_s for usage in usages),
-        sum(usage.memory_bytes for usage in usages),
-        sum(usage.shared_bytes for usage in usages),
-        0,
-        sum(usage.read_bytes for usage in usages),
-        sum(usage.written_bytes for usage in usages),
-    )
+    cpu_s = sum(map(int, fields[11:15])) / _TICKS_PER_S
+    return _ProcessUsage(cpu_s, own, shared, int(values["read_bytes"]), int(values["write_bytes"]))
 
 
 def main() -> None:

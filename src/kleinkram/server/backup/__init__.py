@@ -1,4 +1,4 @@
-"""Backups of a site: its database as of one moment, and every object that this names, each kept once among all backups.
+"""Backups of a whole instance: its database at one moment, and every object that the database names.
 
-Run by whoever runs the server, on its machine, never by a request: `docs/decisions/0021-backup.md` says why it is so.
+Run by whoever operates the server, on its machine, never by a request. Decision 0021 explains the design.
 """

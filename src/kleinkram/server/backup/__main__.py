@@ -1,281 +1,224 @@
-"""`python -m kleinkram.server.backup ORDER`: one command on backups, as a process of its own.
+"""`python -m kleinkram.server.backup REQUEST`: one command on backups, as a process of its own.
 
-ORDER is JSON: the command and its options, without secrets, which come by the environment. Says what it did on stdout,
-what went wrong on stderr, and ends with the CLI's exit codes. `klein backup` and `klein restore` become this process.
+REQUEST is JSON without secrets, which come by the environment. Writes the result to stdout, failures to stderr, and
+ends with the CLI's exit codes. `klein backup` and `klein restore` become this process.
 """
 
-import asyncio
 import json
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, Literal, NoReturn
+from typing import Literal, NoReturn
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+from pydantic import BaseModel, ConfigDict
 
 from kleinkram.failures import code_of, failure_line
-from kleinkram.server.backup.creating import Making, create
-from kleinkram.server.backup.failing import BackupError, CannotBeMeant, Damaged
-from kleinkram.server.backup.forgetting import forget
-from kleinkram.server.backup.locking import at_work
-from kleinkram.server.backup.pace import amount
-from kleinkram.server.backup.problems import MOST_KEPT, Problems
-from kleinkram.server.backup.repository import open_place, open_repository
-from kleinkram.server.backup.restoring import Wish, restore
-from kleinkram.server.backup.verifying import Looking, verify
+from kleinkram.server.backup.errors import BackupDamaged, BackupError, BackupRequestInvalid
+from kleinkram.server.backup.operations import (
+    BackupOptions,
+    Messages,
+    amount,
+    create,
+    prune,
+    restore,
+    verify,
+)
+from kleinkram.server.backup.rclone import Rclone
+from kleinkram.server.backup.repository import open_repository
 from kleinkram.server.environment import SettingsInvalid, load_settings
 from kleinkram.server.settings import Settings
 
 _INTERRUPTED = 130
-_BYTES_DIFFER = Damaged.exit_code
+_DAMAGED = BackupDamaged.exit_code
 _MOST_SHOWN = 20
 
 
-class _Order(BaseModel):
+class BackupRequest(BaseModel):
+    """A command and its options."""
+
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    command: Literal["create", "list", "verify", "prune", "restore"]
     place: str
     passphrase_file: Path | None = None
     as_json: bool = False
+    encrypt: bool = False
+    snapshot_id: str | None = None
+    read_all: bool = False
+    keep: int = 0
+    bytes_per_s: float | None = None
+    connections: int = 8
 
-    @property
-    def passphrase(self) -> str | None:
-        """The passphrase, of the file or the environment; None where none is given."""
+    def options(self) -> BackupOptions:
+        """Return the options of all commands."""
+        rclone = Rclone({}, self.connections, self.bytes_per_s)
+        return BackupOptions(self.place, self._passphrase(), rclone, quiet=self.as_json)
+
+    def _passphrase(self) -> str | None:
         path = self.passphrase_file or os.environ.get("KLEINKRAM_BACKUP_PASSPHRASE_FILE")
         if path is None:
             return os.environ.get("KLEINKRAM_BACKUP_PASSPHRASE") or None
         try:
             lines = Path(path).read_text(encoding="utf-8").splitlines()
         except (OSError, UnicodeDecodeError) as error:
-            raise CannotBeMeant(f"The passphrase file {path} cannot be read: {error}") from None
+            raise BackupRequestInvalid(f"The passphrase file {path} cannot be read: {error}") from None
         if not lines or not lines[0]:
-            raise CannotBeMeant(f"The passphrase file {path} is empty: its first line counts.")
+            raise BackupRequestInvalid(f"The passphrase file {path} is empty: its first line is the passphrase.")
         return lines[0]
 
 
-class CreateOrder(_Order):
-    """Make a backup."""
-
-    command: Literal["create"]
-    encrypt: bool = False
-    bytes_per_s: float | None = None
-    connections: int = 8
-
-
-class ListOrder(_Order):
-    """List the backups in a place."""
-
-    command: Literal["list"]
-
-
-class VerifyOrder(_Order):
-    """Look at backups."""
-
-    command: Literal["verify"]
-    snapshot_id: str | None = None
-    read_all: bool = False
-    bytes_per_s: float | None = None
-    connections: int = 8
-
-
-class ForgetOrder(_Order):
-    """Drop old backups."""
-
-    command: Literal["forget"]
-    keep: int
-
-
-class RestoreOrder(_Order):
-    """Fill an empty site."""
-
-    command: Literal["restore"]
-    snapshot_id: str | None = None
-    bytes_per_s: float | None = None
-    connections: int = 8
-
-
-AnyOrder = Annotated[CreateOrder | ListOrder | VerifyOrder | ForgetOrder | RestoreOrder, Field(discriminator="command")]
-
-
 def main() -> None:
-    """Carry out the order."""
-    order: AnyOrder = TypeAdapter(AnyOrder).validate_json(sys.argv[1])
+    """Carry out the request."""
+    request = BackupRequest.model_validate_json(sys.argv[1])
+    commands = {"create": _create, "list": _list, "verify": _verify, "prune": _prune, "restore": _restore}
     try:
-        sys.exit(asyncio.run(_carry_out(order)))
+        sys.exit(commands[request.command](request))
     except BackupError as error:
-        _fail(order, str(error), code_of(error), error.exit_code)
+        _fail(request, str(error), code_of(error), error.exit_code)
     except KeyboardInterrupt:
-        _fail(order, "Stopped. Run the same command again to go on from here.", "interrupted", _INTERRUPTED)
+        _fail(request, "Stopped. Run the same command again to continue.", "interrupted", _INTERRUPTED)
 
 
-def _fail(order: _Order, sentence: str, code: str, exit_code: int) -> NoReturn:
-    told = failure_line(sentence, code=code, exit_code=exit_code, as_json=order.as_json)
-    print(told, file=sys.stderr)  # noqa: T201  (the command's own voice, here and below)
-    sys.exit(exit_code)
-
-
-async def _carry_out(order: AnyOrder) -> int:
-    if isinstance(order, CreateOrder):
-        return await _create(order)
-    if isinstance(order, ListOrder):
-        return await _list(order)
-    if isinstance(order, VerifyOrder):
-        return await _verify(order)
-    if isinstance(order, ForgetOrder):
-        return await _forget(order)
-    return await _restore(order)
-
-
-async def _create(order: CreateOrder) -> int:
-    making = Making(
-        order.place, order.encrypt, order.passphrase, order.bytes_per_s, order.connections, quiet=order.as_json
-    )
-    made = await create(_settings(), making)
-    snapshot, tally = made.snapshot, made.tally
-    told = {
+def _create(request: BackupRequest) -> int:
+    created = create(_settings(), request.options(), encrypt=request.encrypt)
+    snapshot = created.snapshot
+    result = {
         "id": snapshot.id,
         "created_at": snapshot.created_at.isoformat(),
-        "objects": tally.objects,
-        "object_bytes": tally.object_bytes,
-        "copied": tally.copied,
-        "copied_bytes": tally.copied_bytes,
-        "rows": sum(table.rows for table in snapshot.tables),
-        "lost": tally.lost,
-        "corrupt": tally.corrupt,
+        "objects": snapshot.objects,
+        "object_bytes": snapshot.object_bytes,
+        "copied": created.copied,
+        "copied_bytes": created.copied_bytes,
+        "rows": snapshot.rows,
+        "lost": snapshot.lost,
+        "corrupt": snapshot.corrupt,
         "elsewhere": snapshot.elsewhere,
-        "problems": tally.problems.first,
+        "problems": created.problems.first,
     }
-    sentence = (
-        f"Backup {snapshot.id}: {tally.objects} objects, {amount(tally.object_bytes)}, of which {tally.copied} were "
-        f"new ({amount(tally.copied_bytes)}); {told['rows']} rows in {len(snapshot.tables)} tables."
+    text = (
+        f"Backup {snapshot.id}: {snapshot.objects} objects ({amount(snapshot.object_bytes)}), of which "
+        f"{created.copied} ({amount(created.copied_bytes)}) were copied; {snapshot.rows} rows in "
+        f"{len(snapshot.tables)} tables."
     )
     if snapshot.elsewhere:
-        sentence += (
-            f"\n{snapshot.elsewhere} objects lie in other stores than {snapshot.store_id}: they are in no backup."
-        )
-    _say(order, told, sentence)
-    _complain(
-        f"{tally.lost} objects could not be read from the store, and {tally.corrupt} are not what was uploaded; "
-        "all others are in the backup",
-        tally.problems,
+        text += f"\n{snapshot.elsewhere} objects are in other stores than {snapshot.store_id}, and in no backup."
+    _print(request, result, text)
+    _print_problems(
+        f"{snapshot.lost} objects could not be read from the store, and {snapshot.corrupt} differ from what was "
+        "uploaded; all others are in the backup",
+        created.problems,
     )
-    return _BYTES_DIFFER if tally.problems.count else 0
+    return _DAMAGED if created.problems.count else 0
 
 
-async def _list(order: ListOrder) -> int:
+def _list(request: BackupRequest) -> int:
+    options = request.options()
+    repository = open_repository(options.place, options.passphrase, options.rclone)
     lines: list[str] = []
-    told: list[dict[str, object]] = []
-    damaged = False
-    async with open_place(order.place) as shelf, at_work(shelf, alone=False):
-        repository = await open_repository(shelf, order.passphrase)
-        for snapshot_id in await repository.snapshot_ids():
-            try:
-                snapshot = await repository.snapshot(snapshot_id)
-            except Damaged as error:
-                damaged = True
-                told.append({"id": snapshot_id, "problem": str(error)})
-                lines.append(f"{snapshot_id}  cannot be read: {error}")
-                continue
-            objects = snapshot.objects
-            said = {"created_at": snapshot.created_at.isoformat(), "kleinkram": snapshot.kleinkram}
-            told.append(
-                {"id": snapshot_id, **said, "objects": objects.count, "object_bytes": objects.size_bytes}
-                | {"lost": objects.lost, "corrupt": objects.corrupt}
-            )
-            bad = f", {objects.lost} lost, {objects.corrupt} corrupt" if objects.lost or objects.corrupt else ""
-            lines.append(
-                f"{snapshot_id}  {snapshot.created_at:%Y-%m-%d %H:%M} UTC  {objects.count} objects, "
-                f"{amount(objects.size_bytes)}{bad}"
-            )
-    _say(order, told, "\n".join(lines) or "No whole backup yet.")
-    return _BYTES_DIFFER if damaged else 0
+    results: list[dict[str, object]] = []
+    is_damaged = False
+    for snapshot_id in repository.snapshot_ids():
+        try:
+            snapshot = repository.snapshot(snapshot_id)
+        except BackupDamaged as error:
+            is_damaged = True
+            results.append({"id": snapshot_id, "problem": str(error)})
+            lines.append(f"{snapshot_id}  cannot be read: {error}")
+            continue
+        results.append(
+            {
+                "id": snapshot_id,
+                "created_at": snapshot.created_at.isoformat(),
+                "kleinkram": snapshot.kleinkram,
+                "objects": snapshot.objects,
+                "object_bytes": snapshot.object_bytes,
+                "lost": snapshot.lost,
+                "corrupt": snapshot.corrupt,
+            }
+        )
+        bad = f", {snapshot.lost} lost, {snapshot.corrupt} corrupt" if snapshot.lost or snapshot.corrupt else ""
+        lines.append(
+            f"{snapshot_id}  {snapshot.created_at:%Y-%m-%d %H:%M} UTC  {snapshot.objects} objects, "
+            f"{amount(snapshot.object_bytes)}{bad}"
+        )
+    _print(request, results, "\n".join(lines) or "No complete backup yet.")
+    return _DAMAGED if is_damaged else 0
 
 
-async def _verify(order: VerifyOrder) -> int:
-    looking = Looking(
-        order.place,
-        order.passphrase,
-        order.snapshot_id,
-        order.read_all,
-        order.bytes_per_s,
-        order.connections,
-        quiet=order.as_json,
+def _verify(request: BackupRequest) -> int:
+    result = verify(request.options(), request.snapshot_id, read_all=request.read_all)
+    depth = f"{amount(result.read_bytes)} read" if request.read_all else "by name and size; --read-all reads every byte"
+    text = f"{result.snapshots} backups, {result.objects} objects, {amount(result.object_bytes)} ({depth})."
+    if result.unused:
+        text += f"\n{result.unused} objects ({amount(result.unused_bytes)}) are in no complete backup."
+    if result.lost_at_source:
+        text += f"\n{result.lost_at_source} objects were lost before they were backed up."
+    text += "\nDamaged." if result.damage.count else "\nNo damage found."
+    values = {**vars(result), "damaged": result.damage.count, "damage": result.damage.first}
+    _print(request, {**values, "ok": not result.damage.count}, text)
+    _print_problems(f"{result.damage.count} items are damaged", result.damage)
+    return _DAMAGED if result.damage.count else 0
+
+
+def _prune(request: BackupRequest) -> int:
+    pruned = prune(request.options(), keep=request.keep)
+    text = (
+        f"Removed {len(pruned.removed)} backups and {pruned.removed_objects} objects ({amount(pruned.removed_bytes)}); "
+        f"{len(pruned.remaining)} backups are kept."
     )
-    found = await verify(looking)
-    depth = f"{amount(found.read_bytes)} read" if order.read_all else "by name and size; --read-all reads every byte"
-    sentence = f"{found.snapshots} backups, {found.contents} contents, {amount(found.content_bytes)} ({depth})."
-    if found.unused:
-        sentence += f"\n{found.unused} contents ({amount(found.unused_bytes)}) are of no whole backup yet."
-    if found.lost_at_source:
-        sentence += f"\n{found.lost_at_source} objects were lost before they were backed up."
-    sentence += "\nDamaged." if found.damage.count else "\nAll as it should be."
-    told = {**vars(found), "damaged": found.damage.count, "damage": found.damage.first}
-    _say(order, {**told, "ok": not found.damage.count}, sentence)
-    _complain(f"{found.damage.count} things are damaged", found.damage)
-    return _BYTES_DIFFER if found.damage.count else 0
-
-
-async def _forget(order: ForgetOrder) -> int:
-    done = await forget(order.place, order.passphrase, keep=order.keep)
-    sentence = (
-        f"Dropped {len(done.forgotten)} backups and {done.removed} contents ({amount(done.removed_bytes)}); "
-        f"{len(done.kept)} backups stay."
-    )
-    _say(order, vars(done), sentence)
+    _print(request, vars(pruned), text)
     return 0
 
 
-async def _restore(order: RestoreOrder) -> int:
-    wish = Wish(
-        order.place,
-        order.snapshot_id,
-        order.passphrase,
-        order.bytes_per_s,
-        order.connections,
-        quiet=order.as_json,
-    )
-    done = await restore(_settings(), wish)
-    problems = Problems()
-    for each in done.missing:
-        problems.say(f"{each.key}: {each.state}: {each.reason}")
-    told = {
-        "id": done.snapshot.id,
-        "created_at": done.snapshot.created_at.isoformat(),
-        "objects": done.objects,
-        "object_bytes": done.object_bytes,
-        "sent": done.sent,
-        "rows": sum(table.rows for table in done.snapshot.tables),
+def _restore(request: BackupRequest) -> int:
+    restored = restore(_settings(), request.options(), request.snapshot_id)
+    problems = Messages()
+    for lost in restored.unavailable:
+        problems.add(f"{lost.key}: {lost.state}: {lost.reason}")
+    snapshot = restored.snapshot
+    result = {
+        "id": snapshot.id,
+        "created_at": snapshot.created_at.isoformat(),
+        "objects": restored.objects,
+        "object_bytes": restored.object_bytes,
+        "sent": restored.sent,
+        "rows": snapshot.rows,
         "problems": problems.first,
     }
-    sentence = (
-        f"Restored {done.snapshot.id}, the site as of {done.snapshot.created_at:%Y-%m-%d %H:%M:%S} UTC: {done.objects} "
-        f"objects, {amount(done.object_bytes)}; {told['rows']} rows."
+    text = (
+        f"Restored {snapshot.id}, the instance at {snapshot.created_at:%Y-%m-%d %H:%M:%S} UTC: {restored.objects} "
+        f"objects, {amount(restored.object_bytes)}; {result['rows']} rows."
     )
-    _say(order, told, sentence)
-    _complain(f"{problems.count} objects are lost or corrupt, and are shown so; all others are there", problems)
-    return _BYTES_DIFFER if problems.count else 0
+    _print(request, result, text)
+    _print_problems(f"{problems.count} objects are lost or corrupt, and shown so; all others are there", problems)
+    return _DAMAGED if problems.count else 0
 
 
 def _settings() -> Settings:
     try:
         return load_settings()
     except SettingsInvalid as error:
-        raise CannotBeMeant(
-            f"The site's settings are not all there: set them as for the server, or name the folder of a `klein up` by "
+        raise BackupRequestInvalid(
+            f"Settings are missing: set them as for the server, or name the data directory of `klein up` with "
             f"--data-dir.\n{error}"
         ) from None
 
 
-def _say(order: _Order, told: object, sentence: str) -> None:
-    print(json.dumps(told, indent=2) if order.as_json else sentence)  # noqa: T201
+def _print(request: BackupRequest, result: object, text: str) -> None:
+    print(json.dumps(result, indent=2) if request.as_json else text)  # noqa: T201  (this program's output)
 
 
-def _complain(sentence: str, problems: Problems) -> None:
+def _print_problems(text: str, problems: Messages) -> None:
     if problems.count:
-        shown = [f"  {each}" for each in problems.first[:_MOST_SHOWN]]
-        more = [f"  and {problems.count - len(shown)} more (--json names up to {MOST_KEPT})"]
-        more = more if problems.count > len(shown) else []
-        print("\n".join([f"Error: {sentence}:", *shown, *more]), file=sys.stderr)  # noqa: T201
+        lines = [f"  {message}" for message in problems.first[:_MOST_SHOWN]]
+        if problems.count > len(lines):
+            lines.append(f"  and {problems.count - len(lines)} more (--json names up to {len(problems.first)})")
+        print("\n".join([f"Error: {text}:", *lines]), file=sys.stderr)  # noqa: T201  (this program's output)
+
+
+def _fail(request: BackupRequest, text: str, code: str, exit_code: int) -> NoReturn:
+    print(failure_line(text, code=code, exit_code=exit_code, as_json=request.as_json), file=sys.stderr)  # noqa: T201
+    sys.exit(exit_code)
 
 
 if __name__ == "__main__":

@@ -1,257 +1,396 @@
-"""A repository: contents by their SHA-256, each once, and snapshots that name them.
+"""A backup location: a folder, an S3 bucket or any rclone remote, with the backups in it.
 
-    klein-backup.json      format, id, and where it is sealed its key under the passphrase
-    data/ab/ab12...        a content; its name is its SHA-256, or where sealed an HMAC of that
-    snapshots/ID.json      a backup; written last, so that it names nothing that is not there
-    locks/, unfinished/    who is at work; what was being written
+    klein-backup.json            format, and whether the rest is encrypted
+    lock, locks/                 who writes to the location now
+    objects/KEY                  objects of the store under their own keys, shared by all backups
+    snapshots/ID/database.zst    all rows
+    snapshots/ID/objects.zst     the list of objects
+    snapshots/ID.json            the backup itself: written last, so that it names nothing that is not there
 
-Whatever is read is compared with its SHA-256; nothing is ever rewritten.
+An encrypted location has objects and snapshots in `encrypted/`, in the format of `rclone crypt`. Nothing is rewritten.
 """
 
-import asyncio
+import contextlib
 import hashlib
+import io
 import json
+import os
 import re
 import secrets
-from collections.abc import AsyncGenerator, AsyncIterator
-from contextlib import aclosing, asynccontextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
+from typing import IO, Annotated, BinaryIO, Literal, cast
 
 import zstandard
-from pydantic import ValidationError
+from pydantic import BaseModel, ConfigDict, Field, SecretStr, ValidationError
+from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from kleinkram.server.backup.bucket import open_bucket
-from kleinkram.server.backup.failing import CannotBeMeant, Damaged, InTheWay, NothingThere, NotOpened
-from kleinkram.server.backup.names import Names
-from kleinkram.server.backup.pace import Pace
-from kleinkram.server.backup.sealing import Seal, new_key, open_key, sealed_size
-from kleinkram.server.backup.shelf import FolderShelf, Item, Shelf
-from kleinkram.server.backup.snapshot import FORMAT, Piece, Snapshot
+from kleinkram.server.backup.errors import (
+    BackupConflict,
+    BackupDamaged,
+    BackupLocationFull,
+    BackupNotFound,
+    BackupRequestInvalid,
+    PassphraseWrong,
+)
+from kleinkram.server.backup.lock import lock_folder, lock_remote
+from kleinkram.server.backup.objects import ObjectEntry
+from kleinkram.server.backup.rclone import Rclone, join_remote, s3_remote
+from kleinkram.server.environment import SettingsInvalid, secret_from_file
 
-_ABOUT = "klein-backup.json"
-_DATA = "data/"
-_SNAPSHOTS = "snapshots/"
-_LEVEL = 3
-# What may lie where somebody who began there was killed. All else is somebody else's.
-_LEFT_BEHIND = re.compile(r"lock|locks/[a-z]+-[0-9a-f]{16}|unfinished/[0-9a-f]{32}")
+_FORMAT = 2
+_MARKER, _CHECK = "klein-backup.json", "passphrase-check"
+_CRYPT = "kleincrypt:"
+_REMOTE = re.compile(r"[\w.+@-]+:.*")
+_LEFT_BY_US = re.compile(rf"lock|locks/.*|{re.escape(_MARKER)}\..*")
 
 
-class Repository:
-    """Backups in one place. `seal` is None where they lie open."""
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
-    def __init__(self, shelf: Shelf, seal: Seal | None) -> None:
-        self.shelf = shelf
-        self._seal = seal
+
+class StoredFile(_Model):
+    """A file of a backup, as it is stored."""
+
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    size_bytes: int
+
+
+class DumpedTable(_Model):
+    """One table in the database file."""
+
+    name: str
+    columns: tuple[str, ...]
+    rows: int
+
+
+class Snapshot(_Model):
+    """One backup. `revision` is the schema's; `store_id` the name by which the database knows the store.
+
+    `elsewhere`: how many blobs the database names in other stores, which are in no backup of this one.
+    """
+
+    format: Literal[2] = 2
+    id: str
+    created_at: datetime
+    ended_at: datetime
+    kleinkram: str
+    postgres: str
+    revision: str
+    store_id: str
+    elsewhere: int
+    tables: tuple[DumpedTable, ...]
+    sequences: dict[str, int]
+    database: StoredFile
+    object_list: StoredFile
+    objects: int
+    object_bytes: int
+    lost: int
+    corrupt: int
 
     @property
-    def is_sealed(self) -> bool:
-        """Whether its files tell nothing to whoever has not the passphrase."""
-        return self._seal is not None
+    def files(self) -> dict[str, StoredFile]:
+        """The files of this backup alone, by name."""
+        return {"database.zst": self.database, "objects.zst": self.object_list}
 
-    def name(self, sha256: bytes) -> bytes:
-        """Return the name that a content has here."""
-        return bytes.fromhex(self._seal.name(sha256)) if self._seal else sha256
+    @property
+    def rows(self) -> int:
+        """The rows of all tables."""
+        return sum(table.rows for table in self.tables)
 
-    def stored_size(self, size_bytes: int) -> int:
-        """Return how many bytes a content of so many takes here."""
-        return sealed_size(size_bytes) if self._seal else size_bytes
 
-    def path(self, name: bytes) -> str:
-        """Return where the content of a name lies."""
-        return f"{_DATA}{name.hex()[:2]}/{name.hex()}"
+class _Marker(_Model):
+    format: Literal[2] = 2
+    salt: str | None
 
-    async def held(self) -> Names:
-        """Return what is here, and how large it is."""
-        names = Names()
-        async for item in self.shelf.listed(_DATA):
-            name = item.path.rpartition("/")[2]
-            if len(name) == 64:
-                names.append(bytes.fromhex(name), item.size_bytes)
-        return names
 
-    async def put(self, sha256: bytes, size_bytes: int, pieces: AsyncIterator[bytes]) -> None:
-        """Keep a content that `pieces` yields; where it raises, as it must on other bytes than these, none is kept."""
-        path = self.path(self.name(sha256))
-        if self._seal is None:
-            await self.shelf.put(path, pieces, size_bytes)
-            return
-        async with aclosing(self._seal.seal(pieces, path)) as sealed:
-            await self.shelf.put(path, sealed, self.stored_size(size_bytes))
+class _BucketSettings(BaseSettings):
+    model_config = SettingsConfigDict(
+        env_prefix="KLEINKRAM_BACKUP_", frozen=True, extra="ignore", hide_input_in_errors=True
+    )
 
-    async def read(self, sha256: bytes) -> AsyncGenerator[bytes, None]:
-        """Yield a content; what it was is only sure once the end is reached.
+    s3_url: str
+    s3_region: str = "us-east-1"
+    s3_access_key: str
+    s3_secret_key: SecretStr
+    s3_ca_file: Path | None = None
 
-        Raises:
-            FileNotFoundError: it is not here.
-            Damaged: it is not what was kept, told at its end.
-        """
-        digest = hashlib.sha256()
-        async with aclosing(self._opened(self.path(self.name(sha256)))) as pieces:
-            async for piece in pieces:
-                await asyncio.to_thread(digest.update, piece)
-                yield piece
-        if digest.digest() != sha256:
-            raise Damaged(
-                f"{self.path(self.name(sha256))} does not hold what its name says: it was changed or cut off."
-            )
 
-    async def verify(self, name: bytes, pace: Pace) -> None:
-        """Read what has a name through.
+class PackedWriter:
+    """Compresses what is written with zstd, and hashes the result."""
 
-        Raises:
-            FileNotFoundError: it is not here.
-            Damaged: its bytes are not those that have this name.
-        """
-        digest, path = hashlib.sha256(), self.path(name)
-        async with aclosing(self._opened(path)) as pieces:
-            async for piece in pace.slowed(pieces):
-                await asyncio.to_thread(digest.update, piece)
-        if self.name(digest.digest()) != name:
-            raise Damaged(f"{path} does not hold what its name says: it was changed or cut off.")
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self._compressor = zstandard.ZstdCompressor(level=3).compressobj()
+        self._digest = hashlib.sha256()
+        self._size_bytes = 0
 
-    async def _opened(self, path: str) -> AsyncGenerator[bytes, None]:
-        async with aclosing(self.shelf.read(path)) as pieces:
-            if self._seal is None:
-                async for piece in pieces:
-                    yield piece
-                return
-            async with aclosing(self._seal.unseal(pieces, path)) as opened:
-                async for piece in opened:
-                    yield piece
+    def write(self, raw: bytes) -> None:
+        """Append bytes."""
+        self._put(self._compressor.compress(raw))
 
-    async def put_packed(self, raw: bytes) -> Piece:
-        """Pack some bytes, keep them, and return by which name."""
-        packed = await asyncio.to_thread(zstandard.ZstdCompressor(level=_LEVEL).compress, raw)
-        sha256 = hashlib.sha256(packed)
-        await self.put(sha256.digest(), len(packed), _just(packed))
-        return Piece(sha256=sha256.hexdigest(), size_bytes=len(packed))
+    def end(self) -> StoredFile:
+        """Write the end; return what was written."""
+        self._put(self._compressor.flush())
+        return StoredFile(sha256=self._digest.hexdigest(), size_bytes=self._size_bytes)
 
-    async def read_packed(self, piece: Piece) -> bytes:
-        """Return what was packed.
+    def _put(self, packed: bytes) -> None:
+        self._file.write(packed)
+        self._digest.update(packed)
+        self._size_bytes += len(packed)
+
+
+@dataclass(frozen=True)
+class Repository:
+    """Backups in one location. `content`: the remote below which objects and snapshots are."""
+
+    name: str
+    root: str
+    content: str
+    rclone: Rclone
+    salt: str | None
+
+    @property
+    def folder(self) -> Path | None:
+        """The location, if it is a folder of this machine."""
+        return Path(self.root) if self.root.startswith("/") else None
+
+    @property
+    def objects(self) -> str:
+        """The remote folder of objects."""
+        return join_remote(self.content, "objects")
+
+    @property
+    def snapshots(self) -> str:
+        """The remote folder of backups."""
+        return join_remote(self.content, "snapshots")
+
+    def locked(self) -> AbstractContextManager[Callable[[], None]]:
+        """Be the only process that writes to the location; yields a check that this is still so.
 
         Raises:
-            Damaged: it is not here, or not what was kept.
+            BackupConflict: another process writes there; also by the check.
         """
-        sha256 = bytes.fromhex(piece.sha256)
-        try:
-            packed = b"".join([each async for each in self.read(sha256)])
-        except FileNotFoundError:
-            raise Damaged(f"{self.path(self.name(sha256))} is missing.") from None
-        return await asyncio.to_thread(zstandard.ZstdDecompressor().decompress, packed)
+        folder = self.folder
+        return lock_folder(folder) if folder else lock_remote(self.rclone, join_remote(self.root, "locks"), self.name)
 
-    async def put_snapshot(self, snapshot: Snapshot) -> None:
-        """Make a backup exist: all that it names is on the disk before."""
-        await self.shelf.settle()
-        body = snapshot.model_dump_json().encode()
-        document = hashlib.sha256(body).hexdigest().encode() + b"\n" + body
-        path = f"{_SNAPSHOTS}{snapshot.id}.json"
-        pieces = self._seal.seal(_just(document), path) if self._seal else _just(document)
-        await self.shelf.put(path, pieces, self.stored_size(len(document)))
-        await self.shelf.settle()
+    def confirm_marker(self) -> None:
+        """Raise BackupConflict if another process began backups here at the same time."""
+        marker = _read_marker(self.name, self.root, self.rclone)
+        if marker is None or marker.salt != self.salt:
+            raise BackupConflict(f"Another process began the backups in {self.name}: run the command again.")
 
-    async def snapshot_ids(self) -> list[str]:
-        """Return the names of all backups, the oldest first."""
-        items: list[Item] = [item async for item in self.shelf.listed(_SNAPSHOTS)]
-        return sorted(item.path.removeprefix(_SNAPSHOTS).removesuffix(".json") for item in items)
+    def snapshot_ids(self) -> list[str]:
+        """Return the ids of all complete backups, oldest first."""
+        paths = [file.path for file in self.rclone.files(self.snapshots)]
+        return sorted(path.removesuffix(".json") for path in paths if "/" not in path)
 
-    async def snapshot(self, snapshot_id: str | None) -> Snapshot:
-        """Return one backup, the latest where none is named.
+    def snapshot(self, snapshot_id: str | None) -> Snapshot:
+        """Return a backup, the latest if no id is given.
 
         Raises:
-            NothingThere: there is none, or none of that name.
-            Damaged: its document was changed or cut off.
+            BackupNotFound: there is none.
+            BackupDamaged: its document was changed or cut off.
         """
-        ids = await self.snapshot_ids()
+        ids = self.snapshot_ids()
         if snapshot_id is None and not ids:
-            raise NothingThere(f"{self.shelf.name} holds no whole backup yet.")
+            raise BackupNotFound(f"{self.name} contains no complete backup yet.")
         chosen = snapshot_id or ids[-1]
         if chosen not in ids:
-            raise NothingThere(f"{self.shelf.name} holds no backup {chosen}: `klein backup list` shows what it holds.")
-        path = f"{_SNAPSHOTS}{chosen}.json"
+            raise BackupNotFound(f"{self.name} contains no backup {chosen}: `klein backup list` shows all.")
+        stated, _, body = self.rclone.read(f"{self.snapshots}/{chosen}.json").partition(b"\n")
         try:
-            document = b"".join([each async for each in self._opened(path)])
-            stated, _, body = document.partition(b"\n")
-            if hashlib.sha256(body).hexdigest().encode() != stated:
-                raise Damaged(f"{path} was changed or cut off.")
-            return Snapshot.model_validate_json(body)
-        except FileNotFoundError:
-            raise NothingThere(f"{path} went meanwhile.") from None
+            if hashlib.sha256(body).hexdigest().encode() == stated:
+                return Snapshot.model_validate_json(body)
         except ValidationError as error:
-            raise Damaged(f"{path} cannot be understood: a later Kleinkram may have written it ({error}).") from None
+            raise BackupDamaged(
+                f"snapshots/{chosen}.json cannot be read, or is of a later version ({error})."
+            ) from None
+        raise BackupDamaged(f"snapshots/{chosen}.json was changed or cut off.")
 
-    async def forget_snapshot(self, snapshot_id: str) -> None:
-        """Drop a backup's document; what only it named is for `forgetting` to remove."""
-        await self.shelf.delete(f"{_SNAPSHOTS}{snapshot_id}.json")
-
-
-@asynccontextmanager
-async def open_place(address: str) -> AsyncGenerator[Shelf, None]:
-    """Open a folder or `s3://bucket/prefix`, whatever is in it."""
-    if address.startswith("s3://"):
-        async with open_bucket(address) as shelf:
-            yield shelf
-    else:
-        yield FolderShelf(Path(address))
-
-
-async def open_repository(shelf: Shelf, passphrase: str | None) -> Repository:
-    """Open the backups in a place.
-
-    Raises:
-        NothingThere: there are none.
-        NotOpened: they are sealed, and this is not their passphrase.
-    """
-    about = await _read_about(shelf)
-    if about is None:
-        raise NothingThere(f"There are no backups in {shelf.name}.")
-    if about["key"] is None:
-        return Repository(shelf, None)
-    if passphrase is None:
-        raise NotOpened(
-            f"The backups in {shelf.name} are sealed: give --passphrase-file, or set KLEINKRAM_BACKUP_PASSPHRASE."
+    def add_snapshot(self, snapshot: Snapshot) -> None:
+        """Write the document that makes a backup complete, after everything it names has reached the disk."""
+        body = snapshot.model_dump_json().encode()
+        self._sync()
+        self.rclone.write(
+            f"{self.snapshots}/{snapshot.id}.json", hashlib.sha256(body).hexdigest().encode() + b"\n" + body
         )
-    return Repository(shelf, await asyncio.to_thread(open_key, str(about["key"]), passphrase))
+        self._sync()
+
+    def remove_unfinished(self) -> None:
+        """Delete the files of backups that have no document."""
+        paths = [file.path for file in self.rclone.files(self.snapshots)]
+        ids = {path.removesuffix(".json") for path in paths if "/" not in path}
+        unfinished = [path for path in paths if "/" in path and path.partition("/")[0] not in ids]
+        self.rclone.delete(self.snapshots, unfinished)
+
+    @contextlib.contextmanager
+    def write_packed(self, snapshot_id: str, name: str) -> Iterator[PackedWriter]:
+        """Open a new file of a backup; call `end` on it within the block."""
+        with self.rclone.writer(f"{self.snapshots}/{snapshot_id}/{name}") as file:
+            yield PackedWriter(file)
+
+    def check_sizes(self, snapshot: Snapshot) -> None:
+        """Compare the sizes of a backup's files.
+
+        Raises:
+            BackupDamaged: one is missing or has another size.
+        """
+        sizes = {file.path: file.size_bytes for file in self.rclone.files(f"{self.snapshots}/{snapshot.id}")}
+        for name, stored in snapshot.files.items():
+            if sizes.get(name) != stored.size_bytes:
+                raise BackupDamaged(
+                    f"snapshots/{snapshot.id}/{name} has {sizes.get(name, 0)} bytes instead of {stored.size_bytes}."
+                )
+
+    def check_files(self, snapshot: Snapshot) -> None:
+        """Read the files of a backup.
+
+        Raises:
+            BackupDamaged: one is missing or was changed.
+        """
+        hashes = self.rclone.sha256(f"{self.snapshots}/{snapshot.id}", [*snapshot.files])
+        for name, stored in snapshot.files.items():
+            if hashes.get(name) != stored.sha256:
+                state = "was changed or cut off" if name in hashes else "is missing"
+                raise BackupDamaged(f"snapshots/{snapshot.id}/{name} {state}.")
+
+    @contextlib.contextmanager
+    def read_packed(self, snapshot_id: str, name: str) -> Iterator[IO[bytes]]:
+        """Open a file of a backup; `check_files` says whether it is what was written."""
+        try:
+            with self.rclone.reader(f"{self.snapshots}/{snapshot_id}/{name}") as packed:
+                unpacked = zstandard.open(cast("BinaryIO", packed), "rb")
+                yield io.BufferedReader(cast("io.RawIOBase", unpacked), 1024 * 1024)
+        except FileNotFoundError:
+            raise BackupDamaged(f"snapshots/{snapshot_id}/{name} is missing.") from None
+
+    def entries(self, snapshot: Snapshot) -> Iterator[ObjectEntry]:
+        """Yield the objects of a backup.
+
+        Raises:
+            BackupDamaged: the list is missing or was changed.
+        """
+        count = 0
+        try:
+            with self.read_packed(snapshot.id, "objects.zst") as file:
+                for line in file:
+                    count += 1
+                    yield ObjectEntry(*json.loads(line))
+        except (zstandard.ZstdError, ValueError, TypeError):
+            count = -1
+        if count != snapshot.objects:
+            raise BackupDamaged(f"snapshots/{snapshot.id}/objects.zst was changed or cut off.")
+
+    def _sync(self) -> None:
+        if self.folder is not None:
+            os.sync()
 
 
-async def make_repository(shelf: Shelf, passphrase: str | None, *, sealed: bool) -> Repository:
-    """Open the backups in a place, or begin them there, `sealed` with a passphrase. The caller is alone there.
+def open_repository(place: str, passphrase: str | None, rclone: Rclone) -> Repository:
+    """Open the backups in a location.
 
     Raises:
-        CannotBeMeant: they are to be sealed, and there is no passphrase, or they lie open.
-        InTheWay: there is something else.
+        BackupNotFound: there are none.
+        PassphraseWrong: they are encrypted, and this is not their passphrase.
     """
-    about = await _read_about(shelf)
-    if about is not None:
-        if sealed and about["key"] is None:
-            raise CannotBeMeant(
-                f"The backups in {shelf.name} were begun without --encrypt: name another place for sealed ones."
-            )
-        return await open_repository(shelf, passphrase)
-    async for item in shelf.listed(""):
-        if not _LEFT_BEHIND.fullmatch(item.path):
-            raise InTheWay(f"{shelf.name} is not empty and holds no backups (there is {item.path}): name an empty one.")
-    if sealed and not passphrase:
-        raise CannotBeMeant("--encrypt needs a passphrase: give --passphrase-file, or KLEINKRAM_BACKUP_PASSPHRASE.")
-    seal, key = await asyncio.to_thread(new_key, passphrase) if sealed and passphrase else (None, None)
-    document = json.dumps({"format": FORMAT, "id": secrets.token_hex(8), "key": key}).encode()
-    await shelf.put(_ABOUT, _just(document), len(document))
-    await shelf.settle()
-    return Repository(shelf, seal)
+    root, remotes = _resolve(place)
+    marker = _read_marker(place, root, rclone.with_remotes(remotes))
+    if marker is None:
+        raise BackupNotFound(f"There are no backups in {place}.")
+    return _open(place, root, marker, passphrase, rclone.with_remotes(remotes))
 
 
-async def _read_about(shelf: Shelf) -> dict[str, object] | None:
+def make_repository(place: str, passphrase: str | None, rclone: Rclone, *, encrypt: bool) -> Repository:
+    """Open the backups in a location, or begin them there.
+
+    Raises:
+        BackupRequestInvalid: they are to be encrypted, and there is no passphrase, or they are not encrypted.
+        BackupConflict: the location contains something else.
+    """
+    root, remotes = _resolve(place)
+    plain = rclone.with_remotes(remotes)
+    marker = _read_marker(place, root, plain)
+    if marker is not None:
+        if encrypt and marker.salt is None:
+            raise BackupRequestInvalid(f"The backups in {place} were begun without --encrypt: name another location.")
+        return _open(place, root, marker, passphrase, plain, may_begin=True)
+    for file in plain.files(root):
+        if not _LEFT_BY_US.fullmatch(file.path):
+            raise BackupConflict(f"{place} is not empty and contains no backups ({file.path} is there): name another.")
+    if encrypt and not passphrase:
+        raise BackupRequestInvalid(
+            "--encrypt needs a passphrase: give --passphrase-file, or KLEINKRAM_BACKUP_PASSPHRASE."
+        )
+    marker = _Marker(salt=secrets.token_hex(16) if encrypt else None)
+    if root.startswith("/"):
+        try:
+            Path(root).mkdir(mode=0o700, parents=True, exist_ok=True)
+        except OSError as error:
+            raise BackupLocationFull(f"{place} cannot be made: {error.strerror or error}.") from error
+    plain.write(join_remote(root, _MARKER), marker.model_dump_json().encode())
+    return _open(place, root, marker, passphrase, plain, may_begin=True)
+
+
+def _open(
+    place: str, root: str, marker: _Marker, passphrase: str | None, rclone: Rclone, *, may_begin: bool = False
+) -> Repository:
+    if marker.salt is None:
+        return Repository(place, root, root, rclone, None)
+    if passphrase is None:
+        raise PassphraseWrong(
+            f"The backups in {place} are encrypted: give --passphrase-file, or set KLEINKRAM_BACKUP_PASSPHRASE."
+        )
+    encrypted = rclone.with_remotes(_encryption(root, marker, passphrase, rclone))
+    if may_begin and not any(True for _ in rclone.files(join_remote(root, "encrypted"))):
+        encrypted.write(_CRYPT + _CHECK, b"This passphrase is the right one.\n")
     try:
-        raw = b"".join([each async for each in shelf.read(_ABOUT)])
+        encrypted.read(_CRYPT + _CHECK)
+    except FileNotFoundError:
+        raise PassphraseWrong(f"The passphrase is not the one of the backups in {place}.") from None
+    return Repository(place, root, _CRYPT, encrypted, marker.salt)
+
+
+def _encryption(root: str, marker: _Marker, passphrase: str, rclone: Rclone) -> dict[str, str]:
+    return {
+        "RCLONE_CONFIG_KLEINCRYPT_TYPE": "crypt",
+        "RCLONE_CONFIG_KLEINCRYPT_REMOTE": join_remote(root, "encrypted"),
+        "RCLONE_CONFIG_KLEINCRYPT_PASSWORD": rclone.obscure(passphrase),
+        "RCLONE_CONFIG_KLEINCRYPT_PASSWORD2": rclone.obscure(marker.salt or ""),
+    }
+
+
+def _resolve(place: str) -> tuple[str, dict[str, str]]:
+    """Return a location's rclone remote, and the variables that configure it."""
+    if not place.startswith("s3://"):
+        return place if _REMOTE.fullmatch(place) else str(Path(place).absolute()), {}
+    names = ("s3_access_key", "s3_secret_key")
+    try:
+        secrets_in_files = {name: secret_from_file(f"KLEINKRAM_BACKUP_{name.upper()}") for name in names}
+        credentials = {name: value for name, value in secrets_in_files.items() if value is not None}
+        settings = _BucketSettings(**credentials)  # type: ignore[arg-type]  # validated
+    except ValidationError as error:
+        missing = ", ".join(f"KLEINKRAM_BACKUP_{str(detail['loc'][0]).upper()}" for detail in error.errors())
+        raise BackupRequestInvalid(f"{place} needs these settings: {missing}.") from None
+    except SettingsInvalid as error:
+        raise BackupRequestInvalid(str(error)) from None
+    secret = settings.s3_secret_key.get_secret_value()
+    remotes = s3_remote("kleinbackup", settings.s3_url, settings.s3_region, settings.s3_access_key, secret)
+    if settings.s3_ca_file is not None:
+        remotes["RCLONE_CA_CERT"] = str(settings.s3_ca_file)
+    return f"kleinbackup:{place.removeprefix('s3://').strip('/')}", remotes
+
+
+def _read_marker(place: str, root: str, rclone: Rclone) -> _Marker | None:
+    try:
+        values = json.loads(rclone.read(join_remote(root, _MARKER)))
+        if values["format"] == _FORMAT:
+            return _Marker.model_validate(values)
     except FileNotFoundError:
         return None
-    try:
-        about = dict(json.loads(raw))
-        if about["format"] != FORMAT:
-            raise CannotBeMeant(f"The backups in {shelf.name} are of a later Kleinkram: use that, or a later one.")
-        return {"key": about["key"]}
     except (ValueError, KeyError, TypeError):
-        raise Damaged(f"{_ABOUT} in {shelf.name} cannot be understood: put it back from a copy.") from None
-
-
-async def _just(body: bytes) -> AsyncGenerator[bytes, None]:
-    yield body
+        raise BackupDamaged(f"{_MARKER} in {place} cannot be read: restore it from a copy.") from None
+    raise BackupRequestInvalid(f"The backups in {place} have another format: use a later version of Kleinkram.")

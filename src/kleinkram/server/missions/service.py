@@ -38,7 +38,7 @@ from kleinkram.server.http.headers import require_match
 from kleinkram.server.missions import queries
 from kleinkram.server.missions.amounts import NOTHING
 from kleinkram.server.missions.metadata import Judge, carried_over, defaults, read_metadata, satisfying, write_template
-from kleinkram.server.paging import PageRequest, fetch_listing
+from kleinkram.server.pagination import PageRequest, fetch_listing
 from kleinkram.server.quotas import require_room_for_mission
 from kleinkram.server.tables import mission
 from kleinkram.server.yaml_text import Document

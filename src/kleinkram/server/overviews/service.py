@@ -13,7 +13,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
 from kleinkram.server.overviews import queries
-from kleinkram.server.paging import PageRequest, fetch_page
+from kleinkram.server.pagination import PageRequest, fetch_page
 from kleinkram.server.projects import service as projects
 from kleinkram.server.search import service as search
 from kleinkram.server.search.queries import add_up

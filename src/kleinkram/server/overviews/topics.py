@@ -21,7 +21,7 @@ from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
 from kleinkram.server.missions import service as missions
 from kleinkram.server.overviews import queries
-from kleinkram.server.paging import PageRequest, fetch_page
+from kleinkram.server.pagination import PageRequest, fetch_page
 from kleinkram.server.tables import MAX_STORED_TOPICS, mission_topic
 
 _ADDED_AT_ONCE = 64

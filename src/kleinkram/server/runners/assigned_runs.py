@@ -185,6 +185,8 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish:
     artifacts = await _artifacts(db, run_id)
     if finish.reason is EndReason.done:
         problems += await put_back(db, row, finish.report.put_back, artifacts)
+    if finish.image_digest is not None and row.definition.get("image") is not None:
+        await db.execute(queries.pin_image(row.version_id, finish.image_digest))
     await _store_report(db, run_id, finish.report)
     samples = thinned([*row.samples, *(entry.model_dump(mode="json") for entry in finish.samples)])
     values = {
@@ -195,6 +197,7 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish:
         "artifact_count": len(artifacts),
         "metric_count": len(finish.report.metrics),
         "finding_counts": _finding_counts(finish.report),
+        "image_digest": row.image_digest or finish.image_digest,
         "samples": samples,
         "usage": row.usage if finish.usage is None else finish.usage.model_dump(mode="json"),
     }
@@ -245,7 +248,7 @@ async def put_back(
     try:
         await missions.lock_mission_to_fill(db, actor, row.mission_id)
         size_bytes = sum(artifacts[entry.path].size_bytes for entry in selected)
-        await require_room(db, actor, project_id=row.project_id, asked=Amount(len(selected), size_bytes))
+        await require_room(db, actor, project_id=row.project_id, requested=Amount(len(selected), size_bytes))
     except KleinkramError as error:
         return [f"What it put back stays among the artifacts: {error}"]
     problems, made = await _create_files(db, row, selected, artifacts)

@@ -1,16 +1,16 @@
-"""Selects for the requests of runners. Functions do not execute them."""
+"""Statements for the requests of runners. Functions do not execute them."""
 
 import uuid
 from collections.abc import Collection, Sequence
 from typing import Any
 
-from sqlalchemy import ARRAY, ColumnElement, Row, Select, Text, exists, func, literal, or_, select
+from sqlalchemy import ARRAY, ColumnElement, Row, Select, Text, Update, exists, func, literal, or_, select, update
 
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.runners import Capacity, ClaimRequest, ExecutorAbilities, RunnerRead, RunnerToken
 from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.db import among
-from kleinkram.server.paging import Order
+from kleinkram.server.pagination import Order
 from kleinkram.server.runners.eligibility import is_alive, is_single_person_only, runs_scripts, with_limits
 from kleinkram.server.tables import action, action_version, mission, project, run, runner, token, token_limit
 from kleinkram.server.tables.runs import ASSIGNED
@@ -114,6 +114,12 @@ def assigned_run(actor: Actor, run_id: uuid.UUID, attempt: int) -> Select[Any]:
     """Return a run whose current attempt belongs to the runner of this token, locked."""
     current = (run.c.attempt == attempt) & run.c.state.in_(ASSIGNED) & _is_of(actor)
     return _with_definition().where(run.c.id == run_id, current).with_for_update(of=run, key_share=True)
+
+
+def pin_image(version_id: uuid.UUID, digest: str) -> Update:
+    """Pin the image of a version of an action, unless it is pinned: the first resolution of its name is permanent."""
+    unpinned = (action_version.c.id == version_id) & action_version.c.image_digest.is_(None)
+    return update(action_version).where(unpinned).values(image_digest=digest)
 
 
 def ended_run(actor: Actor, run_id: uuid.UUID, attempt: int) -> Select[Any]:

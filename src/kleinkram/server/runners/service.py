@@ -37,7 +37,7 @@ from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from kleinkram.server.events.hub import EventFilter, Hub
-from kleinkram.server.paging import PageRequest, fetch_page
+from kleinkram.server.pagination import PageRequest, fetch_page
 from kleinkram.server.runners import queries
 from kleinkram.server.runners.eligibility import has_single_person, with_limits
 from kleinkram.server.runs.lifecycle import end_run, requeue_lost_runs
@@ -286,9 +286,7 @@ async def _record_heartbeat(db: Connection, runner_id: uuid.UUID, heartbeat: Hea
     lease = _COLLECTING_LEASE if heartbeat.state is RunState.collecting else _LEASE
     await db.execute(update(run).where(run.c.id == row.id).values(lease_ends_at=func.now() + lease, **values))
     if heartbeat.image_digest is not None and row.image is not None:
-        # The first resolution of an image name is permanent.
-        unpinned = (action_version.c.id == row.version_id) & action_version.c.image_digest.is_(None)
-        await db.execute(update(action_version).where(unpinned).values(image_digest=heartbeat.image_digest))
+        await db.execute(queries.pin_image(row.version_id, heartbeat.image_digest))
     if values:
         await publish(db, [ChangeEvent("run", ChangeKind.changed, row.id, mission_id=row.mission_id)])
     is_over = row.cancel_requested_at is not None or row.is_gone

@@ -1,4 +1,4 @@
-"""Packages whose types share base names: every field has the type that its definition names."""
+"""Packages whose types share base names: every field has the type of its definition."""
 
 from __future__ import annotations
 

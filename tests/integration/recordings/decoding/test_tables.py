@@ -1,4 +1,4 @@
-"""Tables: the fast way and the plain way give the same rows, whatever shapes the messages have."""
+"""Tables: the fast path and the plain path return the same rows for messages of any shape."""
 
 from __future__ import annotations
 
@@ -298,7 +298,7 @@ def test_a_layout_depends_on_fields_only() -> None:
     assert one.layout == same.layout != other.layout
 
 
-def test_a_bag_without_definitions_says_that_they_are_missing(make_case: Callable[[str], Path]) -> None:
+def test_a_bag_without_definitions_reports_them_as_missing(make_case: Callable[[str], Path]) -> None:
     with Recording.open(next(make_case("09A").glob("**/*.bag"))) as recording:
         reasons = {topic.name: topic.undecodable for topic in recording.topics}
         assert reasons.pop("/e") is None

@@ -1,4 +1,4 @@
-"""A robot without the extra `reading` decodes all the same; what needs a library names the extra."""
+"""Decoding without the extra `reading`; features that need a library name the extra."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which messages: topics, globs, spans of time; and what is read of the file for them."""
+"""Selecting messages by topic, pattern and time, and the bytes read for it."""
 
 from __future__ import annotations
 

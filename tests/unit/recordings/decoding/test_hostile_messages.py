@@ -1,4 +1,4 @@
-"""Whatever the bytes: a value or a `DecodeError`, in bounded time and memory."""
+"""Any bytes yield a value or a `DecodeError`, in bounded time and memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures: every encoding by hand-made pixels, every contradiction by name."""
+"""Images: every encoding pixel by pixel; contradictory headers are named."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Point clouds: the message's own fields, in any order, type, padding and byte order."""
+"""Point clouds with fields of any order, type, padding and byte order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every rule of the wire by hand-made bytes: what stands where, in which order, with which length."""
+"""Every rule of the wire formats with handmade bytes."""
 
 from __future__ import annotations
 

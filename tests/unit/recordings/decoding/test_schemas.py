@@ -1,4 +1,4 @@
-"""Schemas in every language: what rosidl and others write is read, and what cannot be followed is named."""
+"""Schemas of every language are parsed; unsupported ones are named."""
 
 from __future__ import annotations
 

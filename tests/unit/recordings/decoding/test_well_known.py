@@ -1,4 +1,4 @@
-"""The definitions that we bring along are those of ROS 2, and only stand in where a recording has none."""
+"""The built-in definitions are those of ROS 2, and used only where a recording has none."""
 
 from __future__ import annotations
 

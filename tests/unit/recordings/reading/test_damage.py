@@ -1,4 +1,4 @@
-"""Reading damaged recordings: every message that a scan counts is read, and what is said of the rest is true."""
+"""Reading damaged recordings: every message that a scan counts is read, and the reported loss is correct."""
 
 from __future__ import annotations
 

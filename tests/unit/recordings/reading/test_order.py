@@ -1,4 +1,4 @@
-"""Messages come in the order of log time, whatever the order of the file; equal times in the order of the file."""
+"""Messages are ordered by log time, and by file order at equal times."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is read ahead in threads, and given up in between: whoever gives up never waits for a thread."""
+"""Read-ahead in threads can be abandoned without waiting for a thread."""
 
 from __future__ import annotations
 

@@ -79,7 +79,6 @@ class _KnownEnds:
         self._head = b""
 
     def read(self, offset: int, length: int) -> bytes:
-        """Return up to `length` bytes; fewer at the end of the file."""
         if offset >= self.tail_start:
             return self.tail[offset - self.tail_start :][:length]
         if offset + length > _HEAD_BYTES:
@@ -176,7 +175,7 @@ def _check_compressions(source: Source, facts: McapFacts) -> None:
         try:
             compression = open_chunk(open_range(source, row.start, row.end, window=_HEAD_BYTES)).compression
         except Malformed:
-            continue  # there is no chunk that could say otherwise
+            continue  # there is no chunk with another compression
         if is_known_compression(compression):
             facts.index_faults.note(row.start, wrong_compression(named))
             del facts.unknown_compression[row.start]

@@ -27,8 +27,7 @@ MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = struct.Struct("<BQ")
 FOOTER_BODY = struct.Struct("<QQI")
 FOOTER_BYTES = RECORD_HEAD.size + FOOTER_BODY.size + len(MAGIC)
-MAX_OUTSIDE_CHUNKS = 200_000
-"""Attachments and metadata records that an index may list."""
+MAX_OUTSIDE_CHUNKS = 200_000  # attachments and metadata records that an index may list
 
 PLACEHOLDER = 2**64 - 1
 """The length of a record or of data while it is being written (mcap-rs); it remains if the recorder is killed."""

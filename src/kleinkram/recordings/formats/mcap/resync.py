@@ -26,18 +26,16 @@ _U64 = struct.Struct("<Q")
 _MESSAGE_BYTES = 22
 _LONGEST_COMPRESSION = 64
 _FIRST_PRIVATE = 0x80
-_FOLLOWERS, _FOLLOWERS_OF_STRANGER = 1, 4
+_FOLLOWERS, _FOLLOWERS_OF_UNKNOWN_CHANNEL = 1, 4
 _ONE_BIT_AWAY = (Opcode.HEADER, Opcode.CHANNEL, Opcode.METADATA_INDEX)
-_COMPRESSIONS = (b"", b"zstd", b"lz4")
-_CANDIDATE = re.compile(rb"[\x01-\x0f](?=.{5}\0{3})", re.DOTALL)
-"""An opcode, and the length of a record below 1 TB."""
+_CANDIDATE = re.compile(rb"[\x01-\x0f](?=.{5}\0{3})", re.DOTALL)  # an opcode, and the length of a record below 1 TB
 _CHUNK = re.compile(rb"\x06(?=.{5}\0{3})", re.DOTALL)
 
 
 def record_end(data: Buffer, at: int, left: int) -> int | None:
     """Return where the record at `at` ends if all its lengths agree; `left`: bytes to the end of the file.
 
-    For records that are found by chance: fields behind those that the specification knows are not allowed.
+    For records that are found by chance: fields behind those of the specification are not allowed.
     """
     if at + RECORD_HEAD.size > len(data):
         return None
@@ -62,25 +60,21 @@ def no_record(head: Buffer) -> str:
 def fault(data: Buffer, at: int, left: int) -> str | None:
     """Return what is wrong with the record that should begin here; None: it can be read.
 
-    `left`: bytes from `at` to the end of the file. A record of a kind that we do not know must be followed by one that
+    `left`: bytes from `at` to the end of the file. A record of an unknown kind must be followed by one that
     we do, or by another of a private kind; and unless it is of a private kind itself, no chunk may begin near its head.
     """
     opcode, length = RECORD_HEAD.unpack_from(data, at)
     is_known = opcode in _OPCODES
     if opcode == 0 or (not is_known and not _is_unknown_kind(data, at, length, left)):
         return no_record(data[at : at + RECORD_HEAD.size])
-    if not is_known or opcode == Opcode.MESSAGE:
-        return None
-    if is_unfinished_chunk(data, at):
+    if not is_known or opcode == Opcode.MESSAGE or is_unfinished_chunk(data, at):
         return None
     needed = _body_length(opcode, data, at + RECORD_HEAD.size, length)
     # Later versions may add fields to a record, but not to a chunk, which ends in length-prefixed data.
     if needed is None or needed > length or (opcode == Opcode.CHUNK and needed != length):
         return "a record whose lengths contradict each other"
-    if (
-        needed < length
-        and record_end(data, at + RECORD_HEAD.size + needed, left - RECORD_HEAD.size - needed) is not None
-    ):
+    needed_bytes = RECORD_HEAD.size + needed
+    if needed < length and record_end(data, at + needed_bytes, left - needed_bytes) is not None:
         return "a record whose length includes the next record"
     return None
 
@@ -154,8 +148,11 @@ def find_record(data: Buffer, start: int, end: int, left: int, channels: Contain
         if data[at] != Opcode.MESSAGE:
             return at
         (channel_id,) = _U16.unpack_from(data, at + RECORD_HEAD.size)
-        needed = _FOLLOWERS if channel_id in channels else _FOLLOWERS_OF_STRANGER
-        if _is_followed(data, after, left - (after - start), needed):
+        needed = _FOLLOWERS if channel_id in channels else _FOLLOWERS_OF_UNKNOWN_CHANNEL
+        for _ in range(needed):
+            if after is not None and left - (after - start) > 0:
+                after = record_end(data, after, left - (after - start))
+        if after is not None:
             return at
     return None
 
@@ -164,18 +161,6 @@ def holds_chunk(data: Buffer, start: int, end: int, left: int) -> bool:
     """Return whether a chunk begins in [start, end); `left`: bytes from `start` to the end of the file."""
     places = (match.start() for match in _CHUNK.finditer(data, start, end))
     return any(record_end(data, at, left - (at - start)) is not None for at in places)
-
-
-def _is_followed(data: Buffer, at: int, left: int, records_needed: int) -> bool:
-    """Return whether this many records follow, or fewer up to the end of the file."""
-    for _ in range(records_needed):
-        if left == 0:
-            return True
-        after = record_end(data, at, left)
-        if after is None:
-            return False
-        at, left = after, left - (after - at)
-    return True
 
 
 class _LengthPrefixed(NamedTuple):
@@ -229,8 +214,7 @@ def _body_length(opcode: int, data: Buffer, body: int, length: int) -> int | Non
     return at - body
 
 
-_END = rb"\x02\x14\0{7}.{20}" + re.escape(MAGIC)
-"""A footer, and the magic behind it."""
+_END = rb"\x02\x14\0{7}.{20}" + re.escape(MAGIC)  # A footer, and the magic behind it
 _MARK = re.compile(_END + b"|" + re.escape(MAGIC), re.DOTALL)
 
 
@@ -259,13 +243,9 @@ def find_inner(data: Buffer, start: int, end: int, left: int) -> int | None:
     for match in _MARK.finditer(data, start, min(len(data), end + FOOTER_BYTES)):
         if match.start() >= end:
             return None
-        if _opens(match) and match.end() - start < left:
+        if match[0] == MAGIC and match.end() - start < left:
             return match.start()
     return None
-
-
-def _opens(match: re.Match[bytes]) -> bool:
-    return match.end() - match.start() == len(MAGIC)
 
 
 def _pass_inner(stream: LookaheadStream, losses: DamageReport) -> None:
@@ -281,5 +261,5 @@ def _pass_inner(stream: LookaheadStream, losses: DamageReport) -> None:
         if match is None or match.start() >= stream.at + width:
             stream.advance(width)
             continue
-        depth += 1 if _opens(match) else -1
+        depth += 1 if match[0] == MAGIC else -1
         stream.advance(match.end() - stream.at)

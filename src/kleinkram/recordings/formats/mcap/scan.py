@@ -35,7 +35,7 @@ _READERS: dict[int, Callable[[McapFacts, bytes, str], None]] = {
 
 @dataclass
 class McapScan(ChunkScan[McapFacts]):
-    """The result of a scan. `closed`: the file ends as its writer meant it to."""
+    """The result of a scan. `closed`: the file has its footer."""
 
     facts: McapFacts = field(default_factory=McapFacts)
     counter: MessageCounter = field(default_factory=MessageCounter)
@@ -73,7 +73,6 @@ class _McapScanner(ChunkScanner[McapFacts]):
         return scan
 
     def _compare_index(self) -> None:
-        """Compare the chunk index with the chunks that were read."""
         facts, claims = self._scan.facts, new_table()
         for row in facts.table.rows:
             times = row.first_ns, row.last_ns
@@ -203,10 +202,9 @@ class _McapScanner(ChunkScanner[McapFacts]):
         if stream.window[stream.at] == Opcode.STATISTICS:
             scan.facts.statistics = None  # bytes of it are missing
         scan.losses.wasted_bytes += total if total > LOOK else 0
-        self._resync(Malformed(f"byte {stream.position + total}", wrong), believed=total)
+        self._resync(Malformed(f"byte {stream.position + total}", wrong), valid_bytes=total)
 
     def _pass_attachment(self, length: int, where: str) -> None:
-        """Read an attachment without holding it."""
         stream = self._stream
         body_at = stream.at + RECORD_HEAD.size
         records.read_attachment(self._scan.facts, bytes(stream.window[body_at : body_at + min(length, WINDOW)]), where)

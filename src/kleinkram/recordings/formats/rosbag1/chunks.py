@@ -13,7 +13,6 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from operator import itemgetter
-from typing import NamedTuple
 
 from kleinkram.recordings.chunk_table import Row
 from kleinkram.recordings.compression import Buffer
@@ -32,6 +31,8 @@ _FIELDS = {b"op": "8s", b"conn": "9sI", b"time": "9sII"}
 _VALUES = {b"op": 1, b"conn": 2, b"time": 3}
 _HEADER_BYTES = 38
 _U32 = struct.Struct("<I")
+_HEAD_WINDOW = 4096
+_S = 1_000_000_000
 
 
 class MessageLayout:
@@ -52,6 +53,13 @@ class MessageLayout:
         self.values: Callable[[tuple[int, ...]], tuple[int, int, int, int]] = itemgetter(
             connection, time, time + 1, place
         )
+
+    def read(self, data: Buffer, at: int) -> tuple[int, int, int, int] | None:
+        """Return connection, seconds, nanoseconds and data size of a message; None for another record or layout."""
+        if at + self.layout.size > len(data):
+            return None
+        header = self.layout.unpack_from(data, at)
+        return self.values(header) if self.constants(header) == self.expected else None
 
 
 def learn_layout(data: Buffer, at: int) -> MessageLayout | None:
@@ -82,7 +90,7 @@ def walk_messages(data: Buffer, at: int, end: int, layout: MessageLayout, batch:
         after = at + size + length
         if after > end:
             break
-        batch[connection].extend((seconds * 1_000_000_000 + nanoseconds, 0, after - at))
+        batch[connection].extend((seconds * _S + nanoseconds, 0, after - at))
         start, at = at, after
     return at, start
 
@@ -196,14 +204,12 @@ def points_at_messages(content: Buffer, number: int, entries: array[int], layout
 
 def _message_at(content: Buffer, place: int, layout: MessageLayout | None) -> tuple[int, int, int] | None:
     """Return connection, seconds and nanoseconds of a message; None for another record."""
-    if layout is not None and place + layout.layout.size <= len(content):
-        fields = layout.layout.unpack_from(content, place)
-        if layout.constants(fields) == layout.expected:
-            return layout.values(fields)[:3]
+    if layout is not None and (known := layout.read(content, place)):
+        return known[:3]
     record = parse_record(content, place, "")
     if record.opcode != Op.MESSAGE_DATA:
         return None
-    seconds, nanoseconds = divmod(record.fields.time_ns("time"), 10**9)
+    seconds, nanoseconds = divmod(record.fields.time_ns("time"), _S)
     return record.fields.u32("conn"), seconds, nanoseconds
 
 
@@ -279,18 +285,6 @@ def define(record: BagRecord, data: bytes, facts: BagFacts, where: str) -> None:
     facts.define(number, connection, where)
 
 
-_HEAD_WINDOW = 4096
-_S = 1_000_000_000
-
-
-class MessageHead(NamedTuple):
-    """Where number and time are in a message header, and the bytes around them."""
-
-    layout: struct.Struct
-    texts: tuple[bytes, bytes, bytes]
-    time_first: bool
-
-
 def read_message_index(source: Source, row: Row) -> ChunkMessages | None:
     """Return the messages that the index data after a chunk list; None if there are none, or they cannot be read."""
     stream, messages = open_range(source, row.start, row.end, window=_HEAD_WINDOW), ChunkMessages()
@@ -312,18 +306,27 @@ def parse_messages(content: Buffer, channels: Mapping[int, Channel], selection: 
     _, start_ns, end_ns = selection
     view = content if isinstance(content, bytes) else bytes(content)
     at, size, new = 0, len(view), tuple.__new__
-    heads: dict[int, MessageHead] = {}
+    layout: MessageLayout | None = None
     messages: Block = []
     while at + 8 <= size:
-        (length,) = _U32.unpack_from(view, at)
-        data_at = at + 8 + length
-        if length > MAX_HEADER or data_at > size:
-            raise Malformed(f"byte {at} of the chunk", "a record that reaches beyond the chunk")
-        (data_bytes,) = _U32.unpack_from(view, data_at - 4)
+        number, log_ns = -1, 0
+        known = layout.read(view, at) if layout is not None else None
+        if layout is not None and known is not None:
+            number, seconds, nanoseconds, data_bytes = known
+            log_ns, data_at = seconds * _S + nanoseconds, at + layout.layout.size
+        else:
+            (length,) = _U32.unpack_from(view, at)
+            data_at = at + 8 + length
+            if length > MAX_HEADER or data_at > size:
+                raise Malformed(f"byte {at} of the chunk", "a record that reaches beyond the chunk")
+            fields = Fields(view[at + 4 : data_at - 4], f"byte {at} of the chunk")
+            (data_bytes,) = _U32.unpack_from(view, data_at - 4)
+            if fields.opcode() == Op.MESSAGE_DATA:
+                number, log_ns = fields.u32("conn"), fields.time_ns("time")
+                layout = learn_layout(view, at)
         end = data_at + data_bytes
         if end > size:
             raise Malformed(f"byte {at} of the chunk", "a record that reaches beyond the chunk")
-        number, log_ns = _read_message_head(view, at + 4, length, heads)
         channel = channels.get(number)
         if channel is not None and start_ns <= log_ns < end_ns:
             messages.append(new(RawMessage, (channel.topic, log_ns, log_ns, 0, view[data_at:end], channel)))
@@ -331,40 +334,3 @@ def parse_messages(content: Buffer, channels: Mapping[int, Channel], selection: 
     if at != size:
         raise Malformed(f"byte {at} of the chunk", "a record that ends before its fields")
     return messages
-
-
-def _read_message_head(view: bytes, at: int, length: int, heads: dict[int, MessageHead]) -> tuple[int, int]:
-    """Return connection and time of a message; (-1, 0) for another record."""
-    known = heads.get(length)
-    if known is not None:
-        if known.time_first:
-            before, seconds, nanoseconds, between, number, behind = known.layout.unpack_from(view, at)
-        else:
-            before, number, between, seconds, nanoseconds, behind = known.layout.unpack_from(view, at)
-        if (before, between, behind) == known.texts:
-            return number, seconds * _S + nanoseconds
-    where = f"byte {at} of the chunk"
-    raw = view[at : at + length]
-    fields = Fields(raw, where)
-    if fields.opcode() != Op.MESSAGE_DATA:
-        return -1, 0
-    number, log_ns = fields.u32("conn"), fields.time_ns("time")
-    heads[length] = _learn(raw)
-    return number, log_ns
-
-
-def _learn(raw: bytes) -> MessageHead:
-    """Return the layout of a valid header with number and time."""
-    places: dict[bytes, tuple[int, int]] = {}
-    at = 0
-    while at < len(raw):
-        (length,) = _U32.unpack_from(raw, at)
-        name = raw[at + 4 : at + 4 + length].partition(b"=")[0]
-        places[name] = (at + 4 + len(name) + 1, at + 4 + length)
-        at += 4 + length
-    time_first = places[b"time"] < places[b"conn"]
-    (first, first_end), (second, second_end) = sorted((places[b"conn"], places[b"time"]))
-    texts = raw[:first], raw[first_end:second], raw[second_end:]
-    numbers = ("II", "I") if time_first else ("I", "II")
-    layout = f"<{len(texts[0])}s{numbers[0]}{len(texts[1])}s{numbers[1]}{len(texts[2])}s"
-    return MessageHead(struct.Struct(layout), texts, time_first)

@@ -1,6 +1,6 @@
 """Scans a ROS 1 bag from the first byte to the last, with or without its index.
 
-The chunk infos at the end of the file and the index data behind each chunk say how many messages there should be.
+The chunk infos at the end of the file and the index data behind each chunk list how many messages there should be.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class BagScan(ChunkScan[BagFacts]):
 
     Attributes:
         index_start: by the bag's header; 0: it was never closed; None: no header.
-        listed: messages that the chunk infos say the bag has; None: not all chunk infos were found.
+        listed: messages of the bag by its chunk infos; None: not all chunk infos were found.
         refused: why nothing of the bag can be read though it may be whole.
     """
 
@@ -146,7 +146,7 @@ class _BagScanner(ChunkScanner[BagFacts]):
                 self._claimed_messages -= self._claims[len(self._claims) - 1].messages
                 self._claims.pop()
             damage = Malformed(f"byte {stream.position + total}", "no record where one should begin")
-            self._resync(damage, believed=total)
+            self._resync(damage, valid_bytes=total)
         else:
             stream.advance(total)
 
@@ -165,7 +165,6 @@ class _BagScanner(ChunkScanner[BagFacts]):
             raise Malformed(where, "the bag header reaches into something else")
 
     def _note_index_section(self, record: BagRecord, where: str) -> None:
-        """Note a connection or a chunk info."""
         stream, scan, losses = self._stream, self._scan, self._scan.losses
         if record.data_bytes > MAX_TAKE:
             raise Malformed(where, f"an index record of {record.data_bytes} bytes", certain=False)
@@ -184,12 +183,10 @@ class _BagScanner(ChunkScanner[BagFacts]):
         self._claimed_messages += messages
 
     def _data_of(self, record: BagRecord) -> bytes:
-        """Return the data of the next record."""
         start = self._stream.at + record.data_start - record.start
         return bytes(self._stream.window[start : start + record.data_bytes])
 
     def _points_at_messages(self, record: BagRecord) -> bool:
-        """Compare the next index data with the messages at their offsets."""
         total = record.end - record.start
         if total > MAX_CHUNK_INDEX:
             return True

@@ -53,7 +53,7 @@ from kleinkram.recordings.merge import MessagePiece, MessageRun, merge
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.model import Content, Depth, Fact, Lost, Problem, RecordingFormat, RecordingSummary, counted
 from kleinkram.recordings.sources import SequentialReader, Source, SourceReader
-from kleinkram.recordings.temporary_files import TooLarge, database_file
+from kleinkram.recordings.temporary_files import MAX_SPOOL_BYTES, TooLarge, temporary_copy, too_large
 from kleinkram.recordings.timeline import Timeline
 from kleinkram.recordings.topic_statistics import TopicType, bounded, measure, pending
 
@@ -75,7 +75,11 @@ def scan_db3(reader: SequentialReader, *, depth: Depth = Depth.scan) -> Recordin
             with replayed_copy(reader.path) as copy:
                 summary = _read(copy or reader.path, reader.name, depth)
             return _killed(summary, left, is_applied=copy is not None)
-        with database_file(reader) as path:
+        if reader.path is not None:
+            return _read(reader.path, reader.name, depth)
+        if reader.size_bytes > MAX_SPOOL_BYTES:
+            raise too_large(MAX_SPOOL_BYTES, MAX_SPOOL_BYTES)
+        with temporary_copy(reader.read) as path:
             return _read(path, reader.name, depth)
     except TooLarge as error:
         return RecordingSummary(RecordingFormat.rosbag2_db3, Content.pending, str(error))
@@ -106,8 +110,6 @@ def _killed(summary: RecordingSummary, left: Sequence[Problem], *, is_applied: b
 
 
 class _TopicCounts:
-    """Counts messages into a timeline."""
-
     def __init__(self, topics: Iterable[TopicRow], origin: Origin = _NO_ORIGIN) -> None:
         self.timeline = Timeline()
         self._origin = origin
@@ -148,7 +150,6 @@ class _TopicCounts:
     def summary(
         self, content: Content, reason: str | None, depth: Depth, problems: Sequence[Problem], lost: Lost | None
     ) -> RecordingSummary:
-        """Return the summary."""
         self.timeline.settle(None)
         compression, facts = self._origin.message_compression, []
         if self._origin.ros_distro:

@@ -19,7 +19,7 @@ _NULL = frozenset(("~", "null", "Null", "NULL"))
 
 @dataclass(frozen=True)
 class StatedTopic:
-    """A topic in metadata.yaml; empty or None where it says nothing."""
+    """A topic in metadata.yaml; empty or None where nothing is stated."""
 
     name: str
     message_type: str
@@ -45,7 +45,7 @@ class Rosbag2Metadata:
         files: data files, relative to the folder, in the order of recording.
         storage: "sqlite3" or "mcap".
         compression_mode: "file", "message" or "". With "message", the data of each message is compressed by itself, in
-            a db3 as well as in an MCAP, and nothing in these files says so.
+            a db3 as well as in an MCAP, without a trace in these files.
         version: of the metadata's own format, 1 to 9.
         file_entries: single files; empty before version 5.
         ros_distro: such as "jazzy"; empty before version 8.
@@ -126,7 +126,6 @@ def _entries(top: Mapping[object, object], key: str) -> list[Mapping[object, obj
 
 
 def _times(entry: Mapping[object, object]) -> tuple[int | None, int | None]:
-    """Return start and duration in nanoseconds."""
     start = _mapping(entry.get("starting_time")).get("nanoseconds_since_epoch")
     return _number(start), _number(_mapping(entry.get("duration")).get("nanoseconds"))
 
@@ -148,7 +147,7 @@ METADATA_NAME = "metadata.yaml"
 KNOWN_ENCODINGS = frozenset(("cdr", "cdr2", "ros1", "json", "protobuf", "flatbuffer", "cbor", "msgpack"))
 _TOLERANCE_NS = 1_000_000
 _CREDIBLE_NS = 366 * 24 * 3600 * 1_000_000_000
-_FORMATS = {"sqlite3": RecordingFormat.rosbag2_db3, "mcap": RecordingFormat.mcap}
+STORAGE_FORMATS = {"sqlite3": RecordingFormat.rosbag2_db3, "mcap": RecordingFormat.mcap}
 _FIRST_VERSION_WITH_FILES = 5
 
 
@@ -217,9 +216,9 @@ def compare_names(metadata: Rosbag2Metadata, names: Iterable[str]) -> list[Probl
 def _compare_files(metadata: Rosbag2Metadata, members: Sequence[MemberFacts]) -> list[Problem]:
     problems: list[Problem] = []
     stated: dict[str, StatedFile] = {PurePosixPath(entry.path).name: entry for entry in metadata.file_entries}
-    expected = _FORMATS.get(metadata.storage or "")
+    expected = STORAGE_FORMATS.get(metadata.storage or "")
     for member in members:
-        actual_format = member.format if member.format in _FORMATS.values() else None
+        actual_format = member.format if member.format in STORAGE_FORMATS.values() else None
         if expected is not None and actual_format is not None and actual_format is not expected:
             message = f"metadata.yaml says its storage is {metadata.storage}, but it is {actual_format.value}"
             problems.append(Problem("metadata-storage", member.name, message))

@@ -1,0 +1,248 @@
+"""`klein up`, `klein down`, `klein doctor`, `klein backup …` and `klein restore`: Kleinkram on this machine.
+
+`standalone` is imported only when a command runs. Where neither the settings of a server are in the environment nor a
+folder is named, backup and restore mean the instance of `klein up`.
+"""
+
+import json
+import os
+import re
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from kleinkram.cli.commands import Noun
+from kleinkram.cli.errors import ExitCode, fail
+from kleinkram.cli.options import AsJson, Connections, LimitRate, Text, argument, flag, option
+from kleinkram.cli.units import parse_rate
+from kleinkram.client.errors import InvalidInput
+from kleinkram.failures import code_of
+
+DataDirOption = Annotated[
+    Path | None,
+    option(
+        "--data-dir",
+        "D",
+        "Set the folder of the instance. Default: KLEINKRAM_DATA_DIR, else kleinkram in this user's data folder.",
+        file_okay=False,
+    ),
+]
+Port = int | None
+
+
+def up(
+    data_dir: DataDirOption = None,
+    listen: Annotated[str, option("--listen", "ADDR", "Listen on ADDR; 0.0.0.0 serves other machines.")] = "127.0.0.1",
+    port: Annotated[Port, option("--port", "P", "Set the port of API and web interface.", min=1, max=65535)] = None,
+    s3_port: Annotated[Port, option("--s3-port", "N", "Set the port of the store.", min=1, max=65535)] = None,
+    public_url: Annotated[
+        Text, option("--public-url", "U", "Set the URL by which other machines reach this one.")
+    ] = None,
+    tls_cert: Annotated[
+        Path | None, option("--tls-cert", "F", "Use this certificate (PEM) for the API and the store.")
+    ] = None,
+    tls_key: Annotated[Path | None, option("--tls-key", "F", "Use this private key (PEM).")] = None,
+    runner: Annotated[bool, flag("--runner/--no-runner", "Run actions on this machine, too.")] = True,
+    as_json: Annotated[bool, flag("--json", "Print its addresses as one line of JSON once it serves.")] = False,
+) -> None:
+    """Run Kleinkram on this machine: PostgreSQL, S3, API, worker and runner. Ctrl-C or `klein down` ends it."""
+    from kleinkram.standalone.__main__ import arguments
+    from kleinkram.standalone.address import Listening
+    from kleinkram.standalone.services import UpOptions
+
+    options = UpOptions(
+        data_dir=resolve_data_dir(data_dir),
+        listening=Listening(
+            address=listen,
+            port=port,
+            s3_port=s3_port,
+            public_url=public_url,
+            tls_cert=tls_cert.resolve() if tls_cert else None,
+            tls_key=tls_key.resolve() if tls_key else None,
+        ),
+        is_default_data_dir=resolve_data_dir(data_dir) == resolve_data_dir(None),
+        with_runner=runner,
+        as_json=as_json,
+    )
+    # The supervisor runs for long: as a process of its own it needs a third of the memory of this one.
+    command = arguments(options)
+    os.chdir("/")
+    os.execv(command[0], command)  # noqa: S606  (our own interpreter, no shell)
+
+
+def down(data_dir: DataDirOption = None, as_json: AsJson = False) -> None:
+    """Stop the Kleinkram that runs on this machine, and wait until it has ended."""
+    from kleinkram.standalone.data_dir import DataDir
+    from kleinkram.standalone.errors import StandaloneError
+    from kleinkram.standalone.supervisor import stop_instance
+
+    folder = resolve_data_dir(data_dir)
+    try:
+        ended = stop_instance(DataDir(folder))
+    except StandaloneError as error:
+        sys.exit(fail(code_of(error), str(error), ExitCode.server_failed))
+    if as_json:
+        typer.echo(json.dumps({"data_dir": str(folder), "pid": ended.pid, "services": ended.services}, indent=2))
+    else:
+        services = ", ".join(ended.services) or "it was still starting"
+        typer.echo(f"Ended Kleinkram on {folder} (pid {ended.pid}): {services}.")
+
+
+def doctor(data_dir: DataDirOption = None, as_json: AsJson = False) -> None:
+    """Show what is wrong with the Kleinkram on this machine, and how to fix it. Exit code 1 if anything is."""
+    from kleinkram.standalone.doctor import examine
+
+    findings = examine(resolve_data_dir(data_dir))
+    if data_dir is None and "KLEINKRAM_DATABASE_URL" in os.environ:
+        typer.echo(
+            "The environment has the settings of a server of its own, which this command does not look at: "
+            "run `python -m kleinkram.server check`.",
+            err=True,
+        )
+    is_ok = all(finding.ok for finding in findings)
+    if as_json:
+        checks = [{"check": it.check, "ok": it.ok, "message": it.message, "remedy": it.remedy} for it in findings]
+        typer.echo(json.dumps({"ok": is_ok, "checks": checks}, indent=2))
+    else:
+        for finding in findings:
+            mark, remedy = ("ok     " if finding.ok else "PROBLEM"), (f" {finding.remedy}" if finding.remedy else "")
+            typer.echo(f"{mark} {finding.check}: {finding.message}{remedy}")
+    if not is_ok:
+        raise typer.Exit(1)
+
+
+def resolve_data_dir(data_dir: Path | None) -> Path:
+    """Return the folder of the instance: the one given, else the default."""
+    from kleinkram.client.config import data_dir as default_data_dir
+
+    return (data_dir or default_data_dir()).expanduser().resolve()
+
+
+app = Noun("Create, list, verify and prune backups of a whole instance.")
+_REMOTE = re.compile(r"s3://|[\w.+@-]+:")  # of rclone's configuration; a folder is made absolute
+_CONNECTIONS = 8
+Place = Annotated[
+    str,
+    argument(
+        "PLACE",
+        "A folder, s3://bucket/folder (KLEINKRAM_BACKUP_S3_URL, _S3_ACCESS_KEY, _S3_SECRET_KEY), or REMOTE:PATH "
+        "of rclone.",
+    ),
+]
+PassphraseFile = Annotated[
+    Path | None,
+    option(
+        "--passphrase-file",
+        "FILE",
+        "Read the passphrase from the first line of FILE. Default: KLEINKRAM_BACKUP_PASSPHRASE.",
+        dir_okay=False,
+    ),
+]
+SnapshotOption = Annotated[Text, option("--snapshot", "ID", "Choose the backup, as in `klein backup list`.")]
+
+
+@app.command()
+def create(
+    place: Place,
+    data_dir: DataDirOption = None,
+    encrypt: Annotated[
+        bool, flag("--encrypt", "Encrypt with a passphrase. Decided by the first backup in a place.")
+    ] = False,
+    passphrase_file: PassphraseFile = None,
+    limit_rate: LimitRate = None,
+    connections: Connections = _CONNECTIONS,
+    as_json: AsJson = False,
+) -> None:
+    """Back up database and files while the server runs. Only new files are copied; the same command resumes.
+
+    The exit code is 9 if the backup was made, but some files were lost or corrupt in the store already; it lists them.
+    """
+    pace = {"bytes_per_s": parse_rate(limit_rate), "connections": connections}
+    _execute(_command("create", place, passphrase_file, as_json, encrypt=encrypt, **pace), data_dir)
+
+
+@app.command("list")
+def list_(place: Place, passphrase_file: PassphraseFile = None, as_json: AsJson = False) -> None:
+    """List the backups in a place, the oldest first."""
+    _execute_server(_command("list", place, passphrase_file, as_json))
+
+
+@app.command()
+def verify(
+    place: Place,
+    snapshot: SnapshotOption = None,
+    read_all: Annotated[bool, flag("--read-all", "Read every byte and compare it with its SHA-256.")] = False,
+    passphrase_file: PassphraseFile = None,
+    limit_rate: LimitRate = None,
+    connections: Connections = _CONNECTIONS,
+    as_json: AsJson = False,
+) -> None:
+    """Verify backups by names and sizes, or with --read-all by every byte. The exit code is 9 if one is not whole."""
+    pace = {"bytes_per_s": parse_rate(limit_rate), "connections": connections}
+    which = {"snapshot_id": snapshot, "read_all": read_all}
+    _execute_server(_command("verify", place, passphrase_file, as_json, **which, **pace))
+
+
+@app.command()
+def prune(
+    place: Place,
+    keep: Annotated[int, option("--keep", "N", "Keep the latest N backups.", min=1)],
+    passphrase_file: PassphraseFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Remove all backups but the latest, and the objects that only they contain."""
+    _execute_server(_command("prune", place, passphrase_file, as_json, keep=keep))
+
+
+def restore(
+    place: Place,
+    data_dir: DataDirOption = None,
+    snapshot: SnapshotOption = None,
+    passphrase_file: PassphraseFile = None,
+    limit_rate: LimitRate = None,
+    connections: Connections = _CONNECTIONS,
+    as_json: AsJson = False,
+) -> None:
+    """Restore a backup (the latest) to a new folder, or to an empty database and bucket. The same command resumes.
+
+    The exit code is 9 if it was restored, but some files are lost or corrupt; it lists them.
+    """
+    pace = {"bytes_per_s": parse_rate(limit_rate), "connections": connections}
+    _execute(_command("restore", place, passphrase_file, as_json, snapshot_id=snapshot, **pace), data_dir)
+
+
+def _command(
+    command: str, place: str, passphrase_file: Path | None, as_json: bool, **more: object
+) -> dict[str, object]:
+    # The process that does it has another working directory.
+    where = place if _REMOTE.match(place) else str(Path(place).expanduser().resolve())
+    file = str(passphrase_file.expanduser().resolve()) if passphrase_file else None
+    return {"command": command, "place": where, "passphrase_file": file, "as_json": as_json, **more}
+
+
+def _execute(command: dict[str, object], data_dir: Path | None) -> None:
+    if data_dir is None and "KLEINKRAM_DATABASE_URL" in os.environ:
+        _execute_server(command)
+    _require_server()
+    from kleinkram.standalone.backup import BackupTask
+
+    _become(BackupTask(str(resolve_data_dir(data_dir)), command, restores=command["command"] == "restore").command())
+
+
+def _execute_server(command: dict[str, object]) -> None:
+    _require_server()
+    _become([sys.executable, "-m", "kleinkram.server.backup", json.dumps(command)])
+
+
+def _require_server() -> None:
+    if find_spec("psycopg") is None:
+        reason = "it lacks the server's part: `pip install 'open-kleinkram[server]'`"
+        raise InvalidInput(what="This installation", reason=reason)
+
+
+def _become(command: list[str]) -> None:
+    sys.stdout.flush()
+    os.execv(command[0], command)  # noqa: S606  (our own interpreter, no shell)

@@ -1,0 +1,453 @@
+"""`klein upload`, `klein download` and `klein verify`: options, progress on stderr, and the summary at the end."""
+
+import contextlib
+import sys
+import threading
+import time
+import uuid
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from kleinkram import connect
+from kleinkram.cli.commands import wants_json
+from kleinkram.cli.errors import EXIT_CODES, ExitCode, Interrupted, exit_code_of, exit_with
+from kleinkram.cli.filters import Choice, select_files, with_choice
+from kleinkram.cli.options import (
+    AsJson,
+    Connections,
+    DryRun,
+    ExcludeOption,
+    LimitRate,
+    Many,
+    MissionOption,
+    MissionsOption,
+    Overwrite,
+    ProjectOption,
+    ProjectsOption,
+    argument,
+    flag,
+    option,
+    read_text,
+    the_only,
+    the_ref,
+)
+from kleinkram.cli.render import escape, moment, note, show_json, table
+from kleinkram.cli.units import count, parse_rate, size
+from kleinkram.client import Client
+from kleinkram.client.errors import ClientError, InvalidInput, NothingToDo, ServerUnreachable, TimedOut, request_id_of
+from kleinkram.client.transfer import (
+    CONNECTIONS,
+    FileVerdict,
+    TransferReport,
+    UploadPlan,
+    Verdict,
+    Watcher,
+    plan_download,
+    plan_upload,
+    verify_local,
+    verify_remote,
+)
+from kleinkram.client.transfer import download as download_files
+from kleinkram.client.transfer import upload as upload_files
+from kleinkram.client.transfer.plan import is_excluded, mission_folders
+from kleinkram.contract.errors import KleinkramError, NotFound
+from kleinkram.contract.missions import MissionRead
+from kleinkram.contract.names import is_id
+from kleinkram.contract.tokens import is_link
+
+if TYPE_CHECKING:
+    from rich.progress import TaskID
+
+_POLL_S = 0.3
+
+
+@dataclass(frozen=True)
+class _UploadOptions:
+    create: bool
+    metadata_yaml: str | None
+    include_active: bool
+    exclude: Sequence[str]
+    bytes_per_s: float | None
+    connections: int
+    wait_s: float | None
+    dry_run: bool
+
+
+def upload(
+    paths: Annotated[list[str], argument("PATHS", "Files and folders.")],
+    project: ProjectOption = None,
+    mission: MissionOption = None,
+    create: Annotated[bool, flag("--create", "Create the mission if there is none.")] = False,
+    metadata: Annotated[
+        Path | None, option("--metadata", "mission.yaml", "Set the metadata of the new mission.")
+    ] = None,
+    include_active: Annotated[
+        bool, flag("--include-active", "Upload files that are still being recorded, too.")
+    ] = False,
+    wait: Annotated[bool, flag("--wait", "Wait until the server has read the files.")] = False,
+    wait_limit: Annotated[float, option("--wait-limit", "SECONDS", "Wait at most so long.", min=0)] = 600,
+    exclude: ExcludeOption = None,
+    mission_per_folder: Annotated[
+        bool, flag("--mission-per-folder", "Upload each subfolder of PATHS to the mission of its name.")
+    ] = False,
+    limit_rate: LimitRate = None,
+    connections: Connections = CONNECTIONS,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Upload files and folders to a mission. The same command again resumes, and sends only what is missing.
+
+    A folder keeps its tree: `day1` uploads day1/cam.mcap; `day1/` (or `.`) uploads its contents, cam.mcap.
+    """
+    options = _UploadOptions(
+        create=create,
+        metadata_yaml=read_text(metadata),
+        include_active=include_active,
+        exclude=exclude or [],
+        bytes_per_s=parse_rate(limit_rate),
+        connections=connections,
+        wait_s=wait_limit if wait else None,
+        dry_run=dry_run,
+    )
+    with connect() as client:
+        if not mission_per_folder:
+            result, code = _upload(client, project, the_ref("mission", None, mission), paths, options)
+        elif mission is not None:
+            raise InvalidInput(what="--mission-per-folder", reason="each folder names its mission: leave out --mission")
+        else:
+            result, code = _upload_folders(client, the_ref("project", None, project), paths, options)
+    if as_json:
+        show_json(result)
+    if code:
+        raise typer.Exit(code)
+
+
+def _upload(
+    client: Client, project: str | None, mission: str, paths: Sequence[str], options: _UploadOptions
+) -> tuple[dict[str, object], int]:
+    """Upload to one mission; return the JSON result and the exit code."""
+    plan = _plan(paths, include_active=options.include_active, exclude=options.exclude)
+    target: MissionRead | None = None
+    try:
+        target = client.missions.get(mission, project=project if is_id(mission) else the_ref("project", None, project))
+    except NotFound as error:
+        if not options.create or is_id(mission) or error.noun != "mission":
+            raise
+    if options.dry_run:
+        if not wants_json():
+            rows = [(file.path, size(file.size_bytes), str(file.source)) for file in plan.files]
+            table(["path", "size", "from"], rows)
+        files = [{"path": file.path, "local": str(file.source), "size_bytes": file.size_bytes} for file in plan.files]
+        note(f"Would upload {count(len(plan.files), 'file')}, {size(plan.size_bytes)}.")
+        return {"dry_run": True, "items": files, "left_out": [str(error) for error in plan.left_out]}, 0
+    if target is None:
+        project_id = client.projects.get(project or "").id
+        target = client.missions.create(mission, project=project_id, metadata_yaml=options.metadata_yaml)
+        note(f"Made the mission {target.project.name}/{target.name}.")
+    elif options.metadata_yaml is not None:
+        note("The mission exists; --metadata was left aside (`klein mission update` changes it).")
+    mission_id = target.id
+    report, elapsed_s = run_transfer(
+        lambda watcher: upload_files(
+            client, mission_id, plan, connections=options.connections, bytes_per_s=options.bytes_per_s, watcher=watcher
+        )
+    )
+    _show_summary(report, elapsed_s)
+    code = exit_code_of([*report.failures, *report.left_out])
+    if code == 0 and options.wait_s is not None:
+        _wait_for_summaries(client, mission_id, options.wait_s)
+    return {"mission_id": str(mission_id), **_plain_report(report, elapsed_s)}, code
+
+
+def _upload_folders(
+    client: Client, project: str, paths: Sequence[str], options: _UploadOptions
+) -> tuple[dict[str, object], int]:
+    """Upload each subfolder to the mission of its name; one that fails does not stop the others."""
+    items: list[dict[str, object]] = []
+    codes: set[int] = set()
+    for name, folder in mission_folders(paths, options.exclude).items():
+        note(f"{name}:")
+        try:
+            result, code = _upload(client, project, name, [f"{folder}/"], options)
+        except (Interrupted, ServerUnreachable):
+            raise  # the others would fail likewise
+        except KleinkramError as error:
+            result, code = {"error": str(error)}, exit_code_of([error])
+            note(f"Error: {error}")
+        items.append({"mission": name, **result})
+        codes |= {code} if code else set()
+    return {"items": items}, 0 if not codes else codes.pop() if len(codes) == 1 else ExitCode.several
+
+
+def _plan(paths: Sequence[str], *, include_active: bool, exclude: Sequence[str] = ()) -> UploadPlan:
+    plan = plan_upload(paths, include_active=include_active, exclude=exclude)
+    _note_left_out(plan.left_out)
+    if not plan.files and not plan.left_out:
+        raise NothingToDo(reason="There is no file in these paths")
+    return plan
+
+
+def _wait_for_summaries(client: Client, mission_id: uuid.UUID, seconds: float) -> None:
+    deadline = time.monotonic() + seconds
+    while True:
+        mission = client.missions.get(mission_id)
+        if mission.pending_file_count == 0 and mission.recordings_current:
+            return
+        if time.monotonic() > deadline:
+            raise TimedOut(what=f"Reading {count(mission.pending_file_count, 'file')}", seconds=seconds)
+        time.sleep(_POLL_S)
+
+
+@with_choice
+def download(
+    choice: Choice,
+    filters: Annotated[Many, argument("FILTERS", "Paths, globs or ids of files; or the address of a link.")] = None,
+    dest: Annotated[Path, option("--dest", "D", "Write to this folder.")] = Path(),
+    nested: Annotated[bool, flag("--nested", "Write to PROJECT/MISSION/PATH below the folder.")] = False,
+    overwrite: Overwrite = False,
+    exclude: ExcludeOption = None,
+    limit_rate: LimitRate = None,
+    connections: Connections = CONNECTIONS,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Download files. Each is verified before it gets its name. The same command again resumes."""
+    bytes_per_s = parse_rate(limit_rate)
+    links = [value for value in filters or [] if is_link(value)]
+    refs = [value for value in filters or [] if not is_link(value)]
+    if len(links) > 1:
+        raise InvalidInput(what="The command", reason="say one link at a time")
+    if choice.is_empty() and not filters:
+        raise InvalidInput(what="The command", reason="say which files: -p, -m, a path, a glob ('*' for all) or an id")
+    with connect(*links) as client:
+        files = [file for file in select_files(client, choice, refs) if not is_excluded(file.path, exclude or [])]
+        plan = plan_download(files, dest, nested=nested)
+        _note_left_out(plan.left_out)
+        if not plan.targets and not plan.left_out:
+            raise NothingToDo(reason="No file matches")
+        if dry_run:
+            rows = [(target.file.path, str(target.local), target.file.size_bytes) for target in plan.targets]
+            if as_json:
+                items = [{"path": path, "local": local, "size_bytes": size_bytes} for path, local, size_bytes in rows]
+                show_json({"dry_run": True, "items": items, "left_out": [str(error) for error in plan.left_out]})
+                return
+            table(["path", "size", "to"], [(path, size(size_bytes), local) for path, local, size_bytes in rows])
+            note(f"Would download {count(len(plan.targets), 'file')}, {size(plan.size_bytes)}.")
+            return
+        report, elapsed_s = run_transfer(
+            lambda watcher: download_files(
+                client, plan, overwrite=overwrite, connections=connections, bytes_per_s=bytes_per_s, watcher=watcher
+            )
+        )
+    end_transfer(report, elapsed_s, as_json)
+
+
+def verify(
+    paths: Annotated[Many, argument("PATHS", "Local files and folders.")] = None,
+    project: ProjectsOption = None,
+    mission: MissionsOption = None,
+    remote: Annotated[
+        bool, flag("--remote", "Have the server read its stored bytes; PATHS are then paths in the mission.")
+    ] = False,
+    timeout: Annotated[float, option("--timeout", "SECONDS", "Wait at most so long for the server.")] = 600.0,
+    as_json: AsJson = False,
+) -> None:
+    """Compare local files with those of a mission by SHA-256, or verify the stored bytes with --remote."""
+    left_out: Sequence[ClientError] = ()
+    with connect() as client:
+        if remote:
+            choice = Choice(project=project, mission=mission)
+            if choice.is_empty() and not paths:
+                raise InvalidInput(what="The command", reason="say which files: -p, -m, a path, a glob or an id")
+            files = select_files(client, choice, paths or [])
+            if not files:
+                raise NothingToDo(reason="No file matches")
+            verdicts = verify_remote(client.files, files, timeout_s=timeout)
+        else:
+            if not paths:
+                raise InvalidInput(what="The command", reason="say which local files to compare, or --remote")
+            plan = _plan(paths, include_active=True)
+            one_mission = the_ref("mission", None, the_only("mission", mission))
+            mission_id = client.missions.get(one_mission, project=the_only("project", project)).id
+            verdicts, left_out = verify_local(client.files, mission_id, plan), plan.left_out
+    if as_json:
+        show_json(
+            {
+                "items": [_plain_verdict(one) for one in verdicts],
+                "left_out": [_plain_error(error) for error in left_out],
+            }
+        )
+    else:
+        rows = [(one.verdict.value, path, size(one.size_bytes)) for one, path in _named(verdicts)]
+        table(["verdict", "path", "size"], rows)
+        for one, path in _named(verdicts):
+            if one.file is not None and one.file.damaged_at is not None:
+                reason, since = one.file.state_reason, moment(one.file.damaged_at)
+                note(f"{path} is {one.file.state.value} since {since}: {reason}. Upload it again to repair it.")
+    unread = [one.error for one in verdicts if one.error is not None]
+    _note_left_out(unread)
+    same_count = sum(one.verdict is Verdict.same for one in verdicts)
+    note(f"{same_count} of {count(len(verdicts) + len(left_out), 'file')} are the same.")
+    if len(verdicts) - same_count > len(unread):
+        raise typer.Exit(ExitCode.bytes_differ)
+    exit_with([*unread, *left_out])
+
+
+def _named(verdicts: list[FileVerdict]) -> list[tuple[FileVerdict, str]]:
+    """Return each verdict with its path, preceded by project and mission where there are several missions."""
+    places = [(one.file.mission.project.name, one.file.mission.name) if one.file else () for one in verdicts]
+    if len({place for place in places if place}) < 2:
+        return [(one, one.path) for one in verdicts]
+    return [(one, "/".join([*place, one.path])) for one, place in zip(verdicts, places, strict=True)]
+
+
+def _plain_verdict(one: FileVerdict) -> dict[str, object]:
+    file = one.file
+    return {
+        "path": one.path,
+        "verdict": one.verdict.value,
+        "size_bytes": one.size_bytes,
+        "sha256": one.sha256,
+        "file_id": str(file.id) if file else None,
+        "state": file.state.value if file else None,
+        "state_reason": file.state_reason if file else None,
+        "damaged_at": file.damaged_at.isoformat() if file and file.damaged_at else None,
+    }
+
+
+def _note_left_out(left_out: Iterable[ClientError]) -> None:
+    for error in left_out:
+        note(str(error))
+
+
+def run_transfer(start: Callable[[Watcher], TransferReport]) -> tuple[TransferReport, float]:
+    """Run a transfer with progress on stderr; return its report and its seconds. Ctrl-C raises Interrupted."""
+    began_at = time.monotonic()
+    try:
+        with watching() as watcher:
+            report = start(watcher)
+    except KeyboardInterrupt:
+        raise Interrupted from None
+    return report, time.monotonic() - began_at
+
+
+def end_transfer(report: TransferReport, elapsed_s: float, as_json: bool) -> None:
+    """Print the report and the summary of a transfer, and exit with its code."""
+    if as_json:
+        show_json(_plain_report(report, elapsed_s))
+    _show_summary(report, elapsed_s)
+    exit_with([*report.failures, *report.left_out])
+
+
+def _plain_report(report: TransferReport, elapsed_s: float) -> dict[str, object]:
+    items = [
+        {
+            "path": result.path,
+            "local": str(result.local),
+            "size_bytes": result.size_bytes,
+            "outcome": result.outcome.value,
+            "moved_bytes": result.moved_bytes,
+            "file_id": str(result.file_id) if result.file_id else None,
+            "sha256": result.sha256,
+            "error": _plain_error(result.error) if result.error else None,
+        }
+        for result in report.results
+    ]
+    left_out = [_plain_error(error) for error in report.left_out]
+    return {"elapsed_s": elapsed_s, "items": items, "left_out": left_out, "link": asdict(report.link)}
+
+
+def _plain_error(error: KleinkramError) -> dict[str, object]:
+    return {"kind": type(error).__name__, "message": str(error), "exit_code": int(EXIT_CODES[type(error)])}
+
+
+def _show_summary(report: TransferReport, elapsed_s: float) -> None:
+    moved = sum(result.moved_bytes for result in report.results)
+    counts = Counter(result.outcome.value for result in report.results)
+    outcomes = ", ".join(f"{number} {outcome}" for outcome, number in sorted(counts.items())) or "nothing"
+    speed = f", {size(int(moved / elapsed_s))}/s" if moved and elapsed_s > 0 else ""
+    note(f"{outcomes}; {size(moved)} in {elapsed_s:.1f} s{speed}")
+    if (advice := report.link.advice()) is not None:
+        note(advice)
+    for request_id in sorted({known for error in report.failures if (known := request_id_of(error))}):
+        note(f"Request id: {request_id}")
+
+
+@contextlib.contextmanager
+def watching() -> Iterator[Watcher]:
+    """Show the progress of a transfer on stderr: bars on a terminal, else one line per file."""
+    if not sys.stderr.isatty():
+        yield FileLines()
+        return
+    bars = ProgressBars()
+    with bars.progress:
+        yield bars
+
+
+class FileLines(Watcher):
+    """Prints one line per file."""
+
+    def ended(self, path: str, outcome: str, reason: str | None) -> None:
+        """Print how a file ended."""
+        note(f"{outcome:<10} {path}" + (f": {reason}" if reason else ""))
+
+    def notify(self, text: str) -> None:
+        """Print a message."""
+        note(text)
+
+
+class ProgressBars(Watcher):
+    """Shows a bar for the whole and one for each file that is moving, with rate and time left."""
+
+    def __init__(self) -> None:
+        from rich import progress
+        from rich.console import Console
+
+        self.progress = progress.Progress(
+            progress.TextColumn("{task.description}"),
+            progress.BarColumn(),
+            progress.DownloadColumn(),
+            progress.TransferSpeedColumn(),
+            progress.TimeRemainingColumn(),
+            console=Console(stderr=True),
+            transient=True,
+        )
+        self._lock = threading.Lock()
+        self._whole: TaskID | None = None
+        self._files: dict[str, TaskID] = {}
+
+    def began(self, files: int, size_bytes: int) -> None:
+        """Show the bar for the whole."""
+        self._whole = self.progress.add_task(count(files, "file"), total=size_bytes)
+
+    def moved(self, path: str, size_bytes: int, total_bytes: int) -> None:
+        """Advance the bars."""
+        self.skipped(path, size_bytes, total_bytes)
+
+    def skipped(self, path: str, size_bytes: int, total_bytes: int) -> None:
+        """Advance the bars."""
+        with self._lock:
+            if path not in self._files:
+                from rich.markup import escape as escape_markup
+
+                self._files[path] = self.progress.add_task(escape_markup(escape(path)), total=total_bytes)
+            self.progress.advance(self._files[path], size_bytes)
+            if self._whole is not None:
+                self.progress.advance(self._whole, size_bytes)
+
+    def ended(self, path: str, outcome: str, reason: str | None) -> None:
+        """Remove the bar of a file, and print why it failed."""
+        with self._lock:
+            if (task := self._files.pop(path, None)) is not None:
+                self.progress.remove_task(task)
+        if reason:
+            self.notify(f"{outcome} {path}: {reason}")
+
+    def notify(self, text: str) -> None:
+        """Print above the bars."""
+        self.progress.console.print(escape(text), markup=False, highlight=False)

@@ -1,0 +1,384 @@
+"""The database of a backup: dumped with COPY at one moment, and loaded into an empty database in one transaction.
+
+Every version of PostgreSQL reads the text that COPY writes. The database file is a sequence of pieces: a line of JSON
+with the table and the number of bytes, and these bytes.
+"""
+
+import contextlib
+import json
+from collections.abc import Callable, Iterable, Iterator
+from typing import IO, NamedTuple
+
+import psycopg
+from alembic import command
+from alembic.script import ScriptDirectory
+from psycopg import sql
+from sqlalchemy import create_engine, pool
+
+from kleinkram.server.backup.errors import (
+    BackupConflict,
+    BackupDamaged,
+    BackupError,
+    BackupRequestInvalid,
+    BackupUnreachable,
+)
+from kleinkram.server.backup.lock import repeating
+from kleinkram.server.backup.objects import NamedObject
+from kleinkram.server.backup.repository import DumpedTable, PackedWriter, Snapshot
+from kleinkram.server.blobs.garbage_collection import DELETION_LOCK
+from kleinkram.server.migrations import alembic_config, development_schema_problem
+
+Connection = psycopg.Connection[tuple[object, ...]]
+_APPLICATION = "kleinkram backup"
+_PIECE_BYTES = 8 * 1024 * 1024
+_CONFIRM_S = 30.0
+_SILENT_MS = 300_000
+
+_TABLES = """
+SELECT c.relname, array_agg(a.attname ORDER BY a.attnum)
+FROM pg_class c JOIN pg_attribute a ON a.attrelid = c.oid AND a.attnum > 0 AND NOT a.attisdropped
+WHERE c.relnamespace = 'public'::regnamespace AND c.relkind = 'r' AND a.attgenerated = ''
+  AND c.relname <> 'alembic_version'
+GROUP BY c.relname ORDER BY c.relname
+"""
+# Blobs marked for deletion are left out: their objects may be gone. Chunks of logs have no known hash.
+_NAMED = """
+COPY (
+  SELECT key, size_bytes, encode(sha256, 'hex') FROM blob WHERE marked_for_deletion_at IS NULL AND store_id = {store}
+  UNION ALL
+  SELECT key, size_bytes, NULL FROM log_chunk WHERE kept_at IS NOT NULL AND store_id = {store}
+) TO STDOUT
+"""
+_HAS_TABLES = "SELECT EXISTS (SELECT FROM pg_class WHERE relnamespace = 'public'::regnamespace AND relkind = 'r')"
+_RESTORED_FROM = "SELECT obj_description(to_regclass('public.alembic_version'), 'pg_class')"
+_FOREIGN_KEYS = """
+SELECT conrelid::regclass::text, quote_ident(conname), pg_get_constraintdef(oid)
+FROM pg_constraint WHERE contype = 'f' AND connamespace = 'public'::regnamespace
+"""
+_TABLES_WITH_TRIGGERS = """
+SELECT DISTINCT tgrelid::regclass::text FROM pg_trigger
+WHERE NOT tgisinternal AND tgrelid IN (SELECT oid FROM pg_class WHERE relnamespace = 'public'::regnamespace)
+"""
+_SEQUENCES = """
+SELECT c.relname, quote_ident(t.relname), quote_ident(a.attname)
+FROM pg_class c JOIN pg_depend d ON d.objid = c.oid AND d.deptype IN ('a', 'i') AND d.classid = 'pg_class'::regclass
+JOIN pg_class t ON t.oid = d.refobjid JOIN pg_attribute a ON a.attrelid = t.oid AND a.attnum = d.refobjsubid
+WHERE c.relkind = 'S' AND c.relnamespace = 'public'::regnamespace
+"""
+
+
+class DatabaseFacts(NamedTuple):
+    """What a database is, and which tables with which columns it has."""
+
+    postgres: str
+    revision: str
+    tables: dict[str, tuple[str, ...]]
+    elsewhere: int
+
+
+class UnavailableObject(NamedTuple):
+    """An object that the restored instance does not have, or not as its uploader sent it, and why."""
+
+    key: str
+    state: str
+    reason: str
+
+
+class RestoreTarget(NamedTuple):
+    """The database to fill, as the role that owns it; the serving role; and the name of the new store."""
+
+    dsn: str
+    serving_role: str
+    store_id: str
+
+
+class DeletionLock:
+    """Keeps the server from deleting objects (see `blobs.garbage_collection`) for as long as its connection lasts."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    def confirm(self) -> None:
+        """Ask the database whether the lock still holds.
+
+        Raises:
+            BackupUnreachable: the connection ended: objects may have been deleted since.
+        """
+        try:
+            self._connection.execute("SELECT 1")
+        except psycopg.Error as error:
+            raise BackupUnreachable(
+                f"The database ended the connection that kept objects from being deleted ({_first_line(error)}): "
+                "run the same command again. What was copied stays."
+            ) from error
+
+
+@contextlib.contextmanager
+def deletion_lock(dsn: str) -> Iterator[DeletionLock]:
+    """Keep the server from deleting objects until the end of the block, or of this process.
+
+    Raises:
+        psycopg.OperationalError: the database does not answer.
+    """
+    with psycopg.connect(dsn, autocommit=True, application_name=_APPLICATION) as connection:
+        # A process that hangs must not keep objects for ever: the database ends connections that are silent.
+        connection.execute(f"SET idle_session_timeout = {_SILENT_MS}")
+        connection.execute("SELECT pg_advisory_lock_shared(%s)", (DELETION_LOCK,))
+        lock = DeletionLock(connection)
+        with repeating(_CONFIRM_S, lock.confirm):
+            yield lock
+
+
+@contextlib.contextmanager
+def read_snapshot(dsn: str) -> Iterator[Connection]:
+    """Open a transaction that sees the database as it is now, and writes nothing.
+
+    Raises:
+        psycopg.OperationalError: the database does not answer.
+    """
+    with psycopg.connect(dsn, application_name=_APPLICATION) as connection:
+        connection.isolation_level = psycopg.IsolationLevel.REPEATABLE_READ
+        connection.read_only = True
+        for name in ("statement_timeout", "idle_in_transaction_session_timeout", "transaction_timeout"):
+            # `transaction_timeout` came with PostgreSQL 17.
+            connection.execute("SELECT set_config(name, '0', true) FROM pg_settings WHERE name = %s", (name,))
+        yield connection
+
+
+def database_facts(connection: Connection, store_id: str) -> DatabaseFacts:
+    """Return what there is to dump; its tables cannot be changed or dropped until the transaction ends.
+
+    Raises:
+        BackupRequestInvalid: the database is none of Kleinkram's.
+    """
+    tables = {str(name): tuple(map(str, _as_list(columns))) for name, columns in connection.execute(_TABLES).fetchall()}
+    if "blob" not in tables:
+        raise BackupRequestInvalid("The database has no tables of Kleinkram: check which one the settings name.")
+    listing = sql.SQL(", ").join(sql.Identifier("public", name) for name in tables)
+    connection.execute(sql.SQL("LOCK TABLE {} IN ACCESS SHARE MODE").format(listing))
+    elsewhere = "SELECT count(*) FROM blob WHERE marked_for_deletion_at IS NULL AND store_id <> %s"
+    return DatabaseFacts(
+        postgres=str(_value(connection, "SHOW server_version")),
+        revision=str(_value(connection, "SELECT version_num FROM alembic_version")),
+        tables=tables,
+        elsewhere=int(str(_value(connection, elsewhere, store_id))),
+    )
+
+
+def named_objects(connection: Connection, store_id: str) -> Iterator[NamedObject]:
+    """Yield the objects that the database names."""
+    with connection.cursor() as cursor, cursor.copy(sql.SQL(_NAMED).format(store=sql.Literal(store_id))) as copy:
+        copy.set_types(["text", "int8", "text"])
+        for key, size_bytes, sha256 in copy.rows():
+            yield NamedObject(key, size_bytes, sha256)
+
+
+def dump_table(connection: Connection, name: str, columns: tuple[str, ...], file: PackedWriter) -> DumpedTable:
+    """Write all rows of one table."""
+    pending = bytearray()
+    rows = 0
+
+    def flush() -> None:
+        if pending:
+            file.write(json.dumps({"table": name, "bytes": len(pending)}).encode() + b"\n")
+            file.write(bytes(pending))
+            pending.clear()
+
+    with connection.cursor() as cursor, cursor.copy(_copy(name, columns, "TO STDOUT")) as copy:
+        for row in copy:
+            pending += row
+            rows += 1
+            if len(pending) >= _PIECE_BYTES:
+                flush()
+    flush()
+    return DumpedTable(name=name, columns=columns, rows=rows)
+
+
+def dump_sequences(connection: Connection) -> dict[str, int]:
+    """Return the last values of the sequences; those never used are left out."""
+    query = "SELECT sequencename, last_value FROM pg_sequences WHERE schemaname = 'public' AND last_value IS NOT NULL"
+    return {str(name): int(str(value)) for name, value in connection.execute(query).fetchall()}
+
+
+def missing_log_chunks(dsn: str, keys: Iterable[str]) -> set[str]:
+    """Return which of these chunks of logs the database no longer names."""
+    listed = [*keys]
+    with psycopg.connect(dsn, application_name=_APPLICATION) as connection:
+        query = "SELECT key FROM log_chunk WHERE key = ANY(%s)"
+        return {*listed} - {str(key) for (key,) in connection.execute(query, (listed,)).fetchall()}
+
+
+def refuse_unknown_schema(snapshot: Snapshot) -> None:
+    """Refuse a backup whose schema this version does not know.
+
+    Raises:
+        BackupError: it is one.
+    """
+    known = {script.revision for script in ScriptDirectory.from_config(alembic_config("", "")).walk_revisions()}
+    if snapshot.revision in known:
+        return
+    if problem := development_schema_problem(snapshot.revision):
+        raise BackupError(f"The backup {snapshot.id} cannot be restored: {problem}.")
+    raise BackupError(
+        f"The backup {snapshot.id} was made by Kleinkram {snapshot.kleinkram}, whose schema {snapshot.revision} "
+        f"this version does not know: restore it with {snapshot.kleinkram} or later."
+    )
+
+
+def restored_from(target: RestoreTarget) -> str | None:
+    """Return the backup that a database was restored from; None if it is empty.
+
+    Raises:
+        BackupConflict: it has other tables.
+    """
+    with psycopg.connect(target.dsn) as database:
+        if not _value(database, _HAS_TABLES):
+            return None
+        comment = _value(database, _RESTORED_FROM)
+    if not isinstance(comment, str) or not comment.startswith("restored from "):
+        raise BackupConflict("The database is not empty: a backup is restored into a new one, without any tables.")
+    return comment.removeprefix("restored from ")
+
+
+def load_database(
+    target: RestoreTarget,
+    snapshot: Snapshot,
+    open_file: Callable[[], contextlib.AbstractContextManager[IO[bytes]]],
+    unavailable: Iterable[UnavailableObject],
+) -> None:
+    """Fill an empty database, all of it or nothing: schema as it was, rows, foreign keys, then the newest schema.
+
+    Raises:
+        BackupDamaged: the file was changed, or a table has not all its rows.
+        psycopg.Error, sqlalchemy.exc.SQLAlchemyError: the database refused.
+    """
+    url = target.dsn.replace("postgresql://", "postgresql+psycopg://", 1)
+    engine = create_engine(url, poolclass=pool.NullPool, hide_parameters=True)
+    config = alembic_config(url, target.serving_role)
+    with engine.begin() as connection:
+        config.attributes["connection"] = connection
+        command.upgrade(config, snapshot.revision)
+        database: Connection = connection.connection.driver_connection  # type: ignore[assignment]  # psycopg's own
+        with open_file() as file:
+            _load_rows(database, snapshot, file)
+        command.upgrade(config, "head")
+        _adjust_rows(database, target, snapshot, unavailable)
+        database.execute(
+            sql.SQL("COMMENT ON TABLE alembic_version IS {}").format(sql.Literal(f"restored from {snapshot.id}"))
+        )
+    engine.dispose()
+    with psycopg.connect(target.dsn, autocommit=True) as database:
+        database.execute("VACUUM (ANALYZE)")
+
+
+def _load_rows(database: Connection, snapshot: Snapshot, file: IO[bytes]) -> None:
+    """Load all tables without foreign keys and triggers, then make these again, which checks every key."""
+    foreign_keys = database.execute(_FOREIGN_KEYS).fetchall()
+    for table, name, _ in foreign_keys:
+        _run(database, f"ALTER TABLE {table} DROP CONSTRAINT {name}")
+    with_triggers = [str(row[0]) for row in database.execute(_TABLES_WITH_TRIGGERS).fetchall()]
+    for table in with_triggers:
+        _run(database, f"ALTER TABLE {table} DISABLE TRIGGER USER")
+    names = sql.SQL(", ").join(sql.Identifier("public", table.name) for table in snapshot.tables)
+    database.execute(sql.SQL("TRUNCATE {}").format(names))  # migrations insert rows, too
+    pieces = _Pieces(file)
+    for dumped in snapshot.tables:
+        with database.cursor() as cursor:
+            with cursor.copy(_copy(dumped.name, dumped.columns, "FROM STDIN")) as copy:
+                for piece in pieces.of_table(dumped.name):
+                    copy.write(piece)
+            if cursor.rowcount != dumped.rows:
+                raise BackupDamaged(f"The table {dumped.name} has {cursor.rowcount} rows instead of {dumped.rows}.")
+    for table, name, definition in foreign_keys:
+        _run(database, f"ALTER TABLE {table} ADD CONSTRAINT {name} {definition}")
+    for table in with_triggers:
+        _run(database, f"ALTER TABLE {table} ENABLE TRIGGER USER")
+    _set_sequences(database, snapshot.sequences)
+
+
+class _Pieces:
+    """The pieces of a database file, in its order of tables."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self._header = self._next_header()
+
+    def of_table(self, name: str) -> Iterator[bytes]:
+        """Yield the pieces of the table that comes next; none where the file continues with another."""
+        while self._header is not None and self._header[0] == name:
+            left = self._header[1]
+            while left:
+                piece = self._file.read(min(left, 1024 * 1024))
+                if not piece:
+                    raise BackupDamaged(f"The backup's database file ends within the table {name}.")
+                left -= len(piece)
+                yield piece
+            self._header = self._next_header()
+
+    def _next_header(self) -> tuple[str, int] | None:
+        line = self._file.readline()
+        if not line:
+            return None
+        try:
+            values = json.loads(line)
+            return str(values["table"]), int(values["bytes"])
+        except (ValueError, KeyError, TypeError):
+            raise BackupDamaged("The backup's database file was changed.") from None
+
+
+def _set_sequences(database: Connection, last_values: dict[str, int]) -> None:
+    """Let sequences continue where they were, and above what a table holds: the dumping role may not see all."""
+    for sequence, table, column in database.execute(_SEQUENCES).fetchall():
+        highest = _value(database, f"SELECT max({column}) FROM {table}")  # noqa: S608  (quoted by the catalog)
+        last = max(last_values.get(str(sequence), 0), highest if isinstance(highest, int) else 0)
+        if last:
+            database.execute("SELECT setval(quote_ident(%s)::regclass, %s)", (sequence, last))
+
+
+def _adjust_rows(
+    database: Connection, target: RestoreTarget, snapshot: Snapshot, unavailable: Iterable[UnavailableObject]
+) -> None:
+    """Let the rows say no more than is so: they are about another store, where nothing has been verified yet."""
+    to, was = target.store_id, snapshot.store_id
+    for table in ("blob", "upload", "log_chunk"):
+        _run(database, f"UPDATE {table} SET store_id = %s WHERE store_id = %s AND store_id <> %s", to, was, to)  # noqa: S608  (constants)
+    database.execute("DELETE FROM store_probe")
+    # The parts of active uploads are in the old store: clients begin these again, and find their names free.
+    database.execute(
+        "UPDATE upload SET state = 'expired', completing_since = NULL WHERE state IN ('open', 'completing')"
+    )
+    # Runs were leased to runners of another server: the next round takes them back, as from a runner that is gone.
+    database.execute("UPDATE run SET lease_ends_at = now() WHERE lease_ends_at > now()")
+    database.execute(
+        "UPDATE blob SET state = 'stored', state_reason = NULL, damaged_at = NULL"
+        " WHERE state <> 'stored' AND store_id = %s AND marked_for_deletion_at IS NULL",
+        (to,),
+    )
+    with database.cursor() as cursor:
+        cursor.executemany(
+            "UPDATE blob SET state = %s, state_reason = %s, damaged_at = now() WHERE store_id = %s AND key = %s",
+            ((lost.state, lost.reason, to, lost.key) for lost in unavailable),
+        )
+
+
+def _copy(table: str, columns: tuple[str, ...], direction: str) -> sql.Composed:
+    listing = sql.SQL(", ").join(map(sql.Identifier, columns))
+    return sql.SQL("COPY {} ({}) {}").format(sql.Identifier("public", table), listing, sql.SQL(direction))
+
+
+def _run(database: Connection, statement: str, *values: str) -> None:
+    # Names in it come from the catalog, quoted, or are constants.
+    database.execute(statement, values or None)
+
+
+def _value(database: Connection, query: str, *values: str) -> object:
+    row = database.execute(query, values or None).fetchone()
+    return row[0] if row else None
+
+
+def _as_list(value: object) -> list[object]:
+    return list(value) if isinstance(value, list) else []
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().partition("\n")[0]

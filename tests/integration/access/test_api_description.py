@@ -1,0 +1,151 @@
+"""Every request that the OpenAPI document allows, or does not, gets a documented response."""
+
+import random
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+import schemathesis
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
+from schemathesis import Case, GenerationMode
+from schemathesis.checks import not_a_server_error
+from schemathesis.core.failures import FailureGroup
+from schemathesis.core.result import Ok
+from schemathesis.specs.openapi.checks import (
+    content_type_conformance,
+    response_schema_conformance,
+    status_code_conformance,
+)
+
+from kleinkram.contract.access import Right, Scope, TokenKind
+from tests.integration import people
+from tests.integration.access import world as worlds
+from tests.integration.api_server import Api
+from tests.integration.conftest import StartApi
+from tests.integration.openapi_check import assert_is_described
+
+_CHECKS = [not_a_server_error, status_code_conformance, content_type_conformance, response_schema_conformance]
+_MODES = (GenerationMode("positive"), GenerationMode("negative"))
+# The short round asks so many operations; requests each, by one of six kinds of asker, in the short and the long one.
+# To think of a request takes longer than to answer it.
+_SOME = 30
+_FEW, _MANY, _VERY_MANY = 3, 10, 60
+
+# Answered by what reads HTTP, before there is a request: longer or stranger than that bears.
+_NOT_HTTP = "Invalid HTTP request received."
+_HEAD_TOO_LARGE, _MOST_HEAD_BYTES = 431, 64 * 1024
+
+
+@dataclass(frozen=True)
+class ProxiedRequest:
+    """The API, who asks by what headers, and ids that lead to something."""
+
+    api: Api
+    askers: Mapping[str, Mapping[str, str]]
+    known: Mapping[str, str]
+
+
+@pytest.fixture(scope="module")
+def asked(start_api: StartApi) -> ProxiedRequest:
+    api = start_api()
+    things = worlds.put_things(api, is_public=False)
+    member, group = people.person(api), people.group(api)
+    people.join(api, member, group, is_editor=True)
+    people.grant(api, member, Right.delete, project_id=things.project)
+    robot = people.token(api, member, [Scope.upload], limits=[things.project], kind=TokenKind.robot)
+    runner = people.token(api, member, [Scope.run], kind=TokenKind.runner)
+    secrets = {
+        "member": member.token,
+        "robot": robot.secret,
+        "runner": runner.secret,
+        "link": people.share(api, things.mission).secret,
+        "admin": people.person(api, admin=True).token,
+    }
+    known = {
+        "project_id": things.project,
+        "mission_id": things.mission,
+        "file_id": things.file,
+        "recording_id": things.recording,
+        "upload_id": worlds.begun(api, member.id, things.mission),
+        "group_id": group,
+        "person_id": things.hermit,
+        "token_id": people.token(api, member).id,
+        "share_id": things.link,
+        "grant_id": people.grant(api, group, Right.read, project_id=things.project),
+        "noun": "mission",
+        "noun_id": things.trashed_mission,
+        "name": "none",
+    }
+    askers = {name: {"Authorization": f"Bearer {secret}"} for name, secret in secrets.items()}
+    return ProxiedRequest(api, {**askers, "stranger": {}}, known)
+
+
+def _ask(asked: ProxiedRequest, case: Case[Any], who: str, *, is_known: bool) -> None:
+    case.headers.pop("Authorization", None)
+    if is_known:
+        case.path_parameters.update({name: asked.known[name] for name in case.path_parameters if name in asked.known})
+    if case.operation.path == "/api/v1/events":
+        case.query["for_s"] = "0"  # what else it says is for whoever listens for longer
+    response = case.call(base_url=asked.api.url, headers=dict(asked.askers[who]))
+    if response.text == _NOT_HTTP:
+        return
+    if response.status_code == _HEAD_TOO_LARGE:
+        request = response.request
+        head = f"{request.method} {request.path_url} HTTP/1.1\r\n" + "".join(map(str, request.headers.items()))
+        assert len(head) > 0.9 * _MOST_HEAD_BYTES
+        return
+    case.validate_response(response, checks=_CHECKS)
+    body = response.json() if response.status_code >= 400 else None
+    path = case.formatted_path
+    assert_is_described(case.method, path, response.status_code, body)
+
+
+def _ask_much(asked: ProxiedRequest, examples: int, *, operations: int | None = None) -> list[str]:
+    """Ask each operation, or so many of them, so many things, and return what went wrong."""
+    described = schemathesis.openapi.from_dict(asked.api.app.openapi())
+    found = []
+    for result in described.get_all_operations():
+        assert isinstance(result, Ok), result
+        found.append(result.ok())
+    wrong = []
+    for operation in found if operations is None else random.Random(operations).sample(found, operations):
+        allowed, forbidden = (operation.as_strategy(generation_mode=mode) for mode in _MODES)
+
+        @seed(operation.label)
+        @settings(
+            max_examples=examples,
+            deadline=None,
+            database=None,
+            phases=[Phase.generate],
+            suppress_health_check=list(HealthCheck),
+        )
+        @given(case=allowed | forbidden, who=st.sampled_from(sorted(asked.askers)), is_known=st.booleans())
+        def ask(case: Case[Any], who: str, is_known: bool) -> None:
+            _ask(asked, case, who, is_known=is_known)
+
+        try:
+            ask()
+        except (AssertionError, FailureGroup) as error:
+            causes = getattr(error, "exceptions", [error])
+            wrong.append(f"{operation.label}: {' '.join(str(cause) for cause in causes)[:1500]}")
+    return wrong
+
+
+def test_everything_is_answered_as_described(asked: ProxiedRequest) -> None:
+    wrong = _ask_much(asked, _FEW, operations=_SOME)
+    assert not wrong, "\n\n".join(wrong)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_much_is_answered_as_described(asked: ProxiedRequest) -> None:
+    wrong = _ask_much(asked, _MANY)
+    assert not wrong, "\n\n".join(wrong)
+
+
+@pytest.mark.soak
+def test_very_much_is_answered_as_described(asked: ProxiedRequest) -> None:
+    wrong = _ask_much(asked, _VERY_MANY)
+    assert not wrong, "\n\n".join(wrong)

@@ -1,0 +1,110 @@
+"""Reads by an admin without a right of their own are recorded; reads of own data are not."""
+
+from typing import Any
+
+import pytest
+
+from kleinkram.contract.access import Right, Scope
+from kleinkram.server.audit import admin_access
+from tests.integration import people
+from tests.integration.api_server import Api
+from tests.integration.conftest import StartApi
+from tests.integration.people import Person
+from tests.integration.sample import Sample
+
+
+@pytest.fixture(scope="module")
+def own(start_api: StartApi) -> Api:
+    """An API by itself: what there is decides what a list shows by power alone."""
+    return start_api()
+
+
+def _looks(api: Api, who: Person) -> list[Any]:
+    query = {"person_id": who.id, "operation": "admin.look"}
+    return [(event["noun"], event["noun_id"] or event["noun_name"]) for event in reversed(api.all("/audit", query))]
+
+
+def test_one_look_an_hour_is_noted_for_each_mission_and_project(own: Api) -> None:
+    project = own.project()["id"]
+    mission, other = own.mission(project)["id"], own.mission(project)["id"]
+    file_id = Sample(own).file(mission, "a.mcap")
+    admin = people.person(own, admin=True)
+    asked = own.as_(admin.token)
+    for _ in range(2):
+        own.app.state.admin_reads = admin_access.AdminReads()  # as in another process
+        asked.get(f"/files/{file_id}").ok()
+        asked.get(f"/missions/{mission}/recordings").ok()
+        asked.get("/files", {"mission_id": mission}).ok()
+    asked.get(f"/missions/{other}").ok()
+    asked.get(f"/projects/{project}").ok()
+    assert _looks(own, admin) == [("mission", mission), ("mission", other), ("project", project)]
+    (event,) = own.all("/audit", {"operation": "admin.look", "mission_id": mission})
+    assert (event["as_admin"], event["project_id"], event["after"]) == (True, project, {"operation": "get_file"})
+    own.sql("UPDATE audit_event SET at = at - interval '61 minutes' WHERE operation = 'admin.look'")
+    own.app.state.admin_reads = admin_access.AdminReads()
+    asked.get(f"/missions/{mission}").ok()
+    assert _looks(own, admin)[3:] == [("mission", mission)]
+
+
+@pytest.mark.parametrize("right", [*Right])
+def test_reads_with_own_rights_are_not_recorded_as_admin_access(own: Api, right: Right) -> None:
+    project = own.project()["id"]
+    mission = own.mission(project)["id"]
+    admin = people.person(own, admin=True)
+    people.grant(own, admin, right, mission_id=mission)
+    asked = own.as_(admin.token)
+    asked.get(f"/missions/{mission}").ok()
+    assert _looks(own, admin) == []
+    asked.get(f"/projects/{project}").ok()
+    assert _looks(own, admin) == [("project", project)]
+
+
+def test_the_record_and_the_trash_take_more_than_reading(own: Api) -> None:
+    project = own.project()["id"]
+    admin = people.person(own, admin=True)
+    people.grant(own, admin, Right.write, project_id=project)
+    asked = own.as_(admin.token)
+    asked.get(f"/projects/{project}").ok()
+    assert _looks(own, admin) == []
+    asked.get("/audit", {"project_id": project}).ok()
+    assert _looks(own, admin) == [("project", project)]
+
+
+def test_lists_of_everything_are_noted_by_their_name_where_they_show_more_than_one_s_own(start_api: StartApi) -> None:
+    api = start_api()
+    owner = people.person(api, admin=True)
+    asked = api.as_(owner.token)
+    project = asked.project()["id"]
+    for path in ("/projects", "/missions", "/files", "/topics", "/stats", "/trash"):
+        asked.get(path).ok()
+    asked.get(f"/projects/{project}").ok()
+    asked.get("/service").ok()
+    assert _looks(api, owner) == []
+    other = people.person(api, admin=True)
+    api.as_(other.token).get("/files").ok()
+    api.as_(other.token).get("/files", {"text": "x"}).ok()
+    api.as_(other.token).get("/stats").ok()
+    assert _looks(api, other) == [("server", "list_files"), ("server", "get_stats")]
+
+
+def test_without_the_power_or_for_what_is_not_there_nothing_is_noted(own: Api) -> None:
+    project = own.project()["id"]
+    admin = people.person(own, admin=True)
+    plain = people.token(own, admin.id, [Scope.write])
+    own.as_(plain.secret).get(f"/projects/{project}").refused(404, "not_found")
+    own.as_(plain.secret).get("/projects").ok()
+    own.as_(admin.token).get("/projects/00000000-0000-4000-8000-000000000000").refused(404, "not_found")
+    own.as_(admin.token).get("/projects/x").refused(422, "invalid_request")
+    assert _looks(own, admin) == []
+
+
+def test_a_limited_token_s_looks_are_those_within_its_limits(own: Api) -> None:
+    here, there = own.project()["id"], own.project()["id"]
+    admin = people.person(own, admin=True)
+    asked = own.as_(people.token(own, admin.id, limits=[here]).secret)
+    asked.get(f"/projects/{there}").refused(404, "not_found")
+    asked.get(f"/groups/{admin.group_id}")
+    assert _looks(own, admin) == []
+    asked.get(f"/projects/{here}").ok()
+    asked.get("/files").ok()
+    assert _looks(own, admin) == [("project", here), ("server", "list_files")]

@@ -1,0 +1,92 @@
+"""Readiness and metrics are correct and cheap, however often they are requested."""
+
+import asyncio
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+import urllib3
+
+from kleinkram.contract.errors import StoreUnavailable
+from kleinkram.server.health import metrics_server, readiness, routes
+from tests.integration.api_server import Api
+from tests.integration.conftest import StartApi
+from tests.integration.upload_client import wait_until
+
+_POOL = urllib3.PoolManager(retries=False, timeout=20, maxsize=20)
+
+
+def _ready(api: Api) -> tuple[int, str]:
+    answer = _POOL.request("GET", f"{api.url}/health/ready")
+    return answer.status, answer.data.decode()
+
+
+class _Silent:
+    """A store that takes the question and does not answer until it is told to; it counts the questions."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+        self._is_awake = asyncio.Event()
+
+    async def check(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self.asked += 1
+        await self._is_awake.wait()
+        raise StoreUnavailable(reason="it woke up")
+
+    def answer(self) -> None:
+        self._loop.call_soon_threadsafe(self._is_awake.set)
+
+
+def test_readiness_names_unavailable_services(start_api: StartApi) -> None:
+    api = start_api()
+    status, text = _ready(api)
+    assert (status, text.splitlines()[0]) == (200, "ready")
+    assert "no worker process was ever heard of" in text, "nobody should find out from files that stay unread"
+    other = start_api()
+    other.sql("UPDATE alembic_version SET version_num = 'other'")
+    status, text = _ready(other)
+    assert (status, "run the migrations" in text) == (503, True)
+
+
+def test_a_store_that_does_not_answer_is_not_waited_for(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(readiness, "_STORE_TIMEOUT_S", 0.1)
+    api = start_api()
+    api.app.state.storage = _Silent()
+    assert _ready(api) == (503, "the object store did not answer within 0.1 seconds\n")
+
+
+def test_a_store_that_does_not_answer_holds_up_nobody(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(readiness, "_STORE_TIMEOUT_S", 60)
+    monkeypatch.setattr(routes, "_HOLDS_S", 3600)
+    api = start_api(database_connections=2)
+    store = _Silent()
+    api.app.state.storage = store
+    with ThreadPoolExecutor(10) as pool:
+        probes = [pool.submit(_ready, api) for _ in range(10)]
+        wait_until(lambda: store.asked > 0)
+        for _ in range(5):
+            api.get("/projects").ok()
+        assert not any(probe.done() for probe in probes)
+        store.answer()
+        assert len({probe.result() for probe in probes}) == 1
+        assert "it woke up" in probes[0].result()[1]
+    assert store.asked == 1
+
+
+def test_metrics_are_complete_with_concurrent_readers(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(metrics_server, "_HOLDS_S", 3600)
+    api = start_api()
+    with api.statements() as statements, ThreadPoolExecutor(8) as pool:
+        texts = list(pool.map(lambda _: api.metrics(), range(24)))
+    for text in texts:
+        assert text.count("# TYPE kleinkram_queue_oldest_seconds gauge") == 1
+        assert text.count("# TYPE kleinkram_jobs gauge") == 1
+        assert text.count("# TYPE kleinkram_requests_total counter") == 1
+    assert len(statements) == 9
+
+
+def test_more_requests_than_connections_wait_for_each_other(start_api: StartApi) -> None:
+    api = start_api(database_connections=2)
+    paths = ["/projects", "/files", "/missions", "/trash", "/audit", "/stats", "/topics"]
+    with ThreadPoolExecutor(12) as pool:
+        assert {answer.status for answer in pool.map(api.get, 4 * paths)} == {200}

@@ -1,0 +1,120 @@
+"""Expired trash is deleted, and nothing is restored in part."""
+
+from typing import Any
+
+import pytest
+
+from kleinkram.server.context import AppContext
+from kleinkram.server.trash.service import empty_trash
+from tests.integration.api_server import Api
+from tests.integration.conftest import StartApi
+from tests.integration.jobs import on_site
+from tests.integration.races import racing
+from tests.integration.sample import Sample
+
+
+@pytest.fixture(name="own", scope="module")
+def _own(start_api: StartApi) -> Api:
+    return start_api()
+
+
+@pytest.fixture(name="tree")
+def _tree(own: Api) -> dict[str, str]:
+    project = own.project()["id"]
+    mission = own.mission(project)["id"]
+    return {"project": project, "mission": mission, "file": Sample(own).file(mission, "a.mcap")}
+
+
+def _empty(api: Api, *, limit: int = 100) -> None:
+    async def work(context: AppContext) -> None:
+        async with context.database.begin() as db:
+            await empty_trash(db, older_than_days=30, limit=limit)
+
+    on_site(api, work)
+
+
+def _age(api: Api, noun: str, noun_id: str, days: int = 31) -> None:
+    api.sql(f"UPDATE {noun} SET deleted_at = now() - make_interval(days => %s) WHERE id = %s", days, noun_id)
+
+
+def _left(api: Api, tree: dict[str, str]) -> list[str]:
+    return [noun for noun, noun_id in tree.items() if api.sql(f"SELECT 1 FROM {noun} WHERE id = %s", noun_id)]
+
+
+def _restore(api: Api, noun: str, noun_id: str) -> Any:
+    return api.post(f"/trash/{noun}/{noun_id}/restore")
+
+
+@pytest.mark.parametrize("noun", ["project", "mission", "file"])
+def test_expired_trash_cannot_be_restored(own: Api, tree: dict[str, str], noun: str) -> None:
+    own.delete(f"/{noun}s/{tree[noun]}").ok()
+    _age(own, noun, tree[noun])
+    assert tree[noun] not in [row["id"] for row in own.all("/trash")]
+    _restore(own, noun, tree[noun]).refused(404, "not_found")
+    _age(own, noun, tree[noun], 29)
+    assert tree[noun] in [row["id"] for row in own.all("/trash")]
+    _restore(own, noun, tree[noun]).ok(204)
+
+
+@pytest.mark.parametrize(
+    ("noun", "left"), [("project", []), ("mission", ["project"]), ("file", ["project", "mission"])]
+)
+def test_all_of_what_is_due_goes_and_is_noted_with_its_project(
+    own: Api, tree: dict[str, str], noun: str, left: list[str]
+) -> None:
+    own.delete(f"/{noun}s/{tree[noun]}").ok()
+    _age(own, noun, tree[noun])
+    _empty(own)
+    assert _left(own, tree) == left
+    events = own.all("/audit", {"project_id": tree["project"]})
+    purged = {
+        event["noun"]: (event["noun_id"], event["actor"]) for event in events if event["operation"].endswith("purge")
+    }
+    assert purged == {each: (noun_id, None) for each, noun_id in tree.items() if each not in left}
+
+
+def test_an_upload_goes_with_its_mission_once_the_store_is_rid_of_it(own: Api, tree: dict[str, str]) -> None:
+    file = {"path": "b.bin", "size_bytes": 3}
+    (begun,) = own.post(f"/missions/{tree['mission']}/uploads", {"files": [file]}).ok()["items"]
+    upload = begun["upload"]["id"]
+    own.delete(f"/missions/{tree['mission']}").ok()
+    _age(own, "mission", tree["mission"])
+    _empty(own)
+    assert own.sql("SELECT state FROM upload WHERE id = %s", upload) == [("expired",)]
+    assert _left(own, tree) == ["project", "mission"]
+    own.sql("UPDATE upload SET cleaned_at = now() WHERE id = %s", upload)
+    _empty(own)
+    assert (own.sql("SELECT 1 FROM upload WHERE id = %s", upload), _left(own, tree)) == ([], ["project"])
+
+
+def test_a_round_takes_no_more_than_it_may_and_the_next_goes_on(own: Api, tree: dict[str, str]) -> None:
+    for number in range(2):
+        Sample(own).file(tree["mission"], f"{number}.mcap")
+    own.delete(f"/projects/{tree['project']}").ok()
+    _age(own, "project", tree["project"])
+    for files in (2, 1):
+        _empty(own, limit=1)
+        assert own.sql("SELECT count(*) FROM file WHERE mission_id = %s", tree["mission"]) == [(files,)]
+    _empty(own, limit=1)
+    assert _left(own, tree) == []
+
+
+@pytest.mark.parametrize("noun", ["project", "mission", "file"])
+def test_locked_rows_are_skipped(own: Api, tree: dict[str, str], noun: str) -> None:
+    own.delete(f"/{noun}s/{tree[noun]}").ok()
+    _age(own, noun, tree[noun])
+    with racing(own, f"SELECT 1 FROM {noun} WHERE id = %s FOR UPDATE", tree[noun]):
+        _empty(own)
+        assert _left(own, tree) == ["project", "mission", "file"]
+    _empty(own)
+    assert noun not in _left(own, tree)
+
+
+@pytest.mark.parametrize("noun", ["mission", "file"])
+def test_a_mission_is_restored_only_after_its_project(own: Api, tree: dict[str, str], noun: str) -> None:
+    own.delete(f"/{noun}s/{tree[noun]}").ok()
+    with racing(own, "SELECT 1 FROM project WHERE id = %s FOR UPDATE", tree["project"]) as send:
+        restored = send(_restore, own, noun, tree[noun])
+        # Whoever holds the project may still take what is in it.
+        own.sql(f"SELECT 1 FROM {noun} WHERE id = %s FOR UPDATE NOWAIT", tree[noun])
+    restored.result().ok(204)
