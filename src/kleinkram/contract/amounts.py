@@ -129,7 +129,7 @@ def _said(number: int, units: Mapping[str, int]) -> str:
 
 _MIN_NS, _MAX_NS = -(2**63), 2**63 - 1
 _EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.timezone.utc)
-_DATE = re.compile(r"\d{4}-\d{2}-\d{2}", re.ASCII)
+_DAY = re.compile(r"\d{4}-\d{2}-\d{2}", re.ASCII)
 _TIME = re.compile(
     r"(?P<day>\d{4}-\d{2}-\d{2})[Tt ](?P<clock>\d{2}:\d{2}(:\d{2})?)(\.(?P<fraction>\d{1,6}))?"
     r" ?(?P<zone>[Zz]|[-+]\d{2}(:?\d{2})?)?",
@@ -143,7 +143,7 @@ def iso_text(text: str) -> str | None:
     A time without zone is taken as UTC. Source: ISO 8601-1:2019, extended format.
     """
     try:
-        if _DATE.fullmatch(text):
+        if _DAY.fullmatch(text):
             return datetime.date.fromisoformat(text).isoformat()
         if found := _TIME.fullmatch(text):
             return _in_utc(found).isoformat()
