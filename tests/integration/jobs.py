@@ -12,8 +12,8 @@ from kleinkram.server import worker
 from kleinkram.server.blobs.reader_processes import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
-from kleinkram.server.jobs.attempts import keep_why
-from kleinkram.server.jobs.courtesy import Courtesy
+from kleinkram.server.jobs.attempts import record_failure
+from kleinkram.server.jobs.back_pressure import BackPressure
 from kleinkram.server.jobs.queue import queue
 from kleinkram.server.recordings.rests import Rests
 from kleinkram.server.recordings.understanding import Understanding
@@ -38,9 +38,9 @@ def run_jobs(api: Api, *, store: str | None = None) -> list[str]:
 
 
 async def _hurry(context: AppContext) -> list[str]:
-    courtesy = Courtesy(context.database, context.settings)
-    courtesy.end()  # what these tests leave half uploaded is nobody's to wait for
-    return await drain(context, courtesy)
+    back_pressure = BackPressure(context.database, context.settings)
+    back_pressure.end()  # what these tests leave half uploaded is nobody's to wait for
+    return await drain(context, back_pressure)
 
 
 class _NoRests(Rests):
@@ -50,7 +50,7 @@ class _NoRests(Rests):
         """Note nothing."""
 
 
-async def drain(context: AppContext, courtesy: Courtesy, rests: Rests | None = None) -> list[str]:
+async def drain(context: AppContext, back_pressure: BackPressure, rests: Rests | None = None) -> list[str]:
     """Run what waits, as courteous as it is given; returns the name of each job."""
     ran: list[str] = []
 
@@ -66,11 +66,11 @@ async def drain(context: AppContext, courtesy: Courtesy, rests: Rests | None = N
                 concurrency=4,
                 install_signal_handlers=False,
                 listen_notify=False,
-                worker_middleware=[keep_why, note],
+                worker_middleware=[record_failure, note],
                 additional_context={
-                    "site": context,
+                    "context": context,
                     "readers": readers,
-                    "courtesy": courtesy,
+                    "back_pressure": back_pressure,
                     "understanding": Understanding(readers),
                     "rests": rests or _NoRests(),
                 },

@@ -118,7 +118,7 @@ def _fill_a_table(cluster: Cluster) -> None:
     token = (cluster.data_dir / "owner-token").read_text().strip()
     with connect(cluster.runtime_info()["url"], token) as client, pytest.raises(DatabaseUnavailable) as refused:
         _make_missions(client)
-    assert "its disk is full: whoever runs the server has to make room on it" in str(refused.value)
+    assert "its disk is full: free space on the server" in str(refused.value)
     assert "Nothing was lost" in str(refused.value)
 
 

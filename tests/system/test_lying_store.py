@@ -54,7 +54,7 @@ def test_lost_truncated_and_altered_objects_are_reported_and_repaired_by_uploadi
     assert "newly lost:    1" in scrubbed.out
     assert "newly corrupt: 1" in scrubbed.out
     verified = terminal.run("verify", "--remote", "-p", "p", "-m", "m", code=9)
-    assert "Upload it again to mend it." in verified.err
+    assert "Upload it again to repair it." in verified.err
     states = _states(terminal)
     for name, (state, why) in _HARM.items():
         assert states[name][0] == state

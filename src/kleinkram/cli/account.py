@@ -116,7 +116,7 @@ def link(as_json: AsJson = False) -> None:
         show_json(made)
         return
     line(made.url)
-    note(f"Good once, until {moment(made.expires_at)}.")
+    note(f"Valid once, until {moment(made.expires_at)}.")
 
 
 @session_app.command("revoke")
@@ -263,7 +263,7 @@ def create_share(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Create a link and print its address, which is shown only once. Whoever has it can read what it shows."""
+    """Create a link and print its address, which is shown only once. Everybody who has it can read what it shows."""
     with connect() as client:
         now = client.service.now
         expires_at = expiry(until, days, now) or now() + datetime.timedelta(days=_DEFAULT_DAYS)

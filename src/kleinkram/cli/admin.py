@@ -159,7 +159,7 @@ def show_scrub(state: ScrubState) -> None:
     if state.blobs:
         table(["state", "count", "size"], [(row.state, row.count, size(row.size_bytes)) for row in state.blobs])
     if is_damaged(state):
-        note("`klein file list --state lost --state corrupt` names them; uploading such a file again mends it.")
+        note("`klein file list --state lost --state corrupt` lists them; upload such a file again to repair it.")
     if last is not None and last.stopped is not None:
         note(last.stopped)
 

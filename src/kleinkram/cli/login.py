@@ -55,7 +55,7 @@ def login(
     server = _server(url)
     parts = urlsplit(server)
     if parts.scheme == "http" and parts.hostname not in _LOOPBACK:
-        note(f"{server} is not encrypted: whoever is on the way sees the token. Use it on a network that you trust.")
+        note(f"{server} is not encrypted: others on the network can read the token. Use it on a trusted network.")
     saved = load_endpoints()
     saved_as = name or name_for(server, saved)
     before = saved.endpoints.get(saved_as)

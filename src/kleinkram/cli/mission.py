@@ -247,7 +247,7 @@ def show_contents(client: Client, mission: MissionRead, as_json: bool) -> None:
             if file.state in {BlobState.lost, BlobState.corrupt}
         ]
         if damaged:
-            _heading("Not what was uploaded: upload these again to mend them")
+            _heading("Lost or corrupt files: upload them again to repair them")
             table(["path", "bytes", "since", "what differs"], damaged)
     topics = client.missions.topics(mission.id, bins=0).items
     if topics:

@@ -133,7 +133,7 @@ def _show_link(made: OneTimeLink, as_json: bool) -> None:
         show_json(made)
         return
     line(made.url)
-    note(f"Good once, until {moment(made.expires_at)}. Whoever has it can use it.")
+    note(f"Valid once, until {moment(made.expires_at)}. Everybody who has it can use it.")
     if made.warning:
         note(f"Warning: {made.warning}")
 

@@ -288,7 +288,7 @@ def verify(
         for one, path in _named(verdicts):
             if one.file is not None and one.file.damaged_at is not None:
                 reason, since = one.file.state_reason, moment(one.file.damaged_at)
-                note(f"{path} is {one.file.state.value} since {since}: {reason}. Upload it again to mend it.")
+                note(f"{path} is {one.file.state.value} since {since}: {reason}. Upload it again to repair it.")
     unread = [one.error for one in verdicts if one.error is not None]
     _note_left_out(unread)
     same_count = sum(one.verdict is Verdict.same for one in verdicts)

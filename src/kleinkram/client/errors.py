@@ -39,7 +39,7 @@ class NotConfigured(ClientError):
 
 
 class ConfigurationBroken(ClientError):
-    """{file} cannot be used: {reason}. Mend or remove it."""
+    """{file} cannot be used: {reason}. Repair or remove it."""
 
     file: str
     reason: str
@@ -53,14 +53,14 @@ class NoSuchEndpoint(ClientError):
 
 
 class EndpointTaken(ClientError):
-    """The endpoint {name!r} is {url}. Give another --name, or let it go first with `klein logout {name}`."""
+    """The endpoint {name!r} is {url}. Give another --name, or remove it first with `klein logout {name}`."""
 
     name: str
     url: str
 
 
 class CredentialsExposed(ClientError):
-    """{file} holds tokens, and others on this machine may read or change it (its mode is {mode}). Mend it with `chmod 600`; if somebody may have looked, `klein logout --all` ends what is in it, and `klein login` begins anew."""  # noqa: E501  one sentence
+    """{file} holds tokens, and others on this machine may read or change it (its mode is {mode}). Change it with `chmod 600`; if somebody may have read it, `klein logout --all` revokes the tokens, and `klein login` signs in again."""  # noqa: E501  one sentence
 
     file: str
     mode: str

@@ -105,7 +105,7 @@ def _listener(state: str, came: "queue.SimpleQueue[str | _Denied]") -> type[Base
                 self._answer(HTTPStatus.OK, "Back to the terminal", "klein has what it needs. Close this window.")
                 came.put(code)
             else:
-                self._answer(HTTPStatus.OK, "Not signed in", "klein was told no. Close this window.")
+                self._answer(HTTPStatus.OK, "Not signed in", "You refused the sign-in of klein. Close this window.")
                 came.put(_Denied())
 
         def log_message(self, format: str, *args: object) -> None:  # noqa: A002  the name that http.server gives it

@@ -14,7 +14,7 @@ from kleinkram.contract.people import EmailAddress, PersonRef
 
 
 class Right(str, enum.Enum):
-    """What somebody may do with a project or a mission. Each contains those before it; compare by `level`."""
+    """What somebody may do with a project or a mission. Each right includes those before it; compare by `level`."""
 
     read = "READ"
     create = "CREATE"
@@ -23,12 +23,12 @@ class Right(str, enum.Enum):
 
     @property
     def level(self) -> int:
-        """Its place, from 1 (READ) to 4 (DELETE)."""
+        """The level, from 1 (READ) to 4 (DELETE)."""
         return _RIGHTS.index(self) + 1
 
     @classmethod
     def of_level(cls, level: int) -> "Right":
-        """Return the right at a place from 1 to 4."""
+        """Return the right of a level from 1 to 4."""
         return _RIGHTS[level - 1]
 
 
@@ -36,11 +36,11 @@ _RIGHTS = tuple(Right)
 
 
 class Scope(str, enum.Enum):
-    """What a token may be used for, within what its person may do.
+    """What a token may be used for, within the rights of its person.
 
-    `read`: see and download. `upload`: make missions and send files, seeing no more than names. `write`: change and
-    delete, with `read` and `upload`. `run`: start and cancel runs. `admin`: all of these, grant rights, and use the
-    power of an admin.
+    `read`: view and download. `upload`: create missions and upload files, seeing only names. `write`: change and
+    delete, and also `read` and `upload`. `run`: start and cancel runs. `admin`: everything, including granting rights
+    and admin rights.
     """
 
     read = "read"
@@ -51,7 +51,7 @@ class Scope(str, enum.Enum):
 
 
 class TokenKind(str, enum.Enum):
-    """Who carries a token: a person's script, a robot, a runner of actions, or one run while it lasts."""
+    """Who uses a token: a person's script, a robot, a runner of actions, or a single run."""
 
     personal = "personal"
     robot = "robot"
@@ -62,8 +62,8 @@ class TokenKind(str, enum.Enum):
 class GroupKind(str, enum.Enum):
     """How a group gets its members.
 
-    `person`: one person's own, always just that person. `email`: whoever proves that address. `custom`: by its editors.
-    `affiliation`: by the domain of a verified address. `admins`: by admins.
+    `person`: always one person. `email`: the person with that verified address. `custom`: added by its editors.
+    `affiliation`: by the domain of a verified address. `admins`: added by admins.
     """
 
     person = "person"
@@ -74,7 +74,7 @@ class GroupKind(str, enum.Enum):
 
 
 class GranteeKind(str, enum.Enum):
-    """Whom a right is given to: a person, a group, or whoever has an e-mail address."""
+    """The kind of a grantee: a person, a group, or the owner of an e-mail address."""
 
     person = "person"
     group = "group"
@@ -82,7 +82,7 @@ class GranteeKind(str, enum.Enum):
 
 
 class Grantee(Response):
-    """Whom a right is given to. An address has no id, whether or not somebody has it; its name is the address."""
+    """Who has a grant. An address has no id, whether or not somebody has it; its name is the address."""
 
     kind: GranteeKind
     id: uuid.UUID | None
@@ -90,9 +90,9 @@ class Grantee(Response):
 
 
 class GrantCreate(Request):
-    """A right to give, to exactly one of a person, a group and an address; without `expires_at` it has no end.
+    """A right to grant to exactly one of a person, a group and an address; it replaces their earlier grant there.
 
-    Where they were granted a right there before, this takes its place.
+    Without `expires_at` it has no end.
     """
 
     person_id: uuid.UUID | None = None
@@ -109,21 +109,21 @@ class GrantCreate(Request):
 
 
 class GrantUpdate(Request):
-    """What to change of a grant; what is left out stays. `expires_at` null takes its end away."""
+    """Changes of a grant; omitted fields stay. `expires_at` null removes the end."""
 
     right: Right | None = None
     expires_at: Expiry | None = None
 
 
 class GrantOn(str, enum.Enum):
-    """Where a grant stands. One on a project holds for all its missions."""
+    """What a grant is on. A grant on a project applies to all its missions."""
 
     project = "project"
     mission = "mission"
 
 
 class GrantRead(Response):
-    """A right that was given. One that has expired has no effect any more."""
+    """A granted right. Expired grants have no effect."""
 
     id: uuid.UUID
     on: GrantOn
@@ -136,7 +136,7 @@ class GrantRead(Response):
 
 
 class AccessThrough(str, enum.Enum):
-    """What a right comes from: a grant on the project or the mission, the project's being public, or being an admin."""
+    """The source of a right: a grant on the project or mission, a public project, or admin rights."""
 
     project_grant = "project grant"
     mission_grant = "mission grant"
@@ -145,11 +145,11 @@ class AccessThrough(str, enum.Enum):
 
 
 class AccessRead(Response):
-    """One way in which somebody has a right now; of several, the highest counts.
+    """A right that somebody has now, and its source; of several, the highest counts.
 
-    `to` is who was granted it; null: all admins, or, where the project is public, everybody. `person` is who has it by
-    that; null where that is not known, or not for the one who asks: the members of a group, whoever has an address.
-    `expires_at` is when the grant or the membership ends, whichever is first.
+    `to` is the grantee; null for all admins or, in a public project, everybody. `person` has the right through it;
+    null if unknown or hidden, such as members of a group or the owner of an address. `expires_at` is when the grant or
+    the membership ends, whichever is first.
     """
 
     person: PersonRef | None
@@ -161,7 +161,7 @@ class AccessRead(Response):
 
 
 class GroupCreate(Request):
-    """A group to make; whoever makes it is its first member and editor."""
+    """A group to create; its creator is the first member and editor."""
 
     name: Name
 
@@ -172,16 +172,15 @@ class GroupUpdate(Request):
     name: Name
 
 
-def _group_etag(said: dict[str, Any]) -> str:
-    return etag_of("group", said["id"], said["name"])
+def _group_etag(values: dict[str, Any]) -> str:
+    return etag_of("group", values["id"], values["name"])
 
 
 class GroupRead(Response):
-    """A group. Members whose time is over, or who left, do not count.
+    """A group. Expired memberships and deactivated people do not count.
 
-    `is_member`, `is_editor` and `expires_at` are the asker's own membership. `domains` and `default_right` are what the
-    settings say of an affiliation group. `etag` names the group as its editors last named it: given back with a
-    change, that is refused where somebody else came first.
+    `is_member`, `is_editor` and `expires_at` are the caller's own membership. `domains` and `default_right` are the
+    settings of an affiliation group. Changes with `etag` are refused if somebody else changed the group meanwhile.
     """
 
     id: uuid.UUID
@@ -199,22 +198,22 @@ class GroupRead(Response):
 
 
 class MemberSet(Request):
-    """How somebody is in a group: with a say in who else is, and until when; without `expires_at` there is no end."""
+    """A membership. Editors may change the members. Without `expires_at` there is no end."""
 
     is_editor: bool = False
     expires_at: Expiry | None = None
 
 
-def _member_etag(said: dict[str, Any]) -> str:
-    end: datetime.datetime | None = said["expires_at"]
-    return etag_of("member", said["person"].id, said["is_editor"], end and end.timestamp())
+def _member_etag(values: dict[str, Any]) -> str:
+    end: datetime.datetime | None = values["expires_at"]
+    return etag_of("member", values["person"].id, values["is_editor"], end and end.timestamp())
 
 
 class MemberRead(Response):
-    """Somebody in a group. `emails` are for its editors and admins, as are members who are not active any more.
+    """A member of a group. Only its editors and admins see `emails`, and members who are not active.
 
-    `is_active`: neither has their time ended, nor did they leave. `etag` names how and until when they are in it:
-    given back with a change, that is refused where somebody else came first.
+    `is_active`: the membership has not expired, and the person is not deactivated. Changes with `etag` are refused if
+    somebody else changed the membership meanwhile.
     """
 
     person: PersonRef

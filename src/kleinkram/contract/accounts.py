@@ -1,4 +1,4 @@
-"""Signing in from a terminal, and who one is: by a browser on the same machine, or by a code typed elsewhere.
+"""Accounts, sessions, and signing in: with a browser, from a terminal, with passwords and one-time links.
 
 By a browser (RFC 8252, RFC 7636): klein listens on 127.0.0.1 and opens
 `{public_url}/sign-in/cli?port=…&state=…&code_challenge=…&client=…` (S256); once the person has agreed, the page sends
@@ -22,26 +22,26 @@ from kleinkram.contract.people import EmailAddress, PersonRef
 
 
 def check_client_name(name: str) -> str:
-    """Return what a program calls itself, or say why it cannot. Raises ValueError."""
+    """Return the name of a program. Raises ValueError."""
     if not name.isprintable() or not name.strip():
         raise ValueError("is empty, or holds what cannot be printed")
     return name
 
 
-# What the person who agrees reads, and what their new token is called: "klein on anymal-3".
+# Shown to the person who approves, and the name of the new token: "klein on anymal-3".
 ClientName = Annotated[str, AfterValidator(check_client_name), Field(min_length=1, max_length=100)]
-# Unreserved characters, as RFC 7636 wants them.
+# Unreserved characters (RFC 7636).
 _UnguessableText = Annotated[str, Field(min_length=20, max_length=200, pattern=r"^[A-Za-z0-9._~-]+$")]
 
 
 class DeviceBegin(Request):
-    """Ask for a code that can be typed on another machine: `POST /auth/device`."""
+    """Request a code to type on another machine: `POST /auth/device`."""
 
     client: ClientName = "klein"
 
 
 class DeviceCode(Response):
-    """Where to type which code, and how to ask whether it was."""
+    """The code to type, where, and how to poll for the result."""
 
     device_code: str
     user_code: str
@@ -52,20 +52,20 @@ class DeviceCode(Response):
 
 
 class DeviceExchange(Request):
-    """Ask whether the code was typed: `POST /auth/device/token`."""
+    """Poll for the result: `POST /auth/device/token`."""
 
     device_code: _UnguessableText
 
 
 class CliExchange(Request):
-    """Exchange what the browser brought for a token: `POST /auth/cli/token`. A code is good for once."""
+    """Exchange the code from the browser for a token: `POST /auth/cli/token`. A code is valid once."""
 
     code: _UnguessableText
     code_verifier: Annotated[str, Field(min_length=43, max_length=128, pattern=r"^[A-Za-z0-9._~-]+$")]
 
 
 class SignedIn(Response):
-    """A new token, told this once, and whose it is."""
+    """A new token, shown only once, and its person."""
 
     token: str
     person: PersonRef
@@ -73,7 +73,7 @@ class SignedIn(Response):
 
 
 class CredentialKind(str, enum.Enum):
-    """What somebody came with."""
+    """The kind of a credential."""
 
     session = "session"
     personal = "personal"
@@ -83,7 +83,7 @@ class CredentialKind(str, enum.Enum):
 
 
 class CredentialRead(Response):
-    """The token or browser session of this very request. `is_limited`: it reaches certain projects or missions only.
+    """The token or browser session of this request. `is_limited`: it reaches only some projects or missions.
 
     `DELETE /tokens/{id}` ends a token, `DELETE /me/sessions/{id}` a session.
     """
@@ -97,7 +97,7 @@ class CredentialRead(Response):
 
 
 class MeRead(Response):
-    """Who the server takes the caller for: `GET /me`. `is_admin`: with the power of an admin, by this credential."""
+    """The caller: `GET /me`. `is_admin`: with admin rights, by this credential."""
 
     person: PersonRef
     emails: list[str]
@@ -107,7 +107,7 @@ class MeRead(Response):
 
 
 class SessionRead(Response):
-    """A browser that one is signed in with: `GET /me/sessions`; `DELETE /me/sessions/{id}` signs it out."""
+    """A browser in which you are signed in: `GET /me/sessions`; `DELETE /me/sessions/{id}` signs it out."""
 
     id: uuid.UUID
     method: str
@@ -125,7 +125,7 @@ MAX_PERSON_NAME_CHARACTERS = 128
 
 
 def check_person_name(name: str) -> str:
-    """Return somebody's name in NFC, or say why it cannot be one. Raises ValueError."""
+    """Return a person's name in NFC. Raises ValueError."""
     name = unicodedata.normalize("NFC", name)
     if not name or name != name.strip() or not name.isprintable():
         raise ValueError("is empty, begins or ends with a space, or holds what cannot be printed")
@@ -140,18 +140,18 @@ NewPassword = Annotated[
     AfterValidator(check_text),
     Field(min_length=MIN_PASSWORD_CHARACTERS, max_length=MAX_PASSWORD_CHARACTERS),
 ]
-# One that is only compared: whether it could be somebody's is no question of its form.
-GivenPassword = Annotated[str, AfterValidator(check_text), Field(max_length=MAX_PASSWORD_CHARACTERS)]
-# A code of an authenticator app, or a recovery code; spaces and hyphens in it are nobody's business.
+# Only compared, so its form is not checked.
+EnteredPassword = Annotated[str, AfterValidator(check_text), Field(max_length=MAX_PASSWORD_CHARACTERS)]
+# A code of an authenticator app, or a recovery code; spaces and hyphens are ignored.
 SecondFactor = Annotated[str, AfterValidator(check_text), Field(min_length=6, max_length=40)]
 OneTimeCode = Annotated[str, Field(min_length=20, max_length=100, pattern=r"^[A-Za-z0-9_-]+$")]
 UserCode = Annotated[str, Field(min_length=8, max_length=20, pattern=r"^[A-Za-z -]+$")]
-# A path of this server, to go to after signing in.
+# A path of this server to open after signing in.
 ReturnTo = Annotated[str, Field(max_length=2000, pattern=r"^/($|[^/\\\x00-\x1f\x7f][^\\\x00-\x1f\x7f]*$)")]
 
 
 class ProviderRef(Response):
-    """Somebody who says who people are; `name` is what requests call them."""
+    """An identity provider; `name` is its id in requests."""
 
     name: str
     title: str
@@ -166,28 +166,28 @@ class SignInMethods(Response):
 
 
 class PasswordSignIn(Request):
-    """Sign in with a local account: `POST /auth/password`. `second_factor`: of an account that has one."""
+    """Sign in with a local account: `POST /auth/password`. `second_factor`: if the account has one."""
 
     email: Annotated[str, AfterValidator(check_text), Field(max_length=254)]
-    password: GivenPassword = Field(repr=False)
+    password: EnteredPassword = Field(repr=False)
     second_factor: SecondFactor | None = Field(default=None, repr=False)
 
 
 class PasswordReauthenticate(Request):
     """Enter the password again in a signed-in browser: `POST /auth/password/reauthenticate`."""
 
-    password: GivenPassword = Field(repr=False)
+    password: EnteredPassword = Field(repr=False)
     second_factor: SecondFactor | None = Field(default=None, repr=False)
 
 
 class TotpConfirm(Request):
-    """Take a second factor into use, by a code of it: `POST /me/totp/confirm`."""
+    """Confirm a second factor with one of its codes: `POST /me/totp/confirm`."""
 
     code: SecondFactor = Field(repr=False)
 
 
 class TotpEnrolment(Response):
-    """A secret for an authenticator app, as text, as `otpauth:` address, and as a picture (a `data:` address)."""
+    """A secret for an authenticator app: as text, `otpauth:` URL, and QR code (a `data:` URL)."""
 
     secret: str = Field(repr=False)
     url: str = Field(repr=False)
@@ -195,26 +195,26 @@ class TotpEnrolment(Response):
 
 
 class RecoveryCodes(Response):
-    """What stands for a code where the device is lost: each is good once, and nobody can show them again."""
+    """Recovery codes for a lost device: each is valid once, and they cannot be shown again."""
 
     codes: list[str] = Field(repr=False)
 
 
 class TotpRead(Response):
-    """A second factor that is in use."""
+    """A confirmed second factor."""
 
     enabled_at: datetime.datetime
     recovery_codes_left: int
 
 
 class CodeSignIn(Request):
-    """Sign in by a link that is good once: `POST /auth/link`."""
+    """Sign in with a one-time link: `POST /auth/link`."""
 
     code: OneTimeCode = Field(repr=False)
 
 
 class AdminBootstrap(Request):
-    """Become the first admin of a new server: `POST /auth/bootstrap`. A signed-in person sends only the code."""
+    """Become the first admin of a new server: `POST /auth/bootstrap`. Signed-in people send only the code."""
 
     code: OneTimeCode = Field(repr=False)
     name: PersonName | None = None
@@ -223,7 +223,7 @@ class AdminBootstrap(Request):
 
 
 class InvitationAccept(Request):
-    """Get the account that one is invited to: `POST /auth/invitation`."""
+    """Create the account of an invitation: `POST /auth/invitation`."""
 
     code: OneTimeCode = Field(repr=False)
     name: PersonName | None = None
@@ -231,7 +231,7 @@ class InvitationAccept(Request):
 
 
 class PasswordReset(Request):
-    """Choose a new password by an admin's link: `POST /auth/reset`."""
+    """Choose a new password with a reset link: `POST /auth/reset`."""
 
     code: OneTimeCode = Field(repr=False)
     password: NewPassword = Field(repr=False)
@@ -239,26 +239,26 @@ class PasswordReset(Request):
 
 
 class PasswordChange(Request):
-    """Choose a new password: `POST /auth/password/change`. Other browsers are signed out."""
+    """Change your password: `POST /auth/password/change`. Your other browsers are signed out."""
 
-    old_password: GivenPassword = Field(repr=False)
+    old_password: EnteredPassword = Field(repr=False)
     new_password: NewPassword = Field(repr=False)
 
 
 class ProviderBegin(Request):
-    """Begin to sign in by a provider: `POST /auth/providers/{name}`; `POST /auth/link/{name}` to add it to oneself."""
+    """Start a sign-in with a provider: `POST /auth/providers/{name}`, or `…/link` to link it to your account."""
 
     return_to: ReturnTo = "/"
 
 
 class ProviderBegun(Response):
-    """Where the browser goes next."""
+    """The URL to which the browser goes next."""
 
     url: str
 
 
 class CodeRead(Response):
-    """For whom a link is: `POST /auth/codes`. Asking does not use it."""
+    """Purpose and recipient of a link: `POST /auth/codes`. The request does not use the link."""
 
     purpose: str
     name: str | None
@@ -266,7 +266,7 @@ class CodeRead(Response):
 
 
 class OneTimeLink(Response):
-    """A link that is good once, until then. `warning`: what its use changes for others, and what to do before."""
+    """A one-time link. `warning`: what its use changes for others, and what to do before."""
 
     url: str = Field(repr=False)
     expires_at: datetime.datetime
@@ -274,14 +274,14 @@ class OneTimeLink(Response):
 
 
 class InvitationCreate(Request):
-    """Invite somebody to an account: `POST /people/invitations`. That the address is theirs is the word of who does."""
+    """Invite a person: `POST /people/invitations`. You vouch for the address."""
 
     email: EmailAddress
     name: PersonName | None = None
 
 
 class LoopbackApproval(Request):
-    """Agree that a program on this machine gets a token: `POST /auth/cli/approve`. It listens on 127.0.0.1:`port`."""
+    """Approve a token for a program on this machine, which listens on 127.0.0.1:`port`: `POST /auth/cli/approve`."""
 
     port: Annotated[int, Field(ge=1, le=65535)]
     state: Annotated[str, Field(min_length=8, max_length=200, pattern=r"^[A-Za-z0-9._~-]+$")]
@@ -290,19 +290,19 @@ class LoopbackApproval(Request):
 
 
 class LoopbackApproved(Response):
-    """Where the browser brings the code."""
+    """The URL that delivers the code to the program."""
 
     url: str = Field(repr=False)
 
 
 class DeviceDecision(Request):
-    """Agree or disagree that the program that shows this code gets a token: `POST /auth/device/approve` or `/deny`."""
+    """Approve or deny a token for the program that shows this code: `POST /auth/device/approve` or `/deny`."""
 
     user_code: UserCode
 
 
 class DeviceRead(Response):
-    """Who asks by a code: `POST /auth/device/status`."""
+    """The program that shows a code: `POST /auth/device/status`."""
 
     client: str
     address: str | None
@@ -311,7 +311,7 @@ class DeviceRead(Response):
 
 
 class AddressRead(Response):
-    """An address that is one's own; `verified_by` says by whose word: an issuer's URL, or how one came by it here."""
+    """A verified address; `verified_by` is the URL of a provider, or how the account was created."""
 
     email: str
     verified_at: datetime.datetime
@@ -319,10 +319,9 @@ class AddressRead(Response):
 
 
 class AccountRead(Response):
-    """One's own account: `GET /me/account`. `affiliations` are the groups that one is in by an address.
+    """Your account: `GET /me/account`. `affiliations` are the groups that follow from your addresses.
 
-    `totp`: the second factor beside the password, where one is in use.
-    `has_password`: that one may sign in with; none is kept here of who comes by a provider alone.
+    `totp` is the confirmed second factor. `has_password`: you can sign in with a password.
     """
 
     person: PersonRef
@@ -334,9 +333,9 @@ class AccountRead(Response):
 
 
 class IdentityRead(Response):
-    """Under whose word one signs in: `GET /me/identities`; `DELETE /me/identities/{id}` unlinks it.
+    """A linked identity: `GET /me/identities`; `DELETE /me/identities/{id}` unlinks it.
 
-    `provider` is its title, null where this server has it no more. `is_last`: without it there would be no way in.
+    `provider` is the title of its provider, null if it left the settings. `is_last`: your last sign-in method.
     """
 
     id: uuid.UUID
@@ -349,6 +348,6 @@ class IdentityRead(Response):
 
 
 class BrowserSignedIn(Response):
-    """Who a browser is signed in as, from now on; the session itself is in a cookie that no script can read."""
+    """The signed-in person; the session is in a cookie that no script can read."""
 
     person: PersonRef

@@ -1,4 +1,4 @@
-"""What admins see of the whole server: its store, its jobs, its health, its settings."""
+"""What admins see of the whole server: store, jobs, health and settings."""
 
 import datetime
 import uuid
@@ -9,7 +9,7 @@ from kleinkram.contract.home import StoreUse
 
 
 class StateAmount(Response):
-    """So many blobs, or uploads, in a state, and their bytes."""
+    """Number and bytes of the blobs or uploads in a state."""
 
     state: str
     count: int
@@ -19,7 +19,7 @@ class StateAmount(Response):
 class AdminStorage(Response):
     """Stored blobs by state, those that only the trash uses, uploads in progress, and what is about to be deleted.
 
-    A blob counts once, however many files are made of it.
+    A blob counts once, however many files have it.
     """
 
     store: StoreUse
@@ -31,7 +31,7 @@ class AdminStorage(Response):
 
 
 class JobAmount(Response):
-    """So many jobs of a kind in a state: `todo`, `doing` or `failed`; `oldest_at` is since when the oldest waits."""
+    """Number of jobs of a kind in a state: `todo`, `doing` or `failed`; `oldest_at`: when the oldest was enqueued."""
 
     kind: str
     state: str
@@ -40,9 +40,7 @@ class JobAmount(Response):
 
 
 class FailedJob(Response):
-    """A job that was given up. `ref` is the id of what it was for; `error` says why, where that could be kept, and the
-    worker's log says more.
-    """
+    """A job that failed for the last time. `ref` is the id of its object; the worker's log has more than `error`."""
 
     id: int
     kind: str
@@ -53,7 +51,7 @@ class FailedJob(Response):
 
 
 class RetryingJob(Response):
-    """A job that failed and waits for another attempt. `error` says why the last one failed."""
+    """A job that failed and waits for another attempt. `error` is of the last one."""
 
     id: int
     kind: str
@@ -64,9 +62,9 @@ class RetryingJob(Response):
 
 
 class AdminJobs(Response):
-    """The queue; jobs that wait for another attempt, and those that were given up last, at most 100 of each.
+    """The queue, the jobs that wait for another attempt, and the last failed ones, at most 100 of each.
 
-    A job that was given up is forgotten after a week.
+    Failed jobs are deleted after a week.
     """
 
     queue: list[JobAmount]
@@ -75,17 +73,16 @@ class AdminJobs(Response):
 
 
 class RetriedJobs(Response):
-    """How many jobs that were given up are in the queue again."""
+    """The number of failed jobs that were put back into the queue."""
 
     count: int
 
 
 class AdminHealth(Response):
-    """How the server is.
+    """The state of the server.
 
-    `not_ready`: what keeps it from serving; `warnings`: what does not, but needs somebody to look at it. `workers_at`:
-    when each worker process that is alive was last heard of; `worker_last_at`: when any was.
-    `runs_problem`: why runs cannot start, and what to do; null where they can, or where no runner was ever started.
+    `not_ready`: why it cannot serve. `workers_at`: last heartbeat of each living worker; `worker_last_at`: of any.
+    `runs_problem`: why runs cannot start, and what to do; null if they can, or if no runner was ever started.
     `invitation_warning`: what stops once a second person has an account, and what to do before.
     """
 
@@ -107,17 +104,17 @@ class AdminHealth(Response):
 
 
 class ScrubRequest(Response):
-    """A scrub to be asked for. `believe`: whoever asks has looked, and objects that are missing are gone indeed."""
+    """A scrub to start. `believe`: the admin has checked that missing objects are really gone."""
 
     believe: bool = False
 
 
 class ScrubRead(Response):
-    """One comparison of what the store lists with what the database knows of it.
+    """A comparison of the objects in the store with the database.
 
-    `lost` and `corrupt` are blobs that it newly found so, `found` lost ones whose objects are there again and are being
-    verified, `unknown` objects that nothing here speaks of. `stopped` says why it marked nothing, or not to the end.
-    Until it has `ended_at`, all this is of what it has compared so far.
+    `lost` and `corrupt`: newly detected blobs; `found`: lost ones whose objects are back and are being verified;
+    `unknown`: objects that the database does not have. `stopped`: why it marked nothing, or not all. Until `ended_at`,
+    the numbers cover what was compared so far.
     """
 
     id: uuid.UUID
@@ -135,12 +132,9 @@ class ScrubRead(Response):
 
 
 class ScrubState(Response):
-    """The last scrub, if there was one, and how many blobs are in which state now, each with their bytes.
+    """The last scrub, if any, and the blobs by state; lost and corrupt ones count if something refers to them.
 
-    Of the lost and corrupt those count that something still refers to.
-
-    `oldest_verification_at` is the oldest `verified_at` of all blobs. A blob is verified again `again_after_days` days
-    after its last verification.
+    `oldest_verification_at` is the oldest `verified_at` of all blobs; they are verified again after `again_after_days`.
     """
 
     last: ScrubRead | None
@@ -151,7 +145,7 @@ class ScrubState(Response):
 
 
 class SettingRead(Response):
-    """One setting in force. `is_set`: by the environment, else it is the default. A secret has no value here."""
+    """A setting in force. `is_set`: by the environment, otherwise the default. Secrets have no value here."""
 
     name: str
     value: Any

@@ -71,12 +71,12 @@ def bounds(operator: str, amount: Fraction) -> tuple[int | None, int | None]:
     return least, most
 
 
-def say_bound(operator: str, number: int, units: Mapping[str, int]) -> str:
+def format_bound(operator: str, number: int, units: Mapping[str, int]) -> str:
     """Return `>=NUMBER`, `<=NUMBER` or `:NUMBER` with a unit, or the same said of the number beside it, if shorter."""
     if operator == ":":
-        return operator + _said(number, units)
+        return operator + _format(number, units)
     other = (">", number - 1) if operator == ">=" else ("<", number + 1)
-    here, beside = operator + _said(number, units), other[0] + _said(other[1], units)
+    here, beside = operator + _format(number, units), other[0] + _format(other[1], units)
     return beside if other[1] >= 0 and len(beside) < len(here) else here
 
 
@@ -91,7 +91,7 @@ def read_time(text: str) -> datetime.datetime:
         raise ValueError("say a time as 2026-05-01 or 2026-05-01T10:00Z, a year or a month by itself too") from None
 
 
-def say_time(at: datetime.datetime) -> str:
+def format_time(at: datetime.datetime) -> str:
     """Return a time as `read_time` reads it; without zone it is UTC."""
     try:
         moment = at.astimezone(_UTC) if at.tzinfo else at.replace(tzinfo=_UTC)
@@ -120,7 +120,7 @@ def _read_time(text: str) -> datetime.datetime:
     return at.astimezone(_UTC) if at.tzinfo else at.replace(tzinfo=_UTC)
 
 
-def _said(number: int, units: Mapping[str, int]) -> str:
+def _format(number: int, units: Mapping[str, int]) -> str:
     *_, smallest = units
     if number == 0:
         return f"0{smallest}"
@@ -129,7 +129,7 @@ def _said(number: int, units: Mapping[str, int]) -> str:
 
 _MIN_NS, _MAX_NS = -(2**63), 2**63 - 1
 _EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.timezone.utc)
-_DAY = re.compile(r"\d{4}-\d{2}-\d{2}", re.ASCII)
+_ISO_DATE = re.compile(r"\d{4}-\d{2}-\d{2}", re.ASCII)
 _TIME = re.compile(
     r"(?P<day>\d{4}-\d{2}-\d{2})[Tt ](?P<clock>\d{2}:\d{2}(:\d{2})?)(\.(?P<fraction>\d{1,6}))?"
     r" ?(?P<zone>[Zz]|[-+]\d{2}(:?\d{2})?)?",
@@ -143,7 +143,7 @@ def iso_text(text: str) -> str | None:
     A time without zone is taken as UTC. Source: ISO 8601-1:2019, extended format.
     """
     try:
-        if _DAY.fullmatch(text):
+        if _ISO_DATE.fullmatch(text):
             return datetime.date.fromisoformat(text).isoformat()
         if found := _TIME.fullmatch(text):
             return _in_utc(found).isoformat()

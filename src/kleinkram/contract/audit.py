@@ -11,17 +11,17 @@ from kleinkram.contract.people import PersonRef
 
 
 class CredentialRef(Response):
-    """A token or a link, by the name that it was given."""
+    """The id and name of a token or link."""
 
     id: uuid.UUID
     name: str
 
 
 class AuditRead(Response):
-    """One event: who did what to what, with what changed.
+    """One event: who did what to which object, and what changed.
 
-    `address` and `session_id` of a person are theirs and the admins' to see; of a link or a stranger, the owners' too.
-    `as_admin`: it took the power of an admin; by their own rights they would have been refused.
+    Only the person and admins see their `address` and `session_id`; owners see those of links and guests.
+    `as_admin`: it required admin rights; the actor's own rights would not have sufficed.
     """
 
     id: int
@@ -44,11 +44,11 @@ class AuditRead(Response):
 
 
 class AuditFilter(Request):
-    """Which events are wanted: those that satisfy all that is given.
+    """A filter of events; all given conditions apply.
 
-    `person`, `token` and `operation` may be globs: `anna*`, `file.*`. `since` is inclusive, `until` is not; a time
-    without zone is UTC. `project_id` and `mission_id`: whatever happened in them, at the time it happened; with
-    `project_ids` and `mission_ids`, in any of several.
+    `person`, `token` and `operation` may be globs: `anna*`, `file.*`. `since` is inclusive, `until` exclusive; times
+    without a zone are UTC. `project_id` and `mission_id`: where it happened, at that time; `project_ids` and
+    `mission_ids`: in any of these.
     """
 
     person: Term | None = None
@@ -69,7 +69,7 @@ class AuditFilter(Request):
 
 
 class ChangeKind(str, enum.Enum):
-    """What became of something: it is there now, it is another, or it is not there any more."""
+    """What happened to an object."""
 
     created = "created"
     changed = "changed"
@@ -77,7 +77,7 @@ class ChangeKind(str, enum.Enum):
 
 
 class Change(Response):
-    """The event `change`. `id` is null where several of the noun changed at once, in that mission or project."""
+    """The event `change`. `id` is null if several objects changed at once, in that mission or project."""
 
     noun: str
     change: ChangeKind
@@ -87,7 +87,7 @@ class Change(Response):
 
 
 class RefetchReason(str, enum.Enum):
-    """Why all that was fetched may be old: events were missed, came too fast, or one's rights are others now."""
+    """Why everything must be fetched again: events were missed, came too fast, or the reader's rights changed."""
 
     missed = "missed"
     behind = "behind"
@@ -95,6 +95,6 @@ class RefetchReason(str, enum.Enum):
 
 
 class Refetch(Response):
-    """The event `refetch`: all that was fetched may be old."""
+    """The event `refetch`: everything that was fetched may be outdated."""
 
     reason: RefetchReason

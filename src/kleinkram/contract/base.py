@@ -9,13 +9,13 @@ from pydantic_core import to_json
 
 
 class Request(BaseModel):
-    """What a client sends: immutable; unknown fields are refused."""
+    """Base of requests: immutable; unknown fields are refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class Response(BaseModel):
-    """What a server answers: immutable; unknown fields are ignored, so that an older client reads a newer server."""
+    """Base of responses: immutable; unknown fields are ignored, so that older clients understand newer servers."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -49,12 +49,12 @@ class Page(Response, Generic[T]):
     total: int | None = None
 
 
-# Within what databases and languages keep, in every zone.
+# Representable in databases and languages in every zone.
 _FIRST_YEAR, _LAST_YEAR = 2, 9998
 
 
 def check_expiry(at: datetime.datetime) -> datetime.datetime:
-    """Return a time in UTC, or say why nothing can end then. Raises ValueError."""
+    """Return a time of expiry in UTC. Raises ValueError."""
     if at.year < _FIRST_YEAR:
         raise ValueError("has passed already")
     if at.year > _LAST_YEAR:
@@ -62,5 +62,5 @@ def check_expiry(at: datetime.datetime) -> datetime.datetime:
     return at.astimezone(datetime.timezone.utc)
 
 
-# When something ends; null, where that is allowed, is never.
+# A time of expiry; where null is allowed, it means never.
 Expiry = Annotated[AwareDatetime, AfterValidator(check_expiry)]

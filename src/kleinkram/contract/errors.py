@@ -18,9 +18,12 @@ raises the same class that the server raised. Never match on a message.
 """
 
 import enum
+import re
 from dataclasses import asdict, dataclass
 from string import Formatter
 from typing import ClassVar
+
+from typing_extensions import dataclass_transform
 
 from kleinkram.contract.base import Response
 
@@ -79,6 +82,10 @@ class ErrorCode(str, enum.Enum):
     internal_error = "internal_error"
 
 
+ERRORS: dict[ErrorCode, type["KleinkramError"]] = {}
+"""The class of each code."""
+
+
 class FieldProblem(Response):
     """One invalid field of a request, a metadata document or a field definition."""
 
@@ -88,12 +95,22 @@ class FieldProblem(Response):
     column: int | None = None
 
 
+@dataclass_transform(eq_default=False)
 @dataclass(eq=False)
 class KleinkramError(Exception):
     """Something went wrong."""
 
     code: ClassVar[ErrorCode]
     status: ClassVar[int]
+
+    def __init_subclass__(cls, *, status: int | None = None) -> None:
+        """Make a subclass a dataclass; with a status, it is the error of the code that its name spells."""
+        super().__init_subclass__()
+        dataclass(eq=False)(cls)
+        if status is not None:
+            cls.status = status
+            cls.code = ErrorCode(re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower())
+            ERRORS[cls.code] = cls
 
     def __post_init__(self) -> None:
         """Make `str(error)` the sentence."""
@@ -116,132 +133,85 @@ class KleinkramError(Exception):
 # Sign-in
 
 
-@dataclass(eq=False)
-class NotAuthenticated(KleinkramError):
+class NotAuthenticated(KleinkramError, status=401):
     """You are not signed in: {reason}. Sign in with `klein login {server}`; a robot needs a valid token."""
 
-    code = ErrorCode.not_authenticated
-    status = 401
     reason: str
     # The address by which the client reaches the server; the client fills it in.
     server: str = "URL"
 
 
-@dataclass(eq=False)
-class SignInPending(KleinkramError):
+class SignInPending(KleinkramError, status=400):
     """The code has not been entered yet. Enter it on the page, or ask again in {interval_s:g} s."""
 
-    code = ErrorCode.sign_in_pending
-    status = 400
     interval_s: float
 
 
-@dataclass(eq=False)
-class SlowDown(KleinkramError):
+class SlowDown(KleinkramError, status=429):
     """Too many requests. Wait at least {interval_s:g} s before the next one."""
 
-    code = ErrorCode.slow_down
-    status = 429
     interval_s: float
 
 
-@dataclass(eq=False)
-class SignInDenied(KleinkramError):
+class SignInDenied(KleinkramError, status=403):
     """The sign-in was denied on the page. Nothing was saved; run `klein login` to start again."""
 
-    code = ErrorCode.sign_in_denied
-    status = 403
 
-
-@dataclass(eq=False)
-class SignInExpired(KleinkramError):
+class SignInExpired(KleinkramError, status=410):
     """The sign-in was not finished in time, or its code has been used. Run `klein login` to start again."""
 
-    code = ErrorCode.sign_in_expired
-    status = 410
 
-
-@dataclass(eq=False)
-class SignInFailed(KleinkramError):
+class SignInFailed(KleinkramError, status=401):
     """The e-mail address or the password is wrong. Try again, or ask an admin for a link that resets the password."""
 
-    code = ErrorCode.sign_in_failed
-    status = 401
 
-
-@dataclass(eq=False)
-class SignInRefused(KleinkramError):
+class SignInRefused(KleinkramError, status=403):
     """You are not signed in: {reason}"""
 
-    code = ErrorCode.sign_in_refused
-    status = 403
     reason: str
 
 
-@dataclass(eq=False)
-class SignInTooOld(KleinkramError):
+class SignInTooOld(KleinkramError, status=403):
     """To {operation}, sign in again: you last did so more than {minutes:g} minutes ago, or this token does not record when. In a browser, the page asks for it; in a terminal, run `klein login` and repeat the command."""  # noqa: E501  one sentence
 
-    code = ErrorCode.sign_in_too_old
-    status = 403
     operation: str
     minutes: float
 
 
-@dataclass(eq=False)
-class SecondFactorNeeded(KleinkramError):
+class SecondFactorNeeded(KleinkramError, status=401):
     """This account also needs a code from its authenticator app, or one of its recovery codes."""
 
-    code = ErrorCode.second_factor_needed
-    status = 401
 
-
-@dataclass(eq=False)
-class SecondFactorWrong(KleinkramError):
+class SecondFactorWrong(KleinkramError, status=401):
     """The code is wrong, was used before, or is too old. Wait for the next one; after {max_attempts} wrong codes no code is accepted for {minutes:g} minutes. An admin can switch off the second factor for you."""  # noqa: E501  one sentence
 
-    code = ErrorCode.second_factor_wrong
-    status = 401
     max_attempts: int
     minutes: float
 
 
-@dataclass(eq=False)
-class CodeGone(KleinkramError):
+class CodeGone(KleinkramError, status=410):
     """This link or code is not valid (any more): it was used, it expired, or a newer one replaced it. Ask for a new one."""  # noqa: E501  one sentence
 
-    code = ErrorCode.code_gone
-    status = 410
 
-
-@dataclass(eq=False)
-class ProviderUnavailable(KleinkramError):
+class ProviderUnavailable(KleinkramError, status=503):
     """The sign-in with {provider} failed: {reason}. Nothing was changed; try again, or sign in another way."""
 
-    code = ErrorCode.provider_unavailable
-    status = 503
     provider: str
     reason: str
 
 
-@dataclass(eq=False)
-class LastSignInMethod(KleinkramError):
+class LastSignInMethod(KleinkramError, status=409):
     """{provider} stays linked, because it is your last way to sign in. Link another provider first, or ask an admin for a link that sets a password."""  # noqa: E501  one sentence
 
-    code = ErrorCode.last_sign_in_method
-    status = 409
     provider: str
 
 
 # Permissions
 
 
-@dataclass(eq=False)
-class Forbidden(KleinkramError):
+class Forbidden(KleinkramError, status=403):
     """You may not {operation}: this requires {requirement}"""
 
-    code = ErrorCode.forbidden
-    status = 403
     noun: str
     operation: str
     needs: str
@@ -254,42 +224,30 @@ class Forbidden(KleinkramError):
         return f"{self.needs}."
 
 
-@dataclass(eq=False)
-class ScopeMissing(KleinkramError):
+class ScopeMissing(KleinkramError, status=403):
     """To {operation}, you need {needs}. Use another token, or sign in."""
 
-    code = ErrorCode.scope_missing
-    status = 403
     operation: str
     needs: str
 
 
-@dataclass(eq=False)
-class TokenTooWide(KleinkramError):
+class TokenTooWide(KleinkramError, status=403):
     """A token cannot create one that may do more than itself: {reason}. Sign in to create that one."""
 
-    code = ErrorCode.token_too_wide
-    status = 403
     reason: str
 
 
-@dataclass(eq=False)
-class RightExceeded(KleinkramError):
+class RightExceeded(KleinkramError, status=403):
     """You may not grant {requested} on this {noun}: you have {own}. Nobody can grant more, or for longer, than they have."""  # noqa: E501  one sentence
 
-    code = ErrorCode.right_exceeded
-    status = 403
     noun: str
     requested: str
     own: str
 
 
-@dataclass(eq=False)
-class LastOwner(KleinkramError):
+class LastOwner(KleinkramError, status=409):
     """This would leave {listing} without a permanent owner: an active person with DELETE that does not expire and is not granted by e-mail address. Grant it to somebody else first."""  # noqa: E501  one sentence
 
-    code = ErrorCode.last_owner
-    status = 409
     projects: list[str]
 
     @property
@@ -298,20 +256,13 @@ class LastOwner(KleinkramError):
         return ", ".join(repr(name) for name in self.projects)
 
 
-@dataclass(eq=False)
-class LastAdmin(KleinkramError):
+class LastAdmin(KleinkramError, status=409):
     """This would leave the server without a permanent admin: an active person whose admin rights do not expire. Make somebody else an admin first."""  # noqa: E501  one sentence
 
-    code = ErrorCode.last_admin
-    status = 409
 
-
-@dataclass(eq=False)
-class GroupFixed(KleinkramError):
+class GroupFixed(KleinkramError, status=409):
     """The group {name!r} does not allow this change: {reason}."""
 
-    code = ErrorCode.group_fixed
-    status = 409
     name: str
     reason: str
 
@@ -319,22 +270,16 @@ class GroupFixed(KleinkramError):
 # Requests
 
 
-@dataclass(eq=False)
-class NotFound(KleinkramError):
+class NotFound(KleinkramError, status=404):
     """There is no {noun} {ref!r} that you may see."""
 
-    code = ErrorCode.not_found
-    status = 404
     noun: str
     ref: str
 
 
-@dataclass(eq=False)
-class WrongClient(KleinkramError):
+class WrongClient(KleinkramError, status=404):  # the original's client shows the `message` of a 404
     """This server does not support the Python package `kleinkram`. Install its own client with `pip install open-kleinkram`, in an environment without the other, then sign in with `klein login {server}`."""  # noqa: E501  one sentence
 
-    code = ErrorCode.wrong_client
-    status = 404  # the original's client shows the `message` of a 404
     server: str
     message: str = ""
 
@@ -344,12 +289,9 @@ class WrongClient(KleinkramError):
         self.message = self.sentence()
 
 
-@dataclass(eq=False)
-class AmbiguousName(KleinkramError):
+class AmbiguousName(KleinkramError, status=409):
     """{ref!r} names more than one {noun}: {listing}. Use its id, or name what contains it."""
 
-    code = ErrorCode.ambiguous_name
-    status = 409
     noun: str
     ref: str
     candidates: list[str]
@@ -360,28 +302,21 @@ class AmbiguousName(KleinkramError):
         return "; ".join(self.candidates)
 
 
-@dataclass(eq=False)
-class NameTaken(KleinkramError):
+class NameTaken(KleinkramError, status=409):
     """There already is a {noun} named {name!r} here (names that differ only in case or Unicode form are the same)."""
 
-    code = ErrorCode.name_taken
-    status = 409
     noun: str
     name: str
 
 
-@dataclass(eq=False)
-class EditConflict(KleinkramError):
+class EditConflict(KleinkramError, status=412):
     """The {noun} {name!r} was changed by somebody else after you read it. Your change was not saved; read it again, then repeat your change."""  # noqa: E501  one sentence
 
-    code = ErrorCode.edit_conflict
-    status = 412
     noun: str
     name: str
     etag: str
 
 
-@dataclass(eq=False)
 class _ProblemsError(KleinkramError):
     problems: list[FieldProblem]
 
@@ -393,77 +328,49 @@ class _ProblemsError(KleinkramError):
         return f"{type(self).__doc__} {listing}"
 
 
-@dataclass(eq=False)
-class InvalidRequest(_ProblemsError):
+class InvalidRequest(_ProblemsError, status=422):
     """The request is invalid:"""
 
-    code = ErrorCode.invalid_request
-    status = 422
 
-
-@dataclass(eq=False)
-class InvalidQuery(KleinkramError):
+class InvalidQuery(KleinkramError, status=422):
     """The filter {expression!r} is invalid: {reason}"""
 
-    code = ErrorCode.invalid_query
-    status = 422
     expression: str
     reason: str
     # Its place in the text of a query, from 1; None for a filter that is not text.
     column: int | None = None
 
 
-@dataclass(eq=False)
-class InvalidCursor(KleinkramError):
+class InvalidCursor(KleinkramError, status=422):
     """The page cursor does not belong to this list. Start again from the first page."""
 
-    code = ErrorCode.invalid_cursor
-    status = 422
 
-
-@dataclass(eq=False)
-class YamlInvalid(KleinkramError):
+class YamlInvalid(KleinkramError, status=422):
     """The YAML is invalid at line {line}, column {column}: {reason}"""
 
-    code = ErrorCode.yaml_invalid
-    status = 422
     line: int
     column: int
     reason: str
 
 
-@dataclass(eq=False)
-class FieldsInvalid(_ProblemsError):
+class FieldsInvalid(_ProblemsError, status=422):
     """The metadata field definitions are invalid:"""
 
-    code = ErrorCode.fields_invalid
-    status = 422
 
-
-@dataclass(eq=False)
-class MetadataInvalid(_ProblemsError):
+class MetadataInvalid(_ProblemsError, status=422):
     """The metadata does not match the fields of the project:"""
 
-    code = ErrorCode.metadata_invalid
-    status = 422
 
-
-@dataclass(eq=False)
-class BodyTooLarge(KleinkramError):
+class BodyTooLarge(KleinkramError, status=413):
     """The request has {size_bytes} bytes; at most {limit_bytes} are allowed. Send less at a time."""
 
-    code = ErrorCode.body_too_large
-    status = 413
     size_bytes: int
     limit_bytes: int
 
 
-@dataclass(eq=False)
-class MethodNotAllowed(KleinkramError):
+class MethodNotAllowed(KleinkramError, status=405):
     """{path} does not support {method}."""
 
-    code = ErrorCode.method_not_allowed
-    status = 405
     method: str
     path: str
 
@@ -471,12 +378,9 @@ class MethodNotAllowed(KleinkramError):
 # Files
 
 
-@dataclass(eq=False)
-class FileExists(KleinkramError):
+class FileExists(KleinkramError, status=409):
     """{path!r} is already in this mission with other content{hashes}. Nothing was changed; rename your file, or delete the old one first."""  # noqa: E501  one sentence
 
-    code = ErrorCode.file_exists
-    status = 409
     path: str
     # Null, like the id, for a caller who may not read the existing file.
     existing_sha256: str | None
@@ -491,71 +395,50 @@ class FileExists(KleinkramError):
         return f" (existing sha256 {self.existing_sha256}, yours {self.sent_sha256})"
 
 
-@dataclass(eq=False)
-class PathConflict(KleinkramError):
+class PathConflict(KleinkramError, status=409):
     """{path!r} conflicts with {other!r}: one is a file where the other needs a folder, or they differ only in case or Unicode form."""  # noqa: E501  one sentence
 
-    code = ErrorCode.path_conflict
-    status = 409
     path: str
     other: str
 
 
-@dataclass(eq=False)
-class NameLeased(KleinkramError):
+class NameLeased(KleinkramError, status=409):
     """Another client is uploading {path!r} right now. Wait for it, or try again after {lease_ends_at}."""
 
-    code = ErrorCode.name_leased
-    status = 409
     path: str
     lease_ends_at: str
 
 
-@dataclass(eq=False)
-class UploadGone(KleinkramError):
+class UploadGone(KleinkramError, status=410):
     """The upload {upload_id} has ended (it expired, was aborted, or its mission was deleted). Run the same command again to start a new one."""  # noqa: E501  one sentence
 
-    code = ErrorCode.upload_gone
-    status = 410
     upload_id: str
 
 
-@dataclass(eq=False)
-class UploadIncomplete(KleinkramError):
+class UploadIncomplete(KleinkramError, status=409):
     """The object store does not have all of {path!r}: {reason}. Run the same command again; it sends only what is missing."""  # noqa: E501  one sentence
 
-    code = ErrorCode.upload_incomplete
-    status = 409
     path: str
     reason: str
 
 
-@dataclass(eq=False)
-class ChecksumMismatch(KleinkramError):
+class ChecksumMismatch(KleinkramError, status=422):
     """The bytes that arrived for {path!r} are not the bytes that were read: {reason}. Nothing was saved; upload it again."""  # noqa: E501  one sentence
 
-    code = ErrorCode.checksum_mismatch
-    status = 422
     path: str
     reason: str
 
 
-@dataclass(eq=False)
-class FileUnavailable(KleinkramError):
+class FileUnavailable(KleinkramError, status=409):
     """The content of {path!r} is not available: the stored copy is {state}. Upload the file again to repair it."""
 
-    code = ErrorCode.file_unavailable
-    status = 409
     path: str
     state: str
 
 
-@dataclass(eq=False)
-class QuotaExceeded(KleinkramError):
+class QuotaExceeded(KleinkramError, status=507):
     """The quota of project {project!r} does not allow {requested} {unit}{numbers}. Nothing was started; delete something, or ask an admin for more."""  # noqa: E501  one sentence
 
-    code = ErrorCode.quota_exceeded
-    status = 507
     project: str
     # `bytes` or `files`.
     unit: str
@@ -573,32 +456,23 @@ class QuotaExceeded(KleinkramError):
 # Runs
 
 
-@dataclass(eq=False)
-class RunGone(KleinkramError):
+class RunGone(KleinkramError, status=409):
     """The run {run_id} does not belong to this runner (any more): it was given to another runner, cancelled, deleted, or has ended. Stop all work on it."""  # noqa: E501  one sentence
 
-    code = ErrorCode.run_gone
-    status = 409
     run_id: str
 
 
-@dataclass(eq=False)
-class NoInputs(KleinkramError):
+class NoInputs(KleinkramError, status=409):
     """No file of the mission {mission!r} is an input of {action}, which reads {inputs}. Upload such a file, or choose another mission or action."""  # noqa: E501  one sentence
 
-    code = ErrorCode.no_inputs
-    status = 409
     mission: str
     action: str
     inputs: str
 
 
-@dataclass(eq=False)
-class NoRunner(KleinkramError):
+class NoRunner(KleinkramError, status=409):
     """The action {action} was not started, because no runner would ever take it. {reason}"""
 
-    code = ErrorCode.no_runner
-    status = 409
     action: str
     reason: str
 
@@ -606,56 +480,34 @@ class NoRunner(KleinkramError):
 # Server
 
 
-@dataclass(eq=False)
-class RateLimited(KleinkramError):
+class RateLimited(KleinkramError, status=429):
     """Too many requests: at most {limit} {what} in {window_s} s are allowed. Try again in {retry_after_s} s."""
 
-    code = ErrorCode.rate_limited
-    status = 429
     what: str
     limit: int
     window_s: int
     retry_after_s: int
 
 
-@dataclass(eq=False)
-class TooManyStreams(KleinkramError):
+class TooManyStreams(KleinkramError, status=429):
     """Your account has {limit} streams or waiting requests open, which is the limit. Close a page or a program."""
 
-    code = ErrorCode.too_many_streams
-    status = 429
     limit: int
 
 
-@dataclass(eq=False)
-class StoreUnavailable(KleinkramError):
+class StoreUnavailable(KleinkramError, status=503):
     """The object store is not available ({reason}). Nothing was lost; try again in a moment."""
 
-    code = ErrorCode.store_unavailable
-    status = 503
     reason: str
 
 
-@dataclass(eq=False)
-class DatabaseUnavailable(KleinkramError):
+class DatabaseUnavailable(KleinkramError, status=503):
     """The database is not available ({reason}). Nothing was lost; try again in a moment."""
 
-    code = ErrorCode.database_unavailable
-    status = 503
     reason: str = "it does not answer"
 
 
-@dataclass(eq=False)
-class InternalError(KleinkramError):
+class InternalError(KleinkramError, status=500):
     """The server failed unexpectedly. Report the request id {request_id} to its administrator."""
 
-    code = ErrorCode.internal_error
-    status = 500
     request_id: str
-
-
-ERRORS: dict[ErrorCode, type[KleinkramError]] = {
-    cls.code: cls
-    for cls in list(vars().values())
-    if isinstance(cls, type) and issubclass(cls, KleinkramError) and hasattr(cls, "code")
-}

@@ -76,8 +76,8 @@ class FileProblem(Response):
     message: str
 
 
-def _etag(said: dict[str, Any]) -> str:
-    return etag_of(said["path"], said["mission"].id, said["labels"])
+def _etag(values: dict[str, Any]) -> str:
+    return etag_of(values["path"], values["mission"].id, values["labels"])
 
 
 class FileRead(Response):

@@ -1,4 +1,4 @@
-"""What somebody finds when they come: what moved lately, what is unfinished, what needs them; what it all takes."""
+"""The home page: recent missions, unfinished uploads, what needs attention, and storage."""
 
 import datetime
 import enum
@@ -10,7 +10,7 @@ from kleinkram.contract.projects import ProjectRef
 
 
 class RecentMission(Response):
-    """A mission in which something arrived lately; `active_at` is when."""
+    """A mission with its last activity."""
 
     mission: MissionRef
     active_at: datetime.datetime
@@ -19,9 +19,9 @@ class RecentMission(Response):
 
 
 class UnfinishedUpload(Response):
-    """A file that somebody began to send. `sent_bytes` is what the store holds of it, null where it did not say.
+    """An unfinished upload. `sent_bytes` are in the store; null if it did not answer.
 
-    It lapses at `expires_at`; until then the same file, chosen again, goes on where it stopped.
+    Until `expires_at`, uploading the same file again continues it.
     """
 
     id: uuid.UUID
@@ -34,7 +34,7 @@ class UnfinishedUpload(Response):
 
 
 class Need(str, enum.Enum):
-    """What needs somebody. The last four are of the whole server, and for admins."""
+    """What needs attention. The last four concern the whole server, and are for admins."""
 
     files_corrupt = "files_corrupt"
     files_lost = "files_lost"
@@ -51,7 +51,7 @@ class Need(str, enum.Enum):
 
 
 class Attention(Response):
-    """So many things of a kind that need somebody, in one mission where they are of one."""
+    """A number of objects that need attention, in one mission or on the whole server."""
 
     need: Need
     count: int
@@ -59,7 +59,7 @@ class Attention(Response):
 
 
 class ProjectStorage(Response):
-    """What a project takes. A file counts with all its bytes, whether or not others share them."""
+    """The size of a project. Files count with all their bytes, even if they share them with others."""
 
     project: ProjectRef
     file_count: int
@@ -68,7 +68,7 @@ class ProjectStorage(Response):
 
 
 class StoreUse(Response):
-    """What the store holds, and what is free on its disk where that is this server's to know."""
+    """The bytes in the store, and the free space if its disk is on the server's machine."""
 
     used_bytes: int
     free_bytes: int | None
@@ -76,14 +76,14 @@ class StoreUse(Response):
 
 
 class HomeStorage(Response):
-    """`GET /api/v1/home/storage`: the largest projects, and for admins the store."""
+    """`GET /api/v1/home/storage`: the largest projects and, for admins, the store."""
 
     projects: list[ProjectStorage]
     store: StoreUse | None
 
 
 class HomeRead(Response):
-    """`GET /api/v1/home`. Lists are bounded: the latest, the most pressing."""
+    """`GET /api/v1/home`. Every list is bounded."""
 
     missions: list[RecentMission]
     uploads: list[UnfinishedUpload]

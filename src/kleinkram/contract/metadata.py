@@ -52,13 +52,13 @@ class Location(Request):
 Metadata = dict[str, JsonValue]
 
 
-def check_values(given: Metadata) -> Metadata:
+def check_values(metadata: Metadata) -> Metadata:
     """Return metadata as it is, or say why it cannot be kept: what a form sends is bounded as a document is.
 
     Raises ValueError.
     """
     values = characters = 0
-    waiting: list[tuple[int, JsonValue]] = [(1, given)]
+    waiting: list[tuple[int, JsonValue]] = [(1, metadata)]
     while waiting:
         depth, value = waiting.pop()
         if depth > MAX_DEPTH + 1:
@@ -70,11 +70,11 @@ def check_values(given: Metadata) -> Metadata:
         if values > MAX_VALUES or characters > MAX_YAML_CHARACTERS:
             raise ValueError(f"has more than {MAX_VALUES} values, or {MAX_YAML_CHARACTERS} characters")
         inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-        waiting += [(depth + 1, each) for each in inside]
-    return given
+        waiting += [(depth + 1, item) for item in inside]
+    return metadata
 
 
-GivenMetadata = Annotated[Metadata, AfterValidator(check_values)]
+BoundedMetadata = Annotated[Metadata, AfterValidator(check_values)]
 
 
 class MetadataField(Request):

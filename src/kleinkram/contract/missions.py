@@ -11,7 +11,7 @@ from typing_extensions import Self
 from kleinkram.contract.access import Right
 from kleinkram.contract.base import ETag, Request, Response, etag_of
 from kleinkram.contract.errors import FieldProblem
-from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, GivenMetadata, Metadata, MetadataFields
+from kleinkram.contract.metadata import MAX_YAML_CHARACTERS, BoundedMetadata, Metadata, MetadataFields
 from kleinkram.contract.names import Name, Term, Terms, check_text
 from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
@@ -28,9 +28,9 @@ class MissionRef(Response):
     project: ProjectRef
 
 
-class _SaidOnce(Request):
+class _MetadataOnce(Request):
     metadata_yaml: MetadataYaml | None = None
-    metadata: GivenMetadata | None = None
+    metadata: BoundedMetadata | None = None
 
     @model_validator(mode="after")
     def _in_one_way(self) -> Self:
@@ -39,7 +39,7 @@ class _SaidOnce(Request):
         return self
 
 
-class MissionCreate(_SaidOnce):
+class MissionCreate(_MetadataOnce):
     """A mission to make, whose metadata must satisfy the project's fields.
 
     Said as a document, `metadata_yaml`, which is kept to the letter, or as the values of a form, `metadata`.
@@ -49,12 +49,12 @@ class MissionCreate(_SaidOnce):
     notes: Notes = ""
 
 
-class MissionUpdate(_SaidOnce):
+class MissionUpdate(_MetadataOnce):
     """What to change of a mission; what is left out stays. A new `project_id` moves it, files and all.
 
     `metadata_yaml` is all metadata anew; with `merge_yaml`, it changes the fields that it names, and a field without a
     value (null) is removed. `metadata` changes the fields that it names, null takes one away, and the
-    document that said all is dropped.
+    document that values all is dropped.
     """
 
     name: Name | None = None
@@ -64,10 +64,10 @@ class MissionUpdate(_SaidOnce):
     completed: bool | None = None
 
 
-def _etag(said: dict[str, Any]) -> str:
-    words, project = (said[name] for name in ("name", "metadata_yaml", "notes")), said["project"]
-    values = sorted(said["metadata"].items())
-    return etag_of(*words, values, project.id, said["completed_at"] is not None)
+def _etag(values: dict[str, Any]) -> str:
+    words, project = (values[name] for name in ("name", "metadata_yaml", "notes")), values["project"]
+    metadata = sorted(values["metadata"].items())
+    return etag_of(*words, metadata, project.id, values["completed_at"] is not None)
 
 
 class MissionRead(Response):

@@ -38,7 +38,7 @@ def _refuse_unprintable(text: str) -> None:
 
 
 def check_name(name: str) -> str:
-    """Return `name` in NFC, or say why it cannot be the name of a project or mission. Raises ValueError."""
+    """Return the name of a project or mission in NFC. Raises ValueError."""
     name = unicodedata.normalize("NFC", name)
     _refuse_unprintable(name)
     if not name or name != name.strip():
@@ -55,7 +55,7 @@ def check_name(name: str) -> str:
 
 
 def check_file_path(path: str) -> str:
-    """Return `path` in NFC, or say why it cannot be a file's path inside its mission.
+    """Return the path of a file in its mission in NFC.
 
     A path is relative, with `/` between its parts, and stays inside the mission. Raises ValueError.
     """
@@ -79,7 +79,7 @@ def check_file_path(path: str) -> str:
 
 
 def check_label(label: str) -> str:
-    """Return `label` in NFC, or say why it cannot be one. Raises ValueError."""
+    """Return a label in NFC. Raises ValueError."""
     label = unicodedata.normalize("NFC", label)
     _refuse_unprintable(label)
     if not label or label != label.strip() or "," in label:
@@ -90,7 +90,7 @@ def check_label(label: str) -> str:
 
 
 def check_text(text: str) -> str:
-    """Return free text as it is, or say why it cannot be kept. Raises ValueError."""
+    """Return a text that the database can store: without NUL and surrogates. Raises ValueError."""
     for position, character in enumerate(text):
         if character == "\x00" or "\ud800" <= character <= "\udfff":
             raise ValueError(f"holds the character U+{ord(character):04X} at position {position}, which cannot be kept")
@@ -98,7 +98,7 @@ def check_text(text: str) -> str:
 
 
 def is_id(reference: str) -> bool:
-    """Say whether a reference given by a person is an id rather than a name."""
+    """Whether a reference is an id rather than a name."""
     return _UUID.fullmatch(reference) is not None
 
 

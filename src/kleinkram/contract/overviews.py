@@ -11,7 +11,7 @@ from kleinkram.contract.files import BlobState, ContentState
 MAX_BINS = 512
 MAX_MISSION_TOPICS = 2_000
 
-# How many bins somebody wants to draw, at most: an answer has at least a quarter as many, where so much is known.
+# The maximum number of bins; a response has at least a quarter as many, if the data allow it.
 Bins = Annotated[int, Field(ge=0, le=MAX_BINS)]
 MissionTopicsSize = Annotated[int, Field(ge=1, le=MAX_MISSION_TOPICS)]
 
@@ -25,7 +25,7 @@ class TimeAxis(Response):
 
 
 class RecordingRef(Response):
-    """A recording, as named beside what it holds."""
+    """The id and name of a recording."""
 
     id: uuid.UUID
     name: str
@@ -34,11 +34,10 @@ class RecordingRef(Response):
 class MissionTopic(Response):
     """One topic with one type, in all recordings of a mission.
 
-    `other_types` are those under which the mission has the same topic too: a conflict. `count` is null where a file
-    does not say its own. `rate_hz` is that while recordings lasted, and `longest_gap_ns` the longest silence inside of
-    one: between two recordings nobody listened. `counts` are by the bins of `axis`; null where no file that has the
-    topic was read since densities are kept, and adding up to less than `count` where only some were. `recordings` are
-    those that have messages of it, as ranges `[first, last]` (both inclusive) of places in the answer's `recordings`.
+    `other_types`: other types of the same topic in the mission, a conflict. `count` is null if a file has no count.
+    `rate_hz` and `longest_gap_ns` cover only the time within recordings. `counts` are by the bins of `axis`; null if no
+    file with the topic has a density, and less than `count` in sum if only some have. `recordings` are ranges
+    `[first, last]` (inclusive) of indexes in the response's `recordings`.
     """
 
     name: str
@@ -59,8 +58,8 @@ class MissionTopic(Response):
 class MissionTopics(Response):
     """A page of the topics of a mission, by name and type.
 
-    `axis` spans the mission without recordings from before 1990; null where no times are known. `recordings` are in
-    the order of time. `is_current` says whether this follows from today's files; if not, it soon will.
+    `axis` spans the mission without recordings from before 1990; null if no times are known. `recordings` are in
+    chronological order. `is_current`: it reflects the current files; otherwise it will soon.
     """
 
     axis: TimeAxis | None
@@ -76,7 +75,7 @@ TimelineSize = Annotated[int, Field(ge=1, le=MAX_TIMELINE_FILES)]
 
 
 class TimelineFile(Response):
-    """When one file was recorded; `start_ns` and `end_ns` are null where it has no times, or nobody read it yet."""
+    """When a file was recorded; `start_ns` and `end_ns` are null if it has no times, or was not read yet."""
 
     id: uuid.UUID
     path: str

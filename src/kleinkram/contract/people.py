@@ -11,16 +11,16 @@ from kleinkram.contract.base import Response
 
 
 class PersonRef(Response):
-    """A person, as named beside what they did."""
+    """The id and name of a person."""
 
     id: uuid.UUID
     name: str
 
 
 class PersonRead(Response):
-    """A person. `emails` are their verified addresses, for themselves, admins, and editors of a group that they are in.
+    """A person. `emails`, their verified addresses, are for themselves, admins, and editors of a shared group.
 
-    `deactivated_at` is when they left; only admins see those who did.
+    Only admins see deactivated people.
     """
 
     id: uuid.UUID
@@ -32,7 +32,7 @@ class PersonRead(Response):
 
 
 class Departure(Response):
-    """What ended when somebody was deactivated, and the projects that went to the admins for want of another owner."""
+    """What ended when a person was deactivated, and the projects that went to the admins."""
 
     person: PersonRef
     sessions: int
@@ -42,16 +42,16 @@ class Departure(Response):
 
 
 class ViewerRead(Response):
-    """A page elsewhere that shows a recording; `{url}` in its `url` is replaced by the recording's, percent-encoded."""
+    """An external page that shows a recording; `{url}` in its `url` stands for the recording's, percent-encoded."""
 
     name: str
     url: str
 
 
 class ServiceRead(Response):
-    """What a server says of itself to whoever comes: `GET /api/v1/service`. `person` is who asks, where it is one.
+    """A server: `GET /api/v1/service`. `name` is the lab's; `person` is the caller, if they have an account.
 
-    `name` is the lab's. `store_url` is where bytes are sent and fetched, `store_origin` how a browser names that place.
+    Bytes are sent to and fetched from `store_url`; `store_origin` is its origin in browsers.
     """
 
     name: str
@@ -59,7 +59,7 @@ class ServiceRead(Response):
     public_url: str
     store_url: str
     store_origin: str
-    # A token that is made without an end is good for so long; `token_days_max` 0: a token may be good for ever.
+    # `token_days_max` 0: tokens without an end are allowed.
     token_days_default: int = 0
     token_days_max: int = 0
     checksum: str
@@ -78,26 +78,26 @@ _WHOLE_DOMAIN = re.compile(_DOMAIN)
 
 
 def check_email(address: str) -> str:
-    """Return an address as it is, or say why it is none that is taken. Raises ValueError."""
+    """Return an address if it is valid ASCII, as `name@domain`. Raises ValueError."""
     if len(address) > MAX_EMAIL_CHARACTERS or not _ADDRESS.fullmatch(address):
         raise ValueError("is not an address such as ada@lab.example (a domain beyond ASCII is written as xn--…)")
     return address
 
 
 def check_domain(domain: str) -> str:
-    """Return a domain in lower case, or say why it is none. Raises ValueError."""
+    """Return a domain in lower case. Raises ValueError."""
     if not _WHOLE_DOMAIN.fullmatch(domain):
         raise ValueError("is not a domain such as lab.example, without @ and wildcards")
     return domain.lower()
 
 
 def email_key(address: str) -> str:
-    """Return the form under which an address is one person's: letter case does not count."""
+    """Return the form under which an address is unique: in lower case."""
     return address.lower()
 
 
 def email_domain(address: str) -> str:
-    """Return what stands after the last @, in lower case."""
+    """Return the domain of an address, in lower case."""
     return address.rpartition("@")[2].lower()
 
 

@@ -15,7 +15,7 @@ from kleinkram.contract.names import Name, check_text
 from kleinkram.contract.people import PersonRef
 
 Description = Annotated[str, AfterValidator(check_text), Field(max_length=10_000)]
-# An SPDX identifier such as CC-BY-4.0, or the licence's own words.
+# An SPDX identifier such as CC-BY-4.0, or the text of the licence.
 Licence = Annotated[str, AfterValidator(check_text), Field(max_length=10_000)]
 Citation = Annotated[str, AfterValidator(check_text), Field(max_length=10_000)]
 Quota = Annotated[int, Field(ge=0, le=2**63 - 1)]
@@ -23,7 +23,7 @@ FieldsYaml = Annotated[str, Field(max_length=MAX_YAML_CHARACTERS)]
 
 
 class ProjectRef(Response):
-    """A project, as named beside what it holds."""
+    """The id and name of a project."""
 
     id: uuid.UUID
     name: str
@@ -41,16 +41,16 @@ class _DeclaredOnce(Request):
 
 
 class ProjectCreate(_DeclaredOnce):
-    """A project to make. Its fields are the text of a `fields.yaml`, or `metadata_fields`; the server judges both."""
+    """A project to create, with its metadata fields as the text of a `fields.yaml` or as `metadata_fields`."""
 
     name: Name
     description: Description = ""
 
 
 class ProjectUpdate(_DeclaredOnce):
-    """What to change of a project; what is left out stays. Fields are replaced as a whole.
+    """Changes of a project; omitted fields stay. Metadata fields are replaced as a whole.
 
-    Anybody may read a public project, with or without an account. A quota of null is none; admins set quotas.
+    Everybody may read a public project, also without an account. A quota of null is no quota; admins set quotas.
     """
 
     name: Name | None = None
@@ -65,16 +65,15 @@ class ProjectUpdate(_DeclaredOnce):
 _EDITED = ("name", "description", "is_public", "licence", "citation", "quota_bytes", "quota_files")
 
 
-def _etag(said: dict[str, Any]) -> str:
-    fields: MetadataFields = said["metadata_fields"]
-    return etag_of(*(said[name] for name in _EDITED), fields.model_dump_json(exclude_none=True))
+def _etag(values: dict[str, Any]) -> str:
+    fields: MetadataFields = values["metadata_fields"]
+    return etag_of(*(values[name] for name in _EDITED), fields.model_dump_json(exclude_none=True))
 
 
 class ProjectRead(Response):
-    """A project and what it amounts to. Counts leave out what is in the trash; `right` is the asker's own on it.
+    """A project and its contents, without the trash. `right` is the caller's own.
 
-    What is used, which the quotas bound, is the files and the uploads under way. `etag` names what people edited
-    last, as with missions.
+    The quotas limit files and uploads in progress: `used_bytes` and `used_files`. `etag` is of the edited fields.
     """
 
     id: uuid.UUID
@@ -109,7 +108,7 @@ class ProjectSort(str, enum.Enum):
 
 
 class TrashNoun(str, enum.Enum):
-    """What can lie in the trash."""
+    """What can be in the trash."""
 
     project = "project"
     mission = "mission"
@@ -117,9 +116,9 @@ class TrashNoun(str, enum.Enum):
 
 
 class TrashRead(Response):
-    """Something deleted. `place` is what held it: the project of a mission, project and mission of a file.
+    """A deleted object. `place` is the project of a mission, or project and mission of a file.
 
-    A mission that was deleted with its project is not listed by itself; it comes back with the project.
+    Missions that were deleted with their project are restored with it, and not listed.
     """
 
     noun: TrashNoun
@@ -136,7 +135,7 @@ class TrashRead(Response):
 class Deleted(Response):
     """What a deletion moved to the trash (or, as a dry run, would move).
 
-    Of a single file: how many runs read it, and which files of its mission came of that, which stay; 100 at most.
+    For a single file: how many runs read it, and at most 100 files of the mission that they made from it, which stay.
     """
 
     missions: int

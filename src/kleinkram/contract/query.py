@@ -17,12 +17,12 @@ from kleinkram.contract.amounts import (
     DURATIONS,
     SIZES,
     bounds,
+    format_bound,
+    format_time,
     read_duration,
     read_month,
     read_size,
     read_time,
-    say_bound,
-    say_time,
 )
 from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import BlobState, ContentState, FileFilter
@@ -154,7 +154,7 @@ _COMPARED = (">", ">=", "<", "<=", *_SAME)
 
 
 @dataclass(frozen=True)
-class Key:
+class QueryKey:
     """A key. `field` is that of `FileFilter`; `id_field` takes its place where the value is an id.
 
     `several_field` holds the names, globs and ids of a key that is said several times.
@@ -185,24 +185,24 @@ def one_of(kind: type[BlobState] | type[ContentState]) -> Callable[[str], str]:
 
 
 _KEYS = (
-    Key("project", "project", "project:NAME", id_field="project_id", several_field="projects"),
-    Key("mission", "mission", "mission:NAME", id_field="mission_id", several_field="missions"),
-    Key("recording", "recording_id", "recording:ID", id_field="recording_id", only_id=True),
-    Key("path", "path", "path:*.mcap", is_list=True),
-    Key("topic", "topic", "topic:/imu/*", is_list=True),
-    Key("type", "message_type", "type:*/Image", is_list=True),
-    Key("label", "label", "label:LABEL", is_list=True),
-    Key("format", "format", "format:mcap", is_list=True),
-    Key("content", "content", "content:broken", is_list=True, check=one_of(ContentState)),
-    Key("problem", "problem", "problem:long-gap", is_list=True),
-    Key("state", "state", "state:verified", is_list=True, check=one_of(BlobState)),
-    Key("month", "month", "month:2026-05", is_list=True, check=read_month),
-    Key("size", "size_bytes", "size>1GB", _COMPARED),
-    Key("duration", "duration_ns", "duration>10m", _COMPARED),
-    Key("after", "recorded_after", "after:2026-05-01"),
-    Key("before", "recorded_before", "before:2026-05-01"),
+    QueryKey("project", "project", "project:NAME", id_field="project_id", several_field="projects"),
+    QueryKey("mission", "mission", "mission:NAME", id_field="mission_id", several_field="missions"),
+    QueryKey("recording", "recording_id", "recording:ID", id_field="recording_id", only_id=True),
+    QueryKey("path", "path", "path:*.mcap", is_list=True),
+    QueryKey("topic", "topic", "topic:/imu/*", is_list=True),
+    QueryKey("type", "message_type", "type:*/Image", is_list=True),
+    QueryKey("label", "label", "label:LABEL", is_list=True),
+    QueryKey("format", "format", "format:mcap", is_list=True),
+    QueryKey("content", "content", "content:broken", is_list=True, check=one_of(ContentState)),
+    QueryKey("problem", "problem", "problem:long-gap", is_list=True),
+    QueryKey("state", "state", "state:verified", is_list=True, check=one_of(BlobState)),
+    QueryKey("month", "month", "month:2026-05", is_list=True, check=read_month),
+    QueryKey("size", "size_bytes", "size>1GB", _COMPARED),
+    QueryKey("duration", "duration_ns", "duration>10m", _COMPARED),
+    QueryKey("after", "recorded_after", "after:2026-05-01"),
+    QueryKey("before", "recorded_before", "before:2026-05-01"),
 )
-KEYS: Mapping[str, Key] = {key.name: key for key in _KEYS}
+KEYS: Mapping[str, QueryKey] = {key.name: key for key in _KEYS}
 
 
 def is_glob(value: str) -> bool:
@@ -274,7 +274,7 @@ def render_where(expression: str) -> str:
     return f"{META}{found['field']}{':' if operator == '=' else operator}{said}"
 
 
-def _terms_of(key: Key, matching: FileFilter) -> Iterator[str]:
+def _terms_of(key: QueryKey, matching: FileFilter) -> Iterator[str]:
     if key.name in _UNITS:
         yield from _bounds(key, matching)
         return
@@ -282,21 +282,21 @@ def _terms_of(key: Key, matching: FileFilter) -> Iterator[str]:
     for field in dict.fromkeys(fields):
         held = getattr(matching, field)
         if key.name in {"after", "before"}:
-            held = None if held is None else say_time(held)
+            held = None if held is None else format_time(held)
         values = held if isinstance(held, list) else [] if held is None else [held]
         yield from (f"{key.name}:{as_value(str(getattr(value, 'value', value)))}" for value in values)
 
 
-def _bounds(key: Key, matching: FileFilter) -> Iterator[str]:
+def _bounds(key: QueryKey, matching: FileFilter) -> Iterator[str]:
     units = _UNITS[key.name]
     least, most = (getattr(matching, f"{end}_{key.field}") for end in ("min", "max"))
     if least is not None and least == most:
-        yield f"{key.name}{say_bound(':', least, units)}"
+        yield f"{key.name}{format_bound(':', least, units)}"
         return
     if least is not None:
-        yield f"{key.name}{say_bound('>=', least, units)}"
+        yield f"{key.name}{format_bound('>=', least, units)}"
     if most is not None:
-        yield f"{key.name}{say_bound('<=', most, units)}"
+        yield f"{key.name}{format_bound('<=', most, units)}"
 
 
 _AMOUNTS: dict[str, Callable[[str], Fraction]] = {"size": read_size, "duration": read_duration}
@@ -308,20 +308,20 @@ _TIGHTEST: dict[str, Callable[[datetime.datetime, datetime.datetime], datetime.d
 
 def parse(text: str) -> FileFilter:
     """Return the filter that a query means; an empty text means everything. Raises InvalidQuery."""
-    reading = _Reading()
+    reader = _QueryReader()
     for word in split(text):
-        reading.take(word)
-    return reading.filter()
+        reader.take(word)
+    return reader.filter()
 
 
 def parse_term(text: str) -> FileFilter:
     """Return the filter that one term means, such as those of a filter's `without`. Raises InvalidQuery."""
-    reading = _Reading()
-    reading.take(single(text))
-    return reading.filter()
+    reader = _QueryReader()
+    reader.take(single(text))
+    return reader.filter()
 
 
-class _Reading:
+class _QueryReader:
     """What was read so far, and the word by which each field was said first."""
 
     def __init__(self) -> None:
@@ -330,7 +330,7 @@ class _Reading:
         self._times: dict[str, datetime.datetime] = {}
         self._lists: dict[str, list[str]] = {}
         self._words: list[str] = []
-        self._said_by: dict[str, Word] = {}
+        self._words_by_field: dict[str, Word] = {}
 
     def take(self, word: Word) -> None:
         """Read one word more."""
@@ -338,7 +338,7 @@ class _Reading:
             self._leave_out(word)
         elif not word.key:
             self._words += [word.value] if word.value else []
-            self._said_by.setdefault("text", word)
+            self._words_by_field.setdefault("text", word)
         elif word.key.startswith(META) and word.key != META:
             self._add("where", _comparison(word), word)
         elif word.key not in KEYS:
@@ -355,22 +355,22 @@ class _Reading:
             if values and len(named) == len(values):  # one name beside one id: both must hold
                 del given[str(key.several_field)]
                 given |= named
-                self._said_by |= dict.fromkeys(named, self._said_by[str(key.several_field)])
+                self._words_by_field |= dict.fromkeys(named, self._words_by_field[str(key.several_field)])
         if self._words:
             given["text"] = joined(self._words)
         try:
             return FileFilter.model_validate(given)
         except ValidationError as error:
-            word = self._said_by[str(error.errors()[0]["loc"][0])]
+            word = self._words_by_field[str(error.errors()[0]["loc"][0])]
             raise word.wrong(in_plain_words(error)) from None
 
     def _leave_out(self, word: Word) -> None:
-        term = _Reading()
+        term = _QueryReader()
         term.take(replace(word, is_negative=False))
         if said := render(term.filter()):
             self._add("without", said, word)
 
-    def _take_key(self, key: Key, word: Word) -> None:
+    def _take_key(self, key: QueryKey, word: Word) -> None:
         if word.operator not in key.operators:
             raise word.wrong(f"{key.name} is not compared by {word.operator}; write it like {key.example}")
         if not word.value and not word.is_quoted:
@@ -387,7 +387,7 @@ class _Reading:
         except ValueError as error:
             raise word.wrong(str(error)) from None
 
-    def _set(self, key: Key, word: Word) -> None:
+    def _set(self, key: QueryKey, word: Word) -> None:
         by_id = key.id_field is not None and is_id(word.value)
         if key.only_id and not by_id:
             raise word.wrong(f"write it like {key.example}")
@@ -396,17 +396,17 @@ class _Reading:
             self._add(key.several_field, word.value, word)
             return
         if field in self._values:
-            raise word.wrong(f"{key.name} was said at column {self._said_by[field].column} already")
+            raise word.wrong(f"{key.name} was said at column {self._words_by_field[field].column} already")
         self._values[field] = word.value
-        self._said_by[field] = word
+        self._words_by_field[field] = word
 
-    def _bound(self, key: Key, word: Word, least: int | None, most: int | None) -> None:
+    def _bound(self, key: QueryKey, word: Word, least: int | None, most: int | None) -> None:
         for field, number, tighter in ((f"min_{key.field}", least, max), (f"max_{key.field}", most, min)):
             if number is not None:
                 self._numbers[field] = tighter(self._numbers.get(field, number), number)
-                self._said_by.setdefault(field, word)
+                self._words_by_field.setdefault(field, word)
 
-    def _tighten(self, key: Key, word: Word) -> None:
+    def _tighten(self, key: QueryKey, word: Word) -> None:
         at = read_time(word.value)
         self._times[key.field] = _TIGHTEST[key.name](self._times.get(key.field, at), at)
 
@@ -414,7 +414,7 @@ class _Reading:
         held = self._lists.setdefault(field, [])
         if value not in held:
             held.append(value)
-        self._said_by.setdefault(field, word)
+        self._words_by_field.setdefault(field, word)
 
 
 def _comparison(word: Word) -> str:

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 from typing_extensions import Self
 
 from kleinkram.contract.base import Request
-from kleinkram.contract.metadata import GivenMetadata
+from kleinkram.contract.metadata import BoundedMetadata
 from kleinkram.contract.names import FilePath, check_text
 
 MAX_FINDINGS = 10_000
@@ -77,7 +77,7 @@ class Report(Request):
     findings: Annotated[list[Finding], Field(max_length=MAX_FINDINGS)] = []
     metrics: Annotated[list[Metric], Field(max_length=MAX_METRICS)] = []
     previews: Annotated[list[Preview], Field(max_length=MAX_PREVIEWS)] = []
-    metadata: GivenMetadata = {}
+    metadata: BoundedMetadata = {}
     put_back: Annotated[list[PutBack], Field(max_length=10_000)] = []
 
 
@@ -95,7 +95,7 @@ class ReportEvent(Request):
     metric: Metric | None = None
     progress: Progress | None = None
     preview: Preview | None = None
-    metadata: GivenMetadata | None = None
+    metadata: BoundedMetadata | None = None
     put_back: PutBack | None = None
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""One search over everything: what a query finds, and how it could be narrowed."""
+"""Search over missions, files and topics, facets, and labels."""
 
 import uuid
 from typing import Annotated
@@ -18,13 +18,13 @@ Labels = Annotated[list[Label], Field(max_length=50)]
 
 
 class FileQuery(FileFilter):
-    """A filter of files with the text of a query beside it: both hold, as if all had been said in one text."""
+    """A filter of files and the text of a query; both apply, like a single query."""
 
     query: QueryText | None = None
 
 
 class TopicFound(Response):
-    """A topic of one name and type, over all files that match. `message_count` is null where none is counted."""
+    """A topic of one name and type, over all matching files. `message_count` is null if unknown."""
 
     name: str
     message_type: str | None
@@ -33,12 +33,11 @@ class TopicFound(Response):
 
 
 class SearchRead(Response):
-    """What a query finds: the first of the missions, files and topics, with how many there are.
+    """The first missions, files and topics that match a query, and their numbers.
 
-    `query` is the text in its own order and spelling; `filter` is what it means. Missions are those that match by what
-    they say themselves, and those of files that match. Their lists go on at `/missions` and `/files` with the same
-    `query` and `sort=-start`. Not `is_whole` where very many files match: then every number of missions, files and
-    topics is an estimate, in two digits, and the topics are those of files drawn by lot.
+    `query` is the normalized text; `filter` its meaning. Missions match themselves or by their files. The lists
+    continue at `/missions` and `/files` with the same `query` and `sort=-start`. If very many files match, not
+    `is_whole`: all numbers are estimates with two digits, and the topics are those of sampled files.
     """
 
     query: str
@@ -50,9 +49,9 @@ class SearchRead(Response):
 
 
 class FacetValue(Response):
-    """One value of a facet. `query` is the whole text with this value chosen, or taken back where it is chosen.
+    """A value of a facet. `query` is the text with this value selected, or deselected if it is selected.
 
-    `file_count` is how many files the query finds that have it, whatever else is chosen of the same facet.
+    `file_count` is the number of matching files that have it, whatever else of the same facet is selected.
     """
 
     value: str
@@ -62,9 +61,9 @@ class FacetValue(Response):
 
 
 class Facet(Response):
-    """How the files divide by `name`: `project`, `format`, `content`, `topic`, `type`, `label`, `month`, `meta.FIELD`.
+    """The files by `name`: `project`, `format`, `content`, `topic`, `type`, `label`, `month` or `meta.FIELD`.
 
-    The most frequent values first, months the latest; `value_count` is how many there are in all.
+    The most frequent values come first, months the latest first; `value_count` is the number of all values.
     """
 
     name: str
@@ -73,7 +72,7 @@ class Facet(Response):
 
 
 class FacetsRead(Response):
-    """The facets of a query. Not `is_whole` where only the first `file_count` files were looked at, to save time."""
+    """The facets of a query. If `is_whole` is false, they cover only the first `file_count` files."""
 
     query: str
     file_count: int
@@ -82,7 +81,7 @@ class FacetsRead(Response):
 
 
 class LabelChange(Request):
-    """Labels to put on files and to take off; what is in both is put on."""
+    """Labels to add to files and to remove; a label in both is added."""
 
     file_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=MAX_LABELLED)]
     add: Labels = []
@@ -90,7 +89,7 @@ class LabelChange(Request):
 
 
 class FileLabelled(Response):
-    """How it went with one file: its labels now, or what kept them as they were."""
+    """The result for one file: its labels now, or why they did not change."""
 
     file_id: uuid.UUID
     labels: list[str] | None
@@ -98,6 +97,6 @@ class FileLabelled(Response):
 
 
 class FilesLabelled(Response):
-    """How it went, file by file, in the order asked."""
+    """The result for each file, in the requested order."""
 
     items: list[FileLabelled]

@@ -20,13 +20,13 @@ from kleinkram.contract.people import PersonRef
 _DIGITS = string.digits + string.ascii_uppercase + string.ascii_lowercase
 CHECKSUM_CHARACTERS = 6
 RANDOM_CHARACTERS = 43
-# What a scanner looks for; `is_whole` then says whether the find is one.
+# For secret scanners; `is_whole` then verifies a match.
 PATTERN = r"klein_(?:pat|robot|runner|run|link)_[A-Za-z0-9_-]{43}[0-9A-Za-z]{6}"
 _PATTERN = re.compile(PATTERN, re.ASCII)
 
 
 class SecretKind(str, enum.Enum):
-    """What a secret opens: what a person, a robot, a runner or a run may do, or what a link shows."""
+    """What a secret belongs to: a token of a person, robot, runner or run, or a share link."""
 
     personal = "pat"
     robot = "robot"
@@ -36,7 +36,7 @@ class SecretKind(str, enum.Enum):
 
 
 def with_checksum(text: str) -> str:
-    """Return `text` (ASCII) with its checksum behind it."""
+    """Return `text` (ASCII) with its checksum: the CRC-32 in base 62, most significant digit first."""
     rest, digits = zlib.crc32(text.encode("ascii")), ""
     for _ in range(CHECKSUM_CHARACTERS):
         rest, digit = divmod(rest, len(_DIGITS))
@@ -45,12 +45,12 @@ def with_checksum(text: str) -> str:
 
 
 def is_whole(secret: str) -> bool:
-    """Say whether a secret is one of ours to the last character; it may still have ended, or never have been given."""
+    """Whether a secret has the right form and checksum; it may still be revoked, or never have been issued."""
     return _PATTERN.fullmatch(secret) is not None and with_checksum(secret[:-CHECKSUM_CHARACTERS]) == secret
 
 
 def is_mangled(secret: str) -> bool:
-    """Say whether a secret was meant to be one of ours, but was cut or mistyped."""
+    """Whether a secret begins like one of ours, but was cut or mistyped."""
     return secret.startswith(tuple(f"klein_{kind.value}_" for kind in SecretKind)) and not is_whole(secret)
 
 
@@ -64,13 +64,11 @@ Places = Annotated[list[uuid.UUID], Field(max_length=100)]
 
 
 class TokenCreate(Request):
-    """A token to make. Without `scopes`, those usual for its kind; without limits, it reaches what its person reaches.
+    """A token to create. Default `scopes` depend on its kind; without limits it reaches everything its person may see.
 
-    A robot's token is limited to projects or missions and is never for administration. A runner's is for runs alone,
-    and for one runner: `runner_id`, else the first one that uses it. With projects it gets only runs on these, with
-    `runner_labels` only runs that ask for one of them.
-
-    Without `expires_at` it ends after the time that the server's settings name. `no_end` takes a server that allows it.
+    A robot's token is limited to projects or missions and cannot have the scope admin. A runner's token is for one
+    runner: `runner_id`, else the first one that uses it. With projects it gets only runs on these, with `runner_labels`
+    only runs that require one of them. Without `expires_at`, the server's settings decide; some servers allow `no_end`.
     """
 
     name: Label
@@ -85,12 +83,12 @@ class TokenCreate(Request):
 
     @property
     def chosen_scopes(self) -> list[Scope]:
-        """The scopes it gets, each once."""
+        """The scopes without duplicates, or the default ones."""
         return list(dict.fromkeys(self.scopes if self.scopes is not None else DEFAULT_SCOPES[self.kind]))
 
     @property
     def is_limited(self) -> bool:
-        """Whether it reaches only what is named."""
+        """Whether it is limited to projects or missions."""
         return bool(self.project_ids or self.mission_ids)
 
     @model_validator(mode="after")
@@ -111,7 +109,7 @@ class TokenCreate(Request):
 
 
 class TokenPlace(Response):
-    """A project or mission that a token is limited to. `name` is null where whoever asks may not see it (any more)."""
+    """A project or mission to which a token is limited. `name` is null if the caller may not see it."""
 
     noun: str
     id: uuid.UUID
@@ -119,17 +117,17 @@ class TokenPlace(Response):
 
 
 class TokenRunner(Response):
-    """The runner that a token is bound to. `name` is null until it has said hello."""
+    """The runner to which a token is bound. `name` is null until the runner registers."""
 
     id: uuid.UUID
     name: str | None
 
 
 class TokenRead(Response):
-    """A token without its secret; `prefix` is how that begins.
+    """A token without its secret; `prefix` is the beginning of the secret.
 
-    `limits` are null where it reaches what its person reaches, and empty where all it was limited to is gone.
-    `last_used_at` is exact to a minute. `runner` is null of a runner's token that no runner has used yet.
+    `limits` are null for an unlimited token, and empty if everything it was limited to was deleted. `last_used_at` is
+    exact to a minute. `runner` is null until a runner uses the token.
     """
 
     id: uuid.UUID
@@ -148,24 +146,24 @@ class TokenRead(Response):
 
 
 class TokenMade(Response):
-    """A new token with its secret, which nobody can show again."""
+    """A new token with its secret, which cannot be shown again."""
 
     token: TokenRead
     secret: Annotated[str, Field(repr=False)]
 
 
-# The page of the server's that a link opens; the secret follows behind a `#`, where no log sees it.
+# The page that a link opens; the secret follows after a `#`, so that no log contains it.
 SHARE_PAGE = "/s"
 MAX_SHARED_FILES = 2_000
 
 
 def is_link(text: str) -> bool:
-    """Say whether a text is the address of a link."""
+    """Whether a text is the address of a share link."""
     return text.startswith(("http://", "https://")) and f"{SHARE_PAGE}#" in text
 
 
 class ShareCreate(Request):
-    """A link to make: to files of the mission, or with `file_ids` null to all that is in it now and later."""
+    """A link to create: to files of a mission, or with `file_ids` null to everything in it, now and later."""
 
     name: Label
     file_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=MAX_SHARED_FILES)] | None = None
@@ -173,9 +171,9 @@ class ShareCreate(Request):
 
 
 class ShareRead(Response):
-    """A link without its secret; `prefix` is how that begins.
+    """A link without its secret; `prefix` is the beginning of the secret.
 
-    `file_count` is null for a link to a whole mission. Downloads are addresses given out, a file each, and their bytes.
+    `file_count` is null for a link to a whole mission. Downloads count each file whose URL was requested.
     """
 
     id: uuid.UUID
@@ -193,7 +191,7 @@ class ShareRead(Response):
 
 
 class ShareMade(Response):
-    """A new link with its secret, which nobody can show again. `url` holds the secret, too."""
+    """A new link with its secret, which cannot be shown again. `url` contains the secret."""
 
     share: ShareRead
     url: Annotated[str, Field(repr=False)]
@@ -201,7 +199,7 @@ class ShareMade(Response):
 
 
 class SharedRead(Response):
-    """What a link shows, as seen by whoever has it: `file_count` and `size_bytes` of what it shows now."""
+    """What a link shows now, to those who have it."""
 
     name: str
     mission: MissionRef

@@ -146,7 +146,7 @@ class HashFirst(Response):
     path: str
 
 
-class Refused(Response):
+class UploadRefused(Response):
     """This file cannot be uploaded; the others can."""
 
     decision: Literal["refused"] = "refused"
@@ -154,7 +154,7 @@ class Refused(Response):
     problem: ProblemDocument
 
 
-UploadDecision = Annotated[Present | Linked | HashFirst | Send | Refused, Field(discriminator="decision")]
+UploadDecision = Annotated[Present | Linked | HashFirst | Send | UploadRefused, Field(discriminator="decision")]
 
 
 class UploadDecisions(Response):

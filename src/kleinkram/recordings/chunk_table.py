@@ -17,7 +17,7 @@ from kleinkram.recordings.messages import Selection
 MAX_SET_BYTES = 16 * 2**20
 
 ANY_CHANNEL = 0  # the set of a chunk of which is not known who is in it
-UNKNOWN = 2**64 - 1  # stands for a number that the index of this format does not say
+UNKNOWN = 2**64 - 1  # a number that the index of this format does not state
 
 
 class ChannelSets:
@@ -137,7 +137,7 @@ class Row(NamedTuple):
     """A chunk, or records outside of chunks: [start, start + length), with inclusive times.
 
     `end`: behind its message indexes. `kind`: as in `MessagePlace`. `uncompressed_bytes` may be a guess; `stored_bytes`
-    and `messages` are `UNKNOWN` where the index does not say.
+    and `messages` are `UNKNOWN` where the index does not state them.
     """
 
     start: int

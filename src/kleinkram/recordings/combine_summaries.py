@@ -26,7 +26,7 @@ from kleinkram.recordings.model import (
     counted,
 )
 from kleinkram.recordings.timeline import LEAST_JUMP_NS, StampRun, bulk, join, within
-from kleinkram.recordings.topic_statistics import bounded, find_quality_warnings, island_times
+from kleinkram.recordings.topic_statistics import bounded, find_quality_warnings, with_times
 
 _WORST_FIRST = (
     Content.error,
@@ -46,7 +46,7 @@ _OF_THE_WHOLE = frozenset(("silent-topic", "starts-late", "stops-early", "long-g
 def combine(summaries: Sequence[RecordingSummary], names: Sequence[str] = ()) -> RecordingSummary:
     """Merge the summaries of the members of one recording, given in the order of recording.
 
-    Counts are added; a count that one member does not know is not known of the whole. Silences between members count
+    Counts are added; a count that is unknown of one member is unknown of the whole. Silences between members count
     as gaps. Where members overlap in time, the longest gap of a topic is an upper bound.
 
     `content` is `error` or `pending` if a member is; else `recovered` where something can be read and something not;
@@ -185,15 +185,20 @@ def _combine_topic(parts: list[TopicSummary], island: StampRun | None) -> TopicS
     ]
     run = within(join(runs), island)
     count = _total(part.count for part in parts)
-    return replace(
-        parts[0],
+    first = parts[0]
+    topic = TopicSummary(
+        name=first.name,
+        message_type=first.message_type,
+        schema_name=first.schema_name,
+        schema_encoding=first.schema_encoding,
+        message_encoding=first.message_encoding,
         count=count,
-        **island_times(run, island),
         out_of_order_count=_total(part.out_of_order_count for part in parts),
         stored_bytes=_total(part.stored_bytes for part in parts),
         suspect_count=0 if count is None else count - (run.count if run else 0),
         density=run.density if run else None,
     )
+    return with_times(topic, run, island)
 
 
 MESSAGE_ZSTD = "message-zstd"  # what `compression` says where the data of each message is compressed by itself

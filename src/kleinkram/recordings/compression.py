@@ -107,8 +107,8 @@ def _zstd_at_once(stored: Buffer, uncompressed_bytes: int) -> bytes:
         if claimed == uncompressed_bytes:
             return zstandard.ZstdDecompressor().decompress(stored, allow_extra_data=False)
     except zstandard.ZstdError:
-        pass  # what is wrong with it is said below, if it is not that a frame without content follows
-    # Of unknown size, or of several frames: piece by piece, so that no claim is believed.
+        pass  # the stream below raises, unless only a frame without content follows
+    # Of unknown size, or of several frames: piece by piece, whatever the claimed size.
     stream = open_decompressed("zstd", _read_once(bytes(stored)), uncompressed_bytes)
     return b"".join(iter(stream.take_some, b""))
 
@@ -155,7 +155,7 @@ class _ZstdInput:
         if not self.window and data:
             self.window = max(1, zstandard.get_frame_parameters(data).window_size)
             if self.window > MAX_ZSTD_WINDOW:
-                raise Malformed("chunk", f"its zstd data want {self.window} bytes of memory to be read", certain=False)
+                raise Malformed("chunk", f"its zstd data needs {self.window} bytes of memory", certain=False)
         return data
 
 
@@ -169,7 +169,7 @@ def _zstd(read: ReadUpTo) -> Refill:
             piece = reader.read(WINDOW)
         except zstandard.ZstdError as error:
             # zstandard has one error for bad data and for too little memory. The latter is not the file's fault:
-            # whether there was enough is tried out, and a MemoryError says that there was not.
+            # allocating as much raises a MemoryError then.
             bytearray(reading.window + WINDOW)
             raise Malformed("chunk", f"its zstd data is damaged ({error})") from error
         if not piece and not reading.frames.at_end_of_frame:
@@ -213,7 +213,7 @@ def _in_windows(name: str, read: ReadUpTo, decompressor: _Decompressor, damage: 
 
 
 class ZstdFrames:
-    """Tracks zstd frames, to know whether data end at the end of a frame: zstandard does not tell."""
+    """Tracks zstd frames, to find out whether data ends at the end of a frame, which zstandard does not show."""
 
     def __init__(self) -> None:
         self._head = b""

@@ -36,8 +36,7 @@ class SummaryFailed(RecordingError):
 
 
 class Malformed(RecordingError):
-    """The bytes contradict their format at a known place. Whatever parses bytes may raise it; no caller outside sees
-    it.
+    """The bytes contradict their format at a known place. Whatever parses bytes may raise it, internally.
 
     `where`: in words, such as "byte 4117". `certain`: the file is damaged, rather than of a kind that is not read.
     """

@@ -109,7 +109,7 @@ class Exchange:
         return self._answer
 
     def __exit__(self, *_: object) -> None:
-        # A connection that the server means to end has no socket any more: it is the answer's.
+        # A connection that the server ends has no socket any more: it belongs to the response.
         if self._answer is not None and self._answer.isclosed() and self._connection.sock is not None:
             self._keep()
         else:
@@ -268,7 +268,7 @@ class HttpSource:
         expected = f"bytes {offset}-{offset + length - 1}/{self.size_bytes}"
         got = answer.headers.get("Content-Range", "")
         if got != expected:
-            raise SourceError(f"{self.name}: {self._host} answered '{got}' where '{expected}' was asked for")
+            raise SourceError(f"{self.name}: {self._host} answered '{got}' where '{expected}' was requested")
 
 
 class _Retryable(Exception):

@@ -27,7 +27,7 @@ _MAX_FAULTS = 10_000
 class ChunkClaim(NamedTuple):
     """A chunk at [start, end), by the index or by a scan: inclusive times, channels, messages.
 
-    `channels`: number of a set; `end`, `messages`: `UNKNOWN` where the index does not say.
+    `channels`: number of a set; `end`, `messages`: `UNKNOWN` where the index does not state them.
     """
 
     start: int
@@ -54,7 +54,7 @@ class ChunkMessages:
         self.channels.update(batch)
 
     def add_index(self, channel_id: int, stamps: Sequence[int]) -> None:
-        """Add what a message index says of one channel."""
+        """Add the messages that a message index lists of one channel."""
         if stamps:
             self._add_stamps(stamps)
             self.channels.add(channel_id)

@@ -74,7 +74,7 @@ def inspect_paths(
     """Inspect files and folders, in the given order; of a folder, each recording in it.
 
     `Depth.summary` reads indexes, and the whole file where it has none. `Depth.scan` reads every byte of every file;
-    `progress` is then told of the bytes that were read. A metadata.yaml of rosbag2 is for its recording. A file or
+    `progress` then receives the number of bytes read. A metadata.yaml of rosbag2 is for its recording. A file or
     folder that cannot be read is an inspection of its own and hides no other.
 
     Raises:

@@ -7,9 +7,9 @@ stored and uncompressed.
 
 from __future__ import annotations
 
-MAX_READ = 16 * 2**20  # bytes that one `Source.read` may ask for
-WINDOW = 2**20  # bytes that a sequential reader asks for at a time
-READ_AHEAD = 2 * 2**20  # bytes that a scan asks for at a time
+MAX_READ = 16 * 2**20  # bytes of one `Source.read`
+WINDOW = 2**20  # bytes that a sequential reader reads at a time
+READ_AHEAD = 2 * 2**20  # bytes that a scan reads at a time over a network
 
 MAX_CHUNK_BYTES = 128 * 2**20
 """Bytes of a chunk, stored or uncompressed; a larger one is not read. Writers make chunks of about 1 MB."""
@@ -35,8 +35,8 @@ MAX_ZSTD_WINDOW = 2**26  # memory that a zstd frame may demand of its reader
 FREE_UNPACKED = 4 * 2**30  # bytes that the chunks of a file may unpack to whatever its size
 MAX_EXPANSION = 200  # and, in addition, for each byte of the file so far: ten times what real recordings have
 
-MAX_PROBLEMS = 50  # problems that a summary lists; the last one then says how many were left out
+MAX_PROBLEMS = 50  # problems that a summary lists; the last one is then the number of the others
 MAX_HEADER = 2**20  # bytes of a bag record's header
 PARALLEL_READS = 8  # ranges in flight over a network
-MAX_DAMAGE = 10_000  # damaged places of one file that a scan remembers
+MAX_DAMAGE = 10_000  # damaged places of one file that a scan keeps
 MAX_FACTS = 100  # names of attachments and metadata records that are listed

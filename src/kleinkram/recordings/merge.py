@@ -225,6 +225,6 @@ def read_ahead(tasks: Iterator[ReadAheadTask[T]], *, workers: int, most_bytes: i
             buffered_bytes -= size
             yield result
     finally:
-        # Nobody waits for the threads here: the garbage collector may close this, in a thread that is being started,
+        # The threads are not awaited here: the garbage collector may close this, in a thread that is being started,
         # and no thread could end then.
         pool.shutdown(wait=False, cancel_futures=True)

@@ -69,14 +69,14 @@ class Message(NamedTuple):
 
     Attributes:
         value: what `kleinkram.recordings.decoding` makes of it; the bytes where its schema cannot be decoded. Its
-            attributes are those of the message's definition, which no type checker knows.
+            attributes are those of the message's definition, unknown to type checkers.
     """
 
     topic: str
     log_time_ns: int
     publish_time_ns: int
     sequence: int
-    value: Any  # Any: what fields it has, the file says
+    value: Any  # Any: the file defines its fields
     channel: Channel
 
     @property
@@ -101,7 +101,7 @@ class Topic:
 
     Attributes:
         message_type: name of its type; of the first channel, should they differ.
-        count: messages; None where only reading all of them would tell.
+        count: messages; None where they would have to be read to be counted.
         undecodable: why its messages stay bytes; None where they can be decoded.
     """
 
@@ -126,7 +126,7 @@ _MICROSECOND = datetime.timedelta(microseconds=1)
 _ISO = re.compile(r"(\d{4}-\d\d-\d\d)(?:[T ](\d\d:\d\d)(?::(\d\d)(?:\.(\d{1,9}))?)?)?\s?(Z|[+-]\d\d:?\d\d)?", re.ASCII)
 
 Time = int | str | datetime.datetime
-"""Nanoseconds since 1970 (UTC), an aware datetime (pandas' too), or ISO 8601 text, which is UTC unless it says."""
+"""Nanoseconds since 1970 (UTC), an aware datetime (pandas' too), or ISO 8601 text, in UTC unless it has a zone."""
 
 
 def to_ns(time: Time) -> int:

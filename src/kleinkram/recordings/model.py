@@ -55,7 +55,7 @@ class Lost:
     Attributes:
         bytes: of the file (of what is inside, where it is compressed as a whole), that belong to nothing readable.
         chunks: begun or indexed, of which nothing or not everything could be read.
-        messages: how many are lost; None where nothing in the file tells.
+        messages: how many are lost; None if unknown.
     """
 
     bytes: int
@@ -146,13 +146,13 @@ class RecordingSummary:
         end_ns: latest log time, inclusive, suspect ones left out.
         compression: the kinds of compression of the chunks, sorted: "none", "lz4", "zstd", "bz2".
         topics: sorted by name.
-        library: what wrote the file, as it says.
+        library: what wrote the file, as it states.
         profile: the MCAP profile, such as "ros2".
         bytes_read: what this summary cost.
         depth: whether every byte was read.
         lost: what of a damaged file could not be read: always there if `content` is `recovered`, and three zeros where
             something is wrong and nothing is lost; None for a whole file, or where it was not measured.
-        facts: what else the file says of itself; names of attachments and metadata, and what is cheap to tell of
+        facts: what else the file states; names of attachments and metadata, and what is cheap to tell of
             formats that are no recordings.
     """
 

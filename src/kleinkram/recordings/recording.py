@@ -60,7 +60,7 @@ class Recording:
         name: of the file or folder.
         files: names of the data files, in the order of recording.
         topics: by name.
-        message_count: None where only reading all of them would tell.
+        message_count: None where they would have to be read to be counted.
     """
 
     def __init__(self, opened: Opened, problem_log: ProblemLog) -> None:
@@ -81,14 +81,14 @@ class Recording:
     def open(cls, what: Openable, *, most_bytes: int | None = None) -> Recording:
         """Open a file, a rosbag2 folder or its metadata.yaml, one or several sources, or an object with `sources()`.
 
-        Reads the index only. A file without index, or with one that cannot be believed, is read once from end to end;
+        Reads the index only. A file without index, or with one that cannot be true, is read once from end to end;
         what is broken in it is left out and named in `problems`. A db3, and a file that is compressed as a whole, is
         copied to this machine if it is not a plain local file.
 
         Args:
             what: the recording.
             most_bytes: a file with more bytes than this is not read whole; None: a local file is, whatever its size,
-                and any other up to `MAX_UNASKED_BYTES` (1 GiB).
+                and any other up to `MAX_REMOTE_SCAN_BYTES` (1 GiB).
 
         Raises:
             TooCostly: a file would have to be read whole, and has more bytes than are allowed.
@@ -370,7 +370,7 @@ class _DecodeProblemLogger:
 
 
 def _list_topics(contents: Iterable[MemberContents]) -> tuple[Topic, ...]:
-    """Return the topics by name, with the counts over all files; None if one file does not know its count."""
+    """Return the topics by name, with the counts over all files; None if one of them is unknown."""
     first: dict[str, Channel] = {}
     counts: dict[str, int | None] = {}
     for content in contents:

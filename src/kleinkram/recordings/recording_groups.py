@@ -2,13 +2,13 @@
 
 * rosbag2: a folder with metadata.yaml and data files (.mcap, .db3, also .zstd) of one stem, such as `run_0.mcap`,
   `run_1.mcap`. With several stems, those of the folder's own name; if there are none, metadata.yaml is something else.
-  A metadata.yaml that is known to say something else counts as none.
+  A metadata.yaml that is known to be something else counts as none.
 * split: `name_0.mcap`, `name_1.mcap` ... without metadata.yaml, if number 0 is there (else they are numbered
   recordings). A time at the end of a name is no such number: `run_2026_01_17-10_00_00.mcap` is by itself.
 * split, with the time of each file in its name: `0_name_2026_01_17-10_00_30.mcap`, `1_name_2026_01_17-10_01_30.mcap`
   ... of rosbag2 since Kilted, and for bags what `rosbag record --split` makes, `prefix_2024-05-01-10-00-00_0.bag`,
   `prefix_2024-05-01-10-05-00_1.bag` ...; a smaller number begins the next recording.
-  Where it is known what metadata.yaml says, the files that it names come first and in its order; files of the same
+  Where the content of metadata.yaml is known, the files that it names come first and in its order; files of the same
   stem that it does not name follow them; a folder of which no file is there is a recording without members.
 * single: every other recording file.
 """
@@ -86,7 +86,7 @@ def is_recording_name(path: str) -> bool:
 def group(paths: Iterable[str], stated: Mapping[str, Rosbag2Metadata] | None = None) -> list[RecordingGroup]:
     """Group relative POSIX paths into recordings, sorted by name. Other paths belong to no group.
 
-    `stated`: what the metadata.yaml of each path among `paths` says, where it could be read.
+    `stated`: the content of each metadata.yaml among `paths`, where it could be read.
     """
     folders: dict[str, list[str]] = defaultdict(list)
     metadata: dict[str, str] = {}

@@ -29,13 +29,13 @@ class Source(Protocol):
         """The size of the file; fixed while it is read."""
 
     def read(self, offset: int, length: int) -> bytes:
-        """Return exactly `length` bytes from `offset`."""
+        """Return exactly `length` bytes from `offset`, at most `MAX_READ`; raises `SourceError`, and nothing else."""
 
 
 def check_range(source: Source, offset: int, length: int) -> None:
-    """Check a range."""
+    """Raise `SourceError` for a range outside of a file, or of more than `MAX_READ`."""
     if length < 0 or length > MAX_READ:
-        raise SourceError(f"{source.name}: {length} bytes asked for at once; at most {MAX_READ} may be")
+        raise SourceError(f"{source.name}: {length} bytes requested at once; at most {MAX_READ} may be")
     if offset < 0 or offset + length > source.size_bytes:
         raise SourceError(f"{source.name}: bytes {offset}+{length} lie outside its {source.size_bytes} bytes")
 
@@ -49,7 +49,7 @@ class FileSource:
         self.path = Path(path)
         self.name = self.path.name
         try:
-            # Without O_NONBLOCK, a pipe would wait here for somebody to write into it.
+            # Without O_NONBLOCK, opening a pipe would wait here for a writer.
             self._descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError as error:
             raise SourceError(f"{path}: cannot be opened: {error.strerror}") from error
@@ -168,7 +168,11 @@ class SequentialReader(Protocol):
         """Where the same bytes are on this machine, for formats that need more than one pass; None: nowhere."""
 
     def read(self, length: int) -> bytes:
-        """Return the next bytes, at least one and at most `length`; b"" behind the last of `size_bytes`."""
+        """Return the next bytes, at least one and at most `length`; b"" behind the last of `size_bytes`.
+
+        Raises:
+            SourceError: they cannot be had, or end before `size_bytes`.
+        """
 
 
 class SourceReader:

@@ -17,7 +17,7 @@ from kleinkram.recordings.topic_statistics import bounded
 
 
 def summarise(source: Source, *, most_bytes: int | None = MAX_SCAN_BYTES) -> RecordingSummary:
-    """Say what is in a file, by ranges: for an indexed MCAP or bag about its index bytes.
+    """Return what is in a file, by reading ranges: for an indexed MCAP or bag about its index bytes.
 
     A file without the index that this needs is scanned, if it has at most `most_bytes` (None: of whatever size);
     else it stays `pending`, and `reason` says what a scan would cost. Otherwise `content` is `indexed` for a whole
@@ -44,8 +44,8 @@ def summarise(source: Source, *, most_bytes: int | None = MAX_SCAN_BYTES) -> Rec
 
 
 def scan(reader: SequentialReader) -> RecordingSummary:
-    """Say what is in a file by reading all of it, once: every chunk is decompressed, every checksum checked, and of a
-    damaged file everything readable is counted and the loss measured. Memory does not follow the file's size.
+    """Return what is in a file by reading all of it, once: every chunk is decompressed, every checksum checked, and of
+    a damaged file everything readable is counted and the loss measured. Memory does not follow the file's size.
 
     Raises:
         SourceError: the bytes cannot be read.

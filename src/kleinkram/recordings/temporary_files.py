@@ -97,7 +97,7 @@ def _sweep(folder: Path) -> None:
         try:
             descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
         except OSError:
-            continue  # gone by now, or somebody else's
+            continue  # gone by now, or of another user
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if os.fstat(descriptor).st_mtime < time.time() - _NEW_S:

@@ -1,10 +1,10 @@
 """Log times of topics: counts, spans and gaps, exact and in bounded memory, whatever the order of the messages.
 
 Chunks are added in the order in which they are in the file. That order decides what is out of order; gaps need the
-order of time. So stamps wait (8 bytes each) until no earlier one can follow: `settle(before)` says up to where that
+order of time. So stamps wait (8 bytes each) until no earlier one can follow: `settle(before)` states up to where that
 is sure (the smallest start of all chunks still to come), and after it only a few numbers a topic are left. Should
 more than `MAX_PENDING_STAMPS` wait, the older half is settled by force; if an earlier stamp still comes, the longest
-gap of that topic is an upper bound, and the summary says so.
+gap of that topic is an upper bound, and the summary reports it.
 
 **Suspect stamps.** Sorted by time, the messages of a recording fall into islands with more than a year of silence
 between them. The island with the most messages is the recording; stamps in all others (1970, or a clock that jumped)

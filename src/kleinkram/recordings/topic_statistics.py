@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
-from typing import NamedTuple, TypedDict
+from typing import NamedTuple
 
 from kleinkram.recordings.density import add_up, most_bins
 from kleinkram.recordings.errors import Malformed
@@ -56,7 +56,20 @@ def measure(
     warnings: list[Problem] = []
     for name in sorted(timeline.topics):
         times = timeline.topics[name]
-        topic = _summarise_topic(name, types[name][0], times, within(times.runs, island), island, bins)
+        run, first_type = within(times.runs, island), types[name][0]
+        topic = TopicSummary(
+            name=name,
+            message_type=first_type.message_type,
+            schema_name=first_type.message_type,
+            schema_encoding=first_type.schema_encoding,
+            message_encoding=first_type.message_encoding,
+            count=times.count,
+            out_of_order_count=times.out_of_order,
+            stored_bytes=times.stored_bytes,
+            suspect_count=times.count - (run.count if run else 0),
+            density=add_up([run.density], most=bins) if run and run.density else None,
+        )
+        topic = with_times(topic, run, island)
         topics.append(topic)
         warnings += _problems_of_topic(topic, types[name], times)
     jumps = {name: times.jump for name, times in timeline.topics.items() if times.jump is not None}
@@ -76,43 +89,13 @@ def measure(
     )
 
 
-def _summarise_topic(
-    name: str, kind: TopicType, times: TopicTimes, run: StampRun | None, island: StampRun | None, bins: int
-) -> TopicSummary:
-    return TopicSummary(
-        name=name,
-        message_type=kind.message_type,
-        schema_name=kind.message_type,
-        schema_encoding=kind.schema_encoding,
-        message_encoding=kind.message_encoding,
-        count=times.count,
-        **island_times(run, island),
-        out_of_order_count=times.out_of_order,
-        stored_bytes=times.stored_bytes,
-        suspect_count=times.count - (run.count if run else 0),
-        density=add_up([run.density], most=bins) if run and run.density else None,
-    )
-
-
-class IslandTimes(TypedDict):
-    """The fields of a `TopicSummary` that follow from its messages inside the island."""
-
-    first_ns: int | None
-    last_ns: int | None
-    rate_hz: float | None
-    longest_gap_ns: int | None
-    head_gap_ns: int | None
-    tail_gap_ns: int | None
-
-
-def island_times(run: StampRun | None, island: StampRun | None) -> IslandTimes:
-    """Return times, rate and gaps of a topic whose messages inside the island are a run."""
+def with_times(topic: TopicSummary, run: StampRun | None, island: StampRun | None) -> TopicSummary:
+    """Return a topic with times, rate and gaps of its messages inside the island, which are a run."""
     if run is None or island is None:
-        return IslandTimes(
-            first_ns=None, last_ns=None, rate_hz=None, longest_gap_ns=None, head_gap_ns=None, tail_gap_ns=None
-        )
+        return topic
     span_ns = run.last_ns - run.first_ns
-    return IslandTimes(
+    return replace(
+        topic,
         first_ns=run.first_ns,
         last_ns=run.last_ns,
         rate_hz=(run.count - 1) * 1e9 / span_ns if run.count > 1 and span_ns > 0 else None,
@@ -230,7 +213,7 @@ _SHARE_OF_SPAN = 10
 _MOST_OF_A_KIND = 3
 _MOST_NAMED = 5
 _OF_ROS_ITSELF = frozenset(("/rosout", "/rosout_agg", "/parameter_events", "/events/write_split"))
-"""Topics that speak when something happens, and are silent in the best of recordings."""
+"""Topics with messages only when something happens; they may be empty in whole recordings."""
 
 
 def find_quality_warnings(

@@ -4,10 +4,11 @@ One statement for any number of changes. An event names what changed and where, 
 may receive it.
 """
 
+import itertools
 import json
 import uuid
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import astuple, dataclass, replace
 
 from sqlalchemy import text
@@ -36,7 +37,7 @@ class ChangeEvent:
 
 async def publish(db: Connection, events: Iterable[ChangeEvent]) -> None:
     """Publish events as part of the caller's transaction; several of one noun in one place become one event."""
-    payloads = [_to_json(event) for event in merge_events(events, max_alike=1)]
+    payloads = [json.dumps(astuple(event), default=str) for event in merge_events(events, max_alike=1)]
     if payloads:
         payloads = payloads if len(payloads) <= _MAX_EVENTS else [EVERYTHING]
         await db.execute(_NOTIFY, {"channel": CHANNEL, "payloads": payloads})
@@ -47,18 +48,11 @@ def merge_events(events: Iterable[ChangeEvent], *, max_alike: int) -> list[Chang
     alike: dict[ChangeEvent, list[ChangeEvent]] = defaultdict(list)
     for event in dict.fromkeys(events):
         alike[replace(event, id=None)].append(event)
-    return [event for merged, group in alike.items() for event in _merge_group(merged, group, max_alike)]
+    groups = (group if len(group) <= max_alike and merged not in group else [merged] for merged, group in alike.items())
+    return list(itertools.chain.from_iterable(groups))
 
 
 def read_event(payload: str) -> ChangeEvent:
     """Return the event that a payload holds."""
     noun, change, *ids = json.loads(payload)
     return ChangeEvent(noun, ChangeKind(change), *(uuid.UUID(value) if value else None for value in ids))
-
-
-def _merge_group(merged: ChangeEvent, group: Sequence[ChangeEvent], max_alike: int) -> Sequence[ChangeEvent]:
-    return group if len(group) <= max_alike and merged not in group else [merged]
-
-
-def _to_json(event: ChangeEvent) -> str:
-    return json.dumps(astuple(event), default=str)

@@ -41,7 +41,7 @@ T = TypeVar("T")
 _OLDEST_POSTGRES = 150_000
 _WORST_SKEW_S = 60.0
 _LOW_BYTES = 2 * 1024**3
-_FEW_FILES = 4096
+_MIN_OPEN_FILES = 4096
 _TIMEOUT = aiohttp.ClientTimeout(total=15)
 # Three poses of a trajectory: what a child process needs to do to read it is what it needs for any recording.
 _SAMPLE = "".join(f"{second}.0 0 0 0 0 0 0 1\n" for second in range(3))
@@ -56,7 +56,7 @@ class Level(str, enum.Enum):
 
 
 @dataclass(frozen=True)
-class Finding:
+class CheckResult:
     """What one check found. `remedy` says what to do where it is not ok."""
 
     check: str
@@ -68,43 +68,43 @@ class Finding:
 def main(*, as_json: bool) -> int:
     """Run all checks and print what they found; returns 1 where there is a problem, else 0."""
     quiet_libraries()
-    findings = asyncio.run(_collect())
-    is_ok = all(each.level is not Level.problem for each in findings)
+    results = asyncio.run(_collect())
+    is_ok = all(result.level is not Level.problem for result in results)
     if as_json:
-        told = [{**vars(each), "level": each.level.value} for each in findings]
-        sys.stdout.write(json.dumps({"ok": is_ok, "checks": told}, indent=2) + "\n")
+        checks = [{**vars(result), "level": result.level.value} for result in results]
+        sys.stdout.write(json.dumps({"ok": is_ok, "checks": checks}, indent=2) + "\n")
     else:
-        sys.stdout.writelines(_line(each) + "\n" for each in findings)
+        sys.stdout.writelines(_line(result) + "\n" for result in results)
     return 0 if is_ok else 1
 
 
-def _line(finding: Finding) -> str:
-    mark = {"ok": "ok     ", "warning": "WARNING", "problem": "PROBLEM"}[finding.level.value]
-    return f"{mark} {finding.check}: {finding.message} {finding.remedy}".rstrip()
+def _line(result: CheckResult) -> str:
+    mark = {"ok": "ok     ", "warning": "WARNING", "problem": "PROBLEM"}[result.level.value]
+    return f"{mark} {result.check}: {result.message} {result.remedy}".rstrip()
 
 
-async def _collect() -> list[Finding]:
+async def _collect() -> list[CheckResult]:
     try:
         settings = load_settings()
     except SettingsInvalid as error:
         lines = str(error).splitlines()
-        return [*(_problem("settings", each, "") for each in lines), *_machine(None)]
-    findings = [_ok("settings", "All are known and valid."), *_optional(settings)]
+        return [*(_problem("settings", result, "") for result in lines), *_machine(None)]
+    results = [_ok("settings", "All are known and valid."), *_optional(settings)]
     for check in (_database, _migrating_role, _store, _public_url):
-        findings += [finding async for finding in check(settings)]
-    findings += await asyncio.to_thread(lambda: [*_reader(settings), *_machine(settings)])
-    return findings
+        results += [result async for result in check(settings)]
+    results += await asyncio.to_thread(lambda: [*_reader(settings), *_machine(settings)])
+    return results
 
 
-def _optional(settings: Settings) -> Iterator[Finding]:
+def _optional(settings: Settings) -> Iterator[CheckResult]:
     if settings.metrics_port is None:
-        yield _warning("metrics", "They are not served.", "Set KLEINKRAM_METRICS_PORT, another one for each process.")
+        yield _warning("metrics", "They are not served.", "Set KLEINKRAM_METRICS_PORT, another one for result process.")
     host = urlsplit(settings.public_url).hostname
     if not _is_here(host) and not settings.public_url.startswith("https://"):
         yield _warning("public address", f"{settings.public_url} is not encrypted.", "Serve it by https.")
 
 
-async def _database(settings: Settings) -> AsyncIterator[Finding]:
+async def _database(settings: Settings) -> AsyncIterator[CheckResult]:
     """Look at the database as the role that serves."""
     try:
         row = await _ask(_Server, settings.database_url, _ABOUT_SERVER)
@@ -128,13 +128,13 @@ async def _database(settings: Settings) -> AsyncIterator[Finding]:
     yield _serving_role(settings, row)
     database = open_database(settings)
     try:
-        async for finding in _schema(settings, database):
-            yield finding
+        async for result in _schema(settings, database):
+            yield result
     finally:
         await database.close()
 
 
-def _serving_role(settings: Settings, row: "_Server") -> Finding:
+def _serving_role(settings: Settings, row: "_Server") -> CheckResult:
     check = "serving role"
     if row.role != settings.serving_role:
         return _problem(
@@ -151,7 +151,7 @@ def _serving_role(settings: Settings, row: "_Server") -> Finding:
     return _ok(check, f"{row.role} cannot change the schema.")
 
 
-async def _schema(settings: Settings, database: Database) -> AsyncIterator[Finding]:
+async def _schema(settings: Settings, database: Database) -> AsyncIterator[CheckResult]:
     async with database.begin() as db:
         problem = await schema_problem(db)
         workers = None if problem else await find_workers(db)
@@ -167,7 +167,7 @@ async def _schema(settings: Settings, database: Database) -> AsyncIterator[Findi
         yield _ok("workers", f"{len(workers.seen_at)} alive.")
 
 
-def _rights_of_role(rights: "_Rights") -> Finding:
+def _rights_of_role(rights: "_Rights") -> CheckResult:
     check = "rights of the serving role"
     if rights.alters:
         return _problem(check, "It may alter the audit record.", "REVOKE UPDATE and DELETE on audit_event from it.")
@@ -181,7 +181,7 @@ def _rights_of_role(rights: "_Rights") -> Finding:
     return _ok(check, "It reads and writes, and adds to the audit record.")
 
 
-async def _migrating_role(settings: Settings) -> AsyncIterator[Finding]:
+async def _migrating_role(settings: Settings) -> AsyncIterator[CheckResult]:
     check = "migrating role"
     if settings.migration_database_url is None:
         yield _warning(check, "Not checked.", "`migrate` needs KLEINKRAM_MIGRATION_DATABASE_URL; nothing else does.")
@@ -202,7 +202,7 @@ async def _migrating_role(settings: Settings) -> AsyncIterator[Finding]:
         yield _judged(check, row.can_create, f"{row.role}.", f"Let {row.role} own the database.")
 
 
-async def _store(settings: Settings) -> AsyncIterator[Finding]:
+async def _store(settings: Settings) -> AsyncIterator[CheckResult]:
     """Look at the bucket by doing what uploads, downloads and scrubs do, with small objects."""
     async with open_storage(settings) as storage:
         try:
@@ -223,7 +223,7 @@ async def _store(settings: Settings) -> AsyncIterator[Finding]:
         may_send = await configure_cors(storage, settings)
         message = "Pages of this server may send to the store." if may_send else "Browsers cannot upload or preview."
         remedy = "See docs/running.md, browsers." if not may_send else ""
-        yield Finding("CORS rules", Level.ok if may_send else Level.warning, message, remedy)
+        yield CheckResult("CORS rules", Level.ok if may_send else Level.warning, message, remedy)
 
 
 def _rights(storage: Storage) -> "Iterator[tuple[str, Callable[[], Awaitable[object]]]]":
@@ -244,7 +244,7 @@ def _rights(storage: Storage) -> "Iterator[tuple[str, Callable[[], Awaitable[obj
     yield "s3:DeleteObject", lambda: storage.delete(key)
 
 
-async def _tried(right: str, attempt: Callable[[], Awaitable[object]]) -> Finding:
+async def _tried(right: str, attempt: Callable[[], Awaitable[object]]) -> CheckResult:
     try:
         await attempt()
     except (StoreUnavailable, StoreRefused, FileNotFoundError) as error:
@@ -253,7 +253,7 @@ async def _tried(right: str, attempt: Callable[[], Awaitable[object]]) -> Findin
     return _ok(f"right {right}", "Granted.")
 
 
-async def _public_url(settings: Settings) -> AsyncIterator[Finding]:
+async def _public_url(settings: Settings) -> AsyncIterator[CheckResult]:
     """Ask the public address as clients do, and have the API say how the request reached it."""
     check, url = "public address", settings.public_url.rstrip("/")
     try:
@@ -285,7 +285,7 @@ async def _public_url(settings: Settings) -> AsyncIterator[Finding]:
     yield _proxy(settings, seen)
 
 
-def _proxy(settings: Settings, seen: Seen) -> Finding:
+def _proxy(settings: Settings, seen: Seen) -> CheckResult:
     check = "proxy headers"
     is_https = settings.public_url.startswith("https://")
     if seen.forwarded and not seen.is_trusted:
@@ -305,7 +305,7 @@ def _proxy(settings: Settings, seen: Seen) -> Finding:
     return _ok(check, f"The API sees requests from here as {seen.address}, by {seen.scheme}.")
 
 
-def _reader(settings: Settings) -> Iterator[Finding]:
+def _reader(settings: Settings) -> Iterator[CheckResult]:
     """Read a small recording as workers do: in a child process, within its limits."""
     check = "reader"
     with tempfile.TemporaryDirectory() as folder:
@@ -325,7 +325,7 @@ def _reader(settings: Settings) -> Iterator[Finding]:
     yield _ok(check, "It reads a recording within its limits.")
 
 
-def _machine(settings: Settings | None) -> Iterator[Finding]:
+def _machine(settings: Settings | None) -> Iterator[CheckResult]:
     folders = {"temporary files": Path(tempfile.gettempdir())}
     if settings is not None and settings.store_folder is not None:
         folders["disk of the store"] = settings.store_folder
@@ -336,12 +336,14 @@ def _machine(settings: Settings | None) -> Iterator[Finding]:
             yield _problem(check, f"{folder} cannot be used ({error.strerror}).", "Create it, or set another one.")
             continue
         level = Level.ok if free >= _LOW_BYTES else Level.warning
-        yield Finding(check, level, f"{free / 1e9:.1f} GB free in {folder}.", "" if level is Level.ok else "Free some.")
+        yield CheckResult(
+            check, level, f"{free / 1e9:.1f} GB free in {folder}.", "" if level is Level.ok else "Free some."
+        )
     _, files = resource.getrlimit(resource.RLIMIT_NOFILE)  # the API raises the soft limit to the hard one
-    enough = files == resource.RLIM_INFINITY or files >= _FEW_FILES
+    enough = files == resource.RLIM_INFINITY or files >= _MIN_OPEN_FILES
     level = Level.ok if enough else Level.warning
-    remedy = "" if enough else f"Raise the hard limit to {_FEW_FILES} (`ulimit -Hn`, or LimitNOFILE= of a unit)."
-    yield Finding(
+    remedy = "" if enough else f"Raise the hard limit to {_MIN_OPEN_FILES} (`ulimit -Hn`, or LimitNOFILE= of a unit)."
+    yield CheckResult(
         "open files",
         level,
         f"The API may have {'any number' if files == resource.RLIM_INFINITY else files} at a time.",
@@ -407,7 +409,7 @@ def _is_here(host: str | None) -> bool:
     return host in {"localhost", "127.0.0.1", "::1"}
 
 
-def _clock(check: str, ahead_s: float) -> Finding:
+def _clock(check: str, ahead_s: float) -> CheckResult:
     message = f"It differs from this machine's by {abs(ahead_s):.0f} s."
     return _judged(check, abs(ahead_s) <= _WORST_SKEW_S, message, "Let both machines set their clocks (NTP).")
 
@@ -416,17 +418,17 @@ def _first_line(error: BaseException) -> str:
     return str(error).strip().partition("\n")[0]
 
 
-def _ok(check: str, message: str) -> Finding:
-    return Finding(check, Level.ok, message)
+def _ok(check: str, message: str) -> CheckResult:
+    return CheckResult(check, Level.ok, message)
 
 
-def _warning(check: str, message: str, remedy: str) -> Finding:
-    return Finding(check, Level.warning, message, remedy)
+def _warning(check: str, message: str, remedy: str) -> CheckResult:
+    return CheckResult(check, Level.warning, message, remedy)
 
 
-def _problem(check: str, message: str, remedy: str) -> Finding:
-    return Finding(check, Level.problem, message, remedy)
+def _problem(check: str, message: str, remedy: str) -> CheckResult:
+    return CheckResult(check, Level.problem, message, remedy)
 
 
-def _judged(check: str, is_ok: bool, message: str, remedy: str) -> Finding:
+def _judged(check: str, is_ok: bool, message: str, remedy: str) -> CheckResult:
     return _ok(check, message) if is_ok else _problem(check, message, remedy)

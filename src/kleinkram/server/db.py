@@ -41,11 +41,11 @@ from sqlalchemy.types import UserDefinedType
 from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.server.settings import Settings, async_dsn
 
-# Above any statement of the API on a large database; a worker may need longer.
+# Longer than any statement of the API on a large database; workers may need longer.
 STATEMENT_TIMEOUT_S = 30
 _POOL_TIMEOUT_S = 20
-_NO_ROOM = "its disk is full: whoever runs the server has to make room on it"
-# What a service takes first: an open transaction it must not end.
+_DISK_FULL = "its disk is full: free space on the server"
+# The first parameter of services: an open transaction that they must not end.
 Connection = AsyncConnection
 
 
@@ -59,19 +59,17 @@ class Database:
     @asynccontextmanager
     async def begin(self) -> AsyncIterator[Connection]:
         """Run a transaction: commit at the end, roll back on any error. Raises DatabaseUnavailable."""
-        with _said_plainly():
+        with _translate_errors():
             async with self._transactions.begin() as connection:
                 yield connection
 
     @asynccontextmanager
     async def autocommit(self) -> AsyncIterator[Connection]:
-        """Run statements each by itself: nothing is sent to begin or end a transaction.
-
-        For what reads, which sees no less so, as each statement of a transaction sees what is committed by then.
+        """Run statements without a transaction, for reads: under READ COMMITTED they see the same.
 
         Raises DatabaseUnavailable.
         """
-        with _said_plainly():
+        with _translate_errors():
             async with self.engine.connect() as connection:
                 yield connection
 
@@ -81,14 +79,14 @@ class Database:
 
 
 @contextmanager
-def _said_plainly() -> Iterator[None]:
+def _translate_errors() -> Iterator[None]:
     try:
         yield
     except PoolTimeoutError as error:
         raise DatabaseUnavailable from error
     except DBAPIError as error:
         if isinstance(error.orig, psycopg.errors.DiskFull):
-            raise DatabaseUnavailable(reason=_NO_ROOM) from error
+            raise DatabaseUnavailable(reason=_DISK_FULL) from error
         if error.connection_invalidated or isinstance(error.orig, psycopg.OperationalError):
             raise DatabaseUnavailable from error
         raise
@@ -118,32 +116,26 @@ def open_database(settings: Settings, *, statement_timeout_s: float | None = STA
         hide_parameters=True,  # in the text of errors, which is logged
         json_deserializer=from_json,  # five times as fast as Python's own: a page of missions has hundreds
     )
-    event.listen(engine.sync_engine, "connect", _write_arrays_as_they_are)
-    event.listen(engine.sync_engine, "checkout", _see_that_it_is_quiet)
+    event.listen(engine.sync_engine, "connect", _send_binary_arrays)
+    event.listen(engine.sync_engine, "checkout", _check_connection)
     return Database(engine)
 
 
-def _write_arrays_as_they_are(connection: Any, *_: object) -> None:
-    """Send arrays in PostgreSQL's own form: as text, each element is written out, escaped and read again.
-
-    A fifth of the time for ids and a tenth for checksums, of which an upload of many files sends some for each.
-    """
+def _send_binary_arrays(connection: Any, *_: object) -> None:
+    # A fifth of the time for ids and a tenth for checksums, compared with the text form.
     connection.driver_connection.adapters.register_dumper(list, ListBinaryDumper)
 
 
-def _see_that_it_is_quiet(connection: Any, *_: object) -> None:
-    """See that a connection that is taken again has nothing to say: one that PostgreSQL left says so, or is cut.
-
-    As sure as asking something, but for a network that went away, and nothing is sent.
-    """
-    looking = select.poll()
-    looking.register(connection.driver_connection.pgconn.socket, select.POLLIN)
-    if looking.poll(0):
+def _check_connection(connection: Any, *_: object) -> None:
+    # Readable while idle: PostgreSQL closed it. As reliable as a ping, except for a lost network, without a round trip.
+    poll = select.poll()
+    poll.register(connection.driver_connection.pgconn.socket, select.POLLIN)
+    if poll.poll(0):
         raise DisconnectionError
 
 
 class Written(UserDefinedType[str]):
-    """An array as PostgreSQL writes it: what it said in a text is said back, and no element of it is looked at here."""
+    """An array in PostgreSQL's text form, passed back without parsing."""
 
     cache_ok = True
     render_bind_cast = True
@@ -152,34 +144,28 @@ class Written(UserDefinedType[str]):
         self.element = element
 
     def get_col_spec(self, **_: Any) -> str:
-        """Return the type as SQL says it."""
+        """Return the SQL type."""
         return f"{self.element}[]"
 
 
 def by_name(rows: Sequence[Row[Any]]) -> list[dict[str, Any]]:
-    """Return the values of each of the rows of one result by name.
-
-    Their names are found out once; to ask each row for its own takes longer than all that is made of it.
-    """
+    """Return the rows of one result as dicts; faster than `row._asdict()` for each."""
     names = rows[0]._fields if rows else ()
     return [dict(zip(names, row, strict=True)) for row in rows]
 
 
 def among(column: ColumnElement[Any], values: Iterable[object]) -> ColumnElement[bool]:
-    """Say of a column whether it is one of some values.
-
-    As one array, whatever their number: the statement stays the same, so it is compiled and prepared once.
-    """
+    """Whether a column has one of some values, sent as one array: the statement is the same for any number of them."""
     return column == any_(literal([*values], ARRAY(column.type)))
 
 
 def among_given(column: ColumnElement[Any], name: str) -> ColumnElement[bool]:
-    """Say so where the values are given by `name` when the statement is executed."""
+    """Like `among`, with the values of the bind parameter `name`."""
     return column == any_(bindparam(name, type_=ARRAY(column.type)))
 
 
 def violated_constraint(error: DBAPIError) -> str | None:
-    """Return the name of the constraint that a statement broke, to say which rule it was."""
+    """Return the name of the constraint that a statement violated."""
     original = error.orig
     return original.diag.constraint_name if isinstance(original, psycopg.Error) else None
 
@@ -192,17 +178,15 @@ def unnest_rows(columns: Sequence[ColumnClause[Any]], rows: Sequence[Mapping[str
 
 
 def insert_rows(table: Table, rows: Sequence[Mapping[str, Any]]) -> Insert:
-    """Return an INSERT of rows, at least one and all with the same keys.
+    """Return an INSERT of rows, at least one and all with the same keys, whose columns are sent as arrays.
 
-    One plan and execution for all rows: their columns travel as arrays.
-
-    Columns without a value take the database's default; Python-side defaults do not apply.
+    Other columns take the database's default; Python-side defaults do not apply.
     """
     return insert(table).from_select([*rows[0]], _select_rows(table, rows), include_defaults=False)
 
 
 def upsert_rows(table: Table, rows: Sequence[Mapping[str, Any]]) -> postgresql.Insert:
-    """Return the same as PostgreSQL's INSERT, to which ON CONFLICT can be added. SQLAlchemy does not cache it."""
+    """Like `insert_rows`, for ON CONFLICT clauses. SQLAlchemy does not cache it."""
     return postgresql.insert(table).from_select([*rows[0]], _select_rows(table, rows), include_defaults=False)
 
 

@@ -63,7 +63,9 @@ def load_settings() -> Settings:
         named = _FIELD.search(str(error))
         problems.append(f"{_variable(named[1]) if named else 'A setting'} does not hold JSON.")
     except ValidationError as error:
-        problems += [_sentence(each) for each in error.errors() if each["loc"][:1] not in {(name,) for name in unread}]
+        problems += [
+            _sentence(issue) for issue in error.errors() if issue["loc"][:1] not in {(name,) for name in unread}
+        ]
     if problems:
         raise SettingsInvalid("\n".join(problems))
     return settings

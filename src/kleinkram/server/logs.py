@@ -25,10 +25,10 @@ class JsonLines(logging.Formatter):
         }
         if record.exc_info:
             line["exception"] = self.formatException(record.exc_info)
-        return _obeyed_by_nothing(json.dumps(line, ensure_ascii=False, default=str))
+        return _escape_controls(json.dumps(line, ensure_ascii=False, default=str))
 
 
-def _obeyed_by_nothing(text: str) -> str:
+def _escape_controls(text: str) -> str:
     """Return JSON with what a terminal could obey escaped: strangers choose the paths they ask for."""
     if text.isprintable():
         return text

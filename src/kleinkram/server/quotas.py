@@ -27,7 +27,7 @@ class Amount(NamedTuple):
     size_bytes: int
 
 
-async def require_room(db: Connection, actor: Actor, *, project_id: uuid.UUID, asked: Amount) -> None:
+async def require_room(db: Connection, actor: Actor, *, project_id: uuid.UUID, requested: Amount) -> None:
     """Require that a project has room for more, and lock that room until this transaction ends.
 
     Raises QuotaExceeded.
@@ -36,28 +36,28 @@ async def require_room(db: Connection, actor: Actor, *, project_id: uuid.UUID, a
     is_known = (literal(Scope.read in actor.scopes) & seen.exists()).label("is_known")
     stmt = select(project.c.name, project.c.quota_bytes, project.c.quota_files, is_known)
     row = (await db.execute(stmt.where(project.c.id == project_id))).one()
-    if asked.files == 0 or (row.quota_bytes is None and row.quota_files is None):
+    if requested.files == 0 or (row.quota_bytes is None and row.quota_files is None):
         return
     # Not the project's row: who fills a mission locks that only for share, and others take the two in reverse order.
     key = int.from_bytes(project_id.bytes[:4], "big", signed=True)
     await db.execute(select(func.pg_advisory_xact_lock(_LOCK_CLASS, key)))
     missions = select(mission.c.id).where(mission.c.project_id == project_id, mission.c.deleted_at.is_(None))
     used = await _amount_in(db, missions)
-    for unit, wanted, present, quota in (
-        ("files", asked.files, used.files, row.quota_files),
-        ("bytes", asked.size_bytes, used.size_bytes, row.quota_bytes),
+    for unit, amount, present, quota in (
+        ("files", requested.files, used.files, row.quota_files),
+        ("bytes", requested.size_bytes, used.size_bytes, row.quota_bytes),
     ):
-        if quota is not None and present + wanted > quota:
+        if quota is not None and present + amount > quota:
             shown = (present, quota) if row.is_known else (None, None)
-            raise QuotaExceeded(project=row.name, unit=unit, requested=wanted, used=shown[0], quota=shown[1])
+            raise QuotaExceeded(project=row.name, unit=unit, requested=amount, used=shown[0], quota=shown[1])
 
 
 async def require_room_for_mission(
     db: Connection, actor: Actor, *, project_id: uuid.UUID, mission_id: uuid.UUID
 ) -> None:
     """Require that a project has room for a mission, in the trash or not, as `require_room` does."""
-    asked = await _amount_in(db, select(mission.c.id).where(mission.c.id == mission_id))
-    await require_room(db, actor, project_id=project_id, asked=asked)
+    requested = await _amount_in(db, select(mission.c.id).where(mission.c.id == mission_id))
+    await require_room(db, actor, project_id=project_id, requested=requested)
 
 
 async def project_of(db: Connection, mission_id: uuid.UUID) -> uuid.UUID:

@@ -24,8 +24,8 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.db import Database, open_database
 from kleinkram.server.health.metrics_server import serve_metrics
 from kleinkram.server.health.readiness import heartbeat
-from kleinkram.server.jobs.attempts import Attempts, keep_why
-from kleinkram.server.jobs.courtesy import Courtesy
+from kleinkram.server.jobs.attempts import Attempts, record_failure
+from kleinkram.server.jobs.back_pressure import BackPressure
 from kleinkram.server.jobs.queue import DEFAULT, EXAMINING, GROUPING, VERIFICATION, queue
 from kleinkram.server.recordings import jobs as _recording_jobs
 from kleinkram.server.recordings.rests import Rests
@@ -69,7 +69,7 @@ async def _open_and_run(settings: Settings, stopping: asyncio.Event) -> None:
     while not stopping.is_set():
         # Without the timeout, a worker that is asked to stop would wait half a minute for a database that is away.
         connector = PsycopgConnector(conninfo=plain_dsn(settings.database_url), min_size=1, max_size=8, timeout=10)
-        # Periodic jobs belong to the app they were declared on, so that one is given the worker's connector.
+        # Periodic jobs belong to the app they were declared on, so that one is resources the worker's connector.
         with queue.replace_connector(connector) as app:
             try:
                 async with app.open_async():
@@ -113,12 +113,12 @@ async def _run_lanes(app: App, settings: Settings, database: Database) -> None:
         heartbeat(database),
         serve_metrics(settings, database),
     ):
-        courtesy = Courtesy(database, settings)
+        back_pressure = BackPressure(database, settings)
         attempts = Attempts()
-        given: dict[str, object] = {
-            "site": AppContext(database, storage, settings),
+        resources: dict[str, object] = {
+            "context": AppContext(database, storage, settings),
             "readers": readers,
-            "courtesy": courtesy,
+            "back_pressure": back_pressure,
             "understanding": Understanding(readers),
             "rests": Rests(),
             "attempts": attempts,
@@ -127,7 +127,7 @@ async def _run_lanes(app: App, settings: Settings, database: Database) -> None:
         _log.info("working", extra={"fields": {"version": kleinkram.__version__}})
         tasks = [
             *(
-                asyncio.create_task(_keep_working(app, given, is_over, lane=lane, at_once=at_once))
+                asyncio.create_task(_keep_working(app, resources, is_over, lane=lane, at_once=at_once))
                 for lane, at_once in lanes
             ),
             asyncio.create_task(_rescue_stalled(app, attempts)),
@@ -139,37 +139,39 @@ async def _run_lanes(app: App, settings: Settings, database: Database) -> None:
                 task.result()
         finally:
             is_over.set()
-            courtesy.end()
+            back_pressure.end()
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def _keep_working(app: App, given: dict[str, object], is_over: asyncio.Event, *, lane: str, at_once: int) -> None:
+async def _keep_working(
+    app: App, resources: dict[str, object], is_over: asyncio.Event, *, lane: str, at_once: int
+) -> None:
     """Run the jobs of one lane until all is over; where the database ends that, begin anew."""
     pauses = _Pauses()
     while not is_over.is_set():
         error: Exception | None = None  # where a lane's listener lost its connection, it ends without one
         try:
-            await _work(app, given, lane=lane, at_once=at_once)
+            await _work(app, resources, lane=lane, at_once=at_once)
         except _DATABASE_AWAY as raised:
             error = raised
         if not is_over.is_set():
             await pauses.wait(f"lane {lane}", error)
 
 
-async def _work(app: App, given: dict[str, object], *, lane: str, at_once: int) -> None:
+async def _work(app: App, resources: dict[str, object], *, lane: str, at_once: int) -> None:
     await app.run_worker_async(
         queues=[lane],
         concurrency=at_once,
         install_signal_handlers=False,
-        additional_context=given,
+        additional_context=resources,
         shutdown_graceful_timeout=20,
         fetch_job_polling_interval=2,
         update_heartbeat_interval=5,
         stalled_worker_timeout=20,
         delete_jobs="successful",
-        worker_middleware=[keep_why],
+        worker_middleware=[record_failure],
     )
 
 

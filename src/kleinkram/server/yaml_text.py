@@ -99,11 +99,11 @@ def resolve_plain(text: str) -> JsonValue:
         return text
     for pattern, base in ((_INT, 10), (_OCTAL, 8), (_HEX, 16)):
         if pattern.fullmatch(text):
-            return _kept_int(int(text, base))
+            return _bounded_int(int(text, base))
     return float(text) if _FLOAT.fullmatch(text) else text
 
 
-def _kept_int(number: int) -> int:
+def _bounded_int(number: int) -> int:
     if abs(number) > _MAX_INT:
         raise ValueError("the number is too large to be kept; put it in quotes to keep it as text")
     return number
@@ -168,7 +168,7 @@ class _Builder:
             self._refuse_unwanted(event, path)
             if not isinstance(event, ScalarEvent):
                 raise _invalid(event.start_mark, "a key must be a plain text")
-            key = _kept_text(event)
+            key = _storable_text(event)
             if len(key) > MAX_KEY_CHARACTERS:
                 reason = f"a key of {len(key)} characters is too long; {MAX_KEY_CHARACTERS} are allowed"
                 raise _invalid(event.start_mark, reason)
@@ -191,7 +191,7 @@ class _Builder:
 
 
 def _scalar(event: ScalarEvent) -> JsonValue:
-    text = _kept_text(event)
+    text = _storable_text(event)
     if event.style is not None:  # quoted or a block: text, whatever it looks like
         return text
     try:
@@ -200,7 +200,7 @@ def _scalar(event: ScalarEvent) -> JsonValue:
         raise _invalid(event.start_mark, str(error)) from error
 
 
-def _kept_text(event: ScalarEvent) -> str:
+def _storable_text(event: ScalarEvent) -> str:
     text: str = event.value
     for character in text:
         if character == "\x00" or "\ud800" <= character <= "\udfff":

@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 import pytest
 
 from kleinkram.server.context import AppContext
-from kleinkram.server.jobs.courtesy import Courtesy
+from kleinkram.server.jobs.back_pressure import BackPressure
 from kleinkram.server.recordings import jobs as recording_jobs
 from kleinkram.server.recordings.service import regroup
 from tests.integration.api_server import Api
@@ -16,7 +16,7 @@ from tests.integration.jobs import drain, on_site
 from tests.integration.upload_client import begin
 
 _LONG_S = 3600.0
-_Work = Callable[[Courtesy], Awaitable[None]]
+_Work = Callable[[BackPressure], Awaitable[None]]
 
 
 @pytest.fixture(name="api", scope="module")
@@ -37,18 +37,18 @@ def _upload_id(api: Api) -> str:
 
 def _with_courtesy(api: Api, work: _Work) -> None:
     async def on(context: AppContext) -> None:
-        await work(Courtesy(context.database, context.settings))
+        await work(BackPressure(context.database, context.settings))
 
     on_site(api, on)
 
 
-async def _waits(courtesy: Courtesy) -> None:
+async def _waits(back_pressure: BackPressure) -> None:
     with pytest.raises(asyncio.TimeoutError):
-        await asyncio.wait_for(courtesy.give_way(_LONG_S), 0.8)
+        await asyncio.wait_for(back_pressure.wait_for_uploads(_LONG_S), 0.8)
 
 
-async def _goes(courtesy: Courtesy) -> None:
-    await asyncio.wait_for(courtesy.give_way(_LONG_S), 10)
+async def _goes(back_pressure: BackPressure) -> None:
+    await asyncio.wait_for(back_pressure.wait_for_uploads(_LONG_S), 10)
 
 
 def test_background_jobs_wait_during_uploads(api: Api, upload_id: str) -> None:
@@ -63,32 +63,32 @@ def test_an_upload_that_nobody_continues_holds_up_nothing(api: Api, upload_id: s
 
 
 def test_a_stream_of_uploads_delays_by_so_much_and_no_more(api: Api, upload_id: str) -> None:
-    async def twice(courtesy: Courtesy) -> None:
+    async def twice(back_pressure: BackPressure) -> None:
         started = time.monotonic()
-        await courtesy.give_way(0.7)
+        await back_pressure.wait_for_uploads(0.7)
         assert time.monotonic() - started >= 0.7
         [created_at] = api.sql("SELECT created_at - interval '1 h' FROM upload WHERE id = %s", upload_id)[0]
-        await asyncio.wait_for(courtesy.give_way(_LONG_S, since=created_at), 10)
+        await asyncio.wait_for(back_pressure.wait_for_uploads(_LONG_S, since=created_at), 10)
 
     _with_courtesy(api, twice)
 
 
 def test_those_that_waited_long_enough_take_turns_with_what_still_comes(api: Api, upload_id: str) -> None:
-    async def several(courtesy: Courtesy) -> None:
+    async def several(back_pressure: BackPressure) -> None:
         started = time.monotonic()
-        await asyncio.wait_for(asyncio.gather(*(courtesy.give_way(0) for _ in range(4))), 10)
+        await asyncio.wait_for(asyncio.gather(*(back_pressure.wait_for_uploads(0) for _ in range(4))), 10)
         assert time.monotonic() - started >= 0.6
         api.delete(f"/uploads/{upload_id}").ok(204)
-        await asyncio.wait_for(asyncio.gather(*(courtesy.give_way(0) for _ in range(1000))), 60)
+        await asyncio.wait_for(asyncio.gather(*(back_pressure.wait_for_uploads(0) for _ in range(1000))), 60)
 
     _with_courtesy(api, several)
 
 
 def test_a_worker_that_stops_waits_for_nobody(api: Api, upload_id: str) -> None:
-    async def stop(courtesy: Courtesy) -> None:
-        waiting = asyncio.create_task(courtesy.give_way(_LONG_S))
-        await _waits(courtesy)
-        courtesy.end()
+    async def stop(back_pressure: BackPressure) -> None:
+        waiting = asyncio.create_task(back_pressure.wait_for_uploads(_LONG_S))
+        await _waits(back_pressure)
+        back_pressure.end()
         await asyncio.wait_for(waiting, 10)
 
     _with_courtesy(api, stop)
@@ -97,7 +97,7 @@ def test_a_worker_that_stops_waits_for_nobody(api: Api, upload_id: str) -> None:
 def test_grouping_is_delayed_from_the_time_of_its_request(
     api: Api, upload_id: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recording_jobs, "SUMMARY_PATIENCE_S", _LONG_S)
+    monkeypatch.setattr(recording_jobs, "SUMMARY_MAX_WAIT_S", _LONG_S)
     mission_id = uuid.UUID(api.mission(api.project()["id"])["id"])
 
     async def ask(context: AppContext) -> None:
@@ -105,7 +105,7 @@ def test_grouping_is_delayed_from_the_time_of_its_request(
             await regroup(db, mission_id)
 
     async def work(context: AppContext) -> None:
-        await asyncio.wait_for(drain(context, Courtesy(context.database, context.settings)), 20)
+        await asyncio.wait_for(drain(context, BackPressure(context.database, context.settings)), 20)
 
     on_site(api, ask)
     api.sql("UPDATE procrastinate_events SET at = at - interval '2 h'")

@@ -12,7 +12,7 @@ from sqlalchemy import event
 from kleinkram.recordings import Depth
 from kleinkram.recordings.inspect import Inspection, InspectionKind, inspect_paths
 from kleinkram.server.context import AppContext
-from kleinkram.server.jobs.courtesy import Courtesy
+from kleinkram.server.jobs.back_pressure import BackPressure
 from kleinkram.server.recordings import deriving, understanding
 from kleinkram.server.recordings.deriving import Derived
 from kleinkram.server.recordings.rests import Rests
@@ -44,7 +44,7 @@ def _problems(problems: Any) -> list[tuple[str, str, str]]:
 
 
 @pytest.mark.slow
-def test_every_real_recording_of_several_files_says_the_same(corpus: Corpus) -> None:
+def test_every_real_recording_of_several_files_has_equal_summaries(corpus: Corpus) -> None:
     named = {item["name"]: item for item in corpus.api.all(f"/missions/{corpus.mission_id}/recordings")}
     here = {item.path: item for item in inspect_paths([corpus.folder], depth=Depth.scan)}
     several = {
@@ -137,9 +137,9 @@ def test_a_mission_that_took_long_rests_and_is_not_forgotten(api: Api, mission_i
 
 
 async def _drain_courteously(context: AppContext, rests: Rests) -> None:
-    courtesy = Courtesy(context.database, context.settings)
-    courtesy.end()
-    await drain(context, courtesy, rests)
+    back_pressure = BackPressure(context.database, context.settings)
+    back_pressure.end()
+    await drain(context, back_pressure, rests)
 
 
 def test_a_mission_rests_as_long_as_it_took_some_times_over() -> None:

@@ -132,9 +132,9 @@ def test_a_refusal_is_not_tried_again(store: Store, mishap: str, says: str) -> N
 
 def test_another_range_or_another_size_is_refused(store: Store) -> None:
     store.mishaps = ["other range"]
-    with pytest.raises(SourceError, match="where 'bytes 0-99/10240' was asked for"):
+    with pytest.raises(SourceError, match="where 'bytes 0-99/10240' was requested"):
         store.source().read(0, 100)
-    with pytest.raises(SourceError, match="where 'bytes 0-99/9999' was asked for"):
+    with pytest.raises(SourceError, match="where 'bytes 0-99/9999' was requested"):
         store.source(size_bytes=9_999).read(0, 100)
 
 

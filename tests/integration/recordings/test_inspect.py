@@ -183,7 +183,7 @@ def test_a_path_that_is_not_there(tmp_path: Path) -> None:
         inspect_paths([tmp_path, "/nowhere"])
 
 
-def test_a_deep_look_reads_every_byte_and_tells_how_far_it_is(tmp_path: Path) -> None:
+def test_a_scan_reads_every_byte_and_reports_progress(tmp_path: Path) -> None:
     class Watched:
         def __init__(self) -> None:
             self.named: list[object] = []

@@ -90,7 +90,7 @@ def test_bytes_that_break_off(tmp_path: Path) -> None:
         read_answer(done.stdout, done.stderr, 0)
 
 
-def test_a_summary_that_would_cost_too_much_says_what(tmp_path: Path) -> None:
+def test_a_pending_summary_states_the_cost_of_a_scan(tmp_path: Path) -> None:
     truth = generate_mcap(tmp_path / "drive.mcap", duration_s=1)
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(truth.path.read_bytes()[:-100])
@@ -115,7 +115,7 @@ def test_a_pipe_is_refused_rather_than_waited_for(tmp_path: Path) -> None:
         summarise_isolated(FileRequest(str(tmp_path / "pipe.mcap")))
 
 
-def test_a_file_that_wants_too_much_memory(tmp_path: Path) -> None:
+def test_a_file_that_needs_too_much_memory(tmp_path: Path) -> None:
     """A zstd frame with a window of 64 MB, in a process that may have 64 MB in all."""
     parameters = zstandard.ZstdCompressionParameters(window_log=26)
     compressor = zstandard.ZstdCompressor(compression_params=parameters).compressobj()

@@ -244,7 +244,7 @@ def test_poses_of_euroc(columns: int, header: str) -> None:
     assert summary.problems == ()
 
 
-def test_opening_a_trajectory_says_what_to_use(tmp_path: Path) -> None:
+def test_opening_a_trajectory_names_the_tools_to_use(tmp_path: Path) -> None:
     path = tmp_path / "a.tum"
     path.write_text("1 0 0 0 0 0 0 1\n" * 9)
     with pytest.raises(NotARecording, match=r"trajectory.*klein inspect"):

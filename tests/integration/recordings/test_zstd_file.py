@@ -108,7 +108,7 @@ def test_files_that_are_no_recordings_are_not_decompressed(inside: bytes, named:
     assert named in (summary.reason or "")
 
 
-def test_the_name_inside_must_tell_the_truth(database: bytes) -> None:
+def test_the_name_inside_must_match_the_content(database: bytes) -> None:
     summary = scan_bytes(zstandard.compress(database), "a.mcap.zstd")
     assert [(p.code, p.where) for p in summary.problems] == [("extension-lies", "a.mcap")]
 

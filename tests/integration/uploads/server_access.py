@@ -13,7 +13,7 @@ from kleinkram.server.blobs import jobs
 from kleinkram.server.blobs.reader_processes import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
-from kleinkram.server.jobs.courtesy import Courtesy
+from kleinkram.server.jobs.back_pressure import BackPressure
 from kleinkram.server.s3.storage import open_storage
 from tests.integration.api_server import Api
 
@@ -65,10 +65,10 @@ async def verify_all(context: AppContext) -> None:
     """Read every blob, as the worker does on its last try. All are bytes and no recording: nothing reads along."""
     async with context.database.begin() as db:
         rows = (await db.execute(_ALL_BLOBS)).scalars().all()
-    courtesy = Courtesy(context.database, context.settings)
-    courtesy.end()
+    back_pressure = BackPressure(context.database, context.settings)
+    back_pressure.end()
     async with ReaderProcesses() as readers:
-        given = {"site": context, "courtesy": courtesy, "readers": readers}
+        given = {"context": context, "back_pressure": back_pressure, "readers": readers}
         job = SimpleNamespace(attempts=99, priority=0)
         job_context = cast(JobContext, SimpleNamespace(additional_context=given, job=job))
         for blob_id in rows:

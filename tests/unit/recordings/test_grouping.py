@@ -54,7 +54,7 @@ def test_a_metadata_file_beside_many_recordings_is_not_theirs() -> None:
     assert [kind for _, kind, _ in shape(["metadata.yaml", "a.mcap", "b.mcap"])] == [SINGLE, SINGLE]
 
 
-def test_a_stranger_in_a_rosbag2_folder_stays_outside() -> None:
+def test_a_file_of_another_stem_in_a_rosbag2_folder_is_its_own_recording() -> None:
     assert shape(["run/metadata.yaml", "run/run_0.mcap", "run/other.mcap", "run/old.bag"]) == [
         ("run", ROSBAG2, ("run/run_0.mcap",)),
         ("run/old.bag", SINGLE, ("run/old.bag",)),

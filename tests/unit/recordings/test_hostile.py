@@ -102,7 +102,7 @@ def test_the_small_files_are_whole() -> None:
         "cut record",
     ],
 )
-def test_an_index_that_lies_is_not_believed(summary: bytes) -> None:
+def test_a_wrong_index_is_refused(summary: bytes) -> None:
     actual = summarise_bytes(mcap_of(b"", summary))
     assert actual.message_count == 0
     assert actual.problems
@@ -127,7 +127,7 @@ def test_a_flipped_byte_in_the_summary_is_found_by_its_checksum() -> None:
     assert "checksum" in summary.problems[0].message
 
 
-def test_an_index_that_forgets_a_chunk_is_not_believed() -> None:
+def test_an_index_that_omits_a_chunk_is_refused() -> None:
     """The statistics say more messages than the chunks in the index hold."""
     whole = small_mcap()
     start = whole.index(bytes([Opcode.CHUNK_INDEX]) + struct.pack("<Q", 78), len(whole) // 2)
@@ -169,7 +169,7 @@ def test_a_compression_that_we_do_not_read_is_not_the_files_fault() -> None:
     assert "'brotli'" in summary.reason
 
 
-def test_a_zstd_frame_that_wants_too_much_memory_is_not_the_files_fault() -> None:
+def test_a_zstd_frame_that_needs_too_much_memory_is_no_damage() -> None:
     parameters = zstandard.ZstdCompressionParameters(window_log=27)
     compressor = zstandard.ZstdCompressor(compression_params=parameters).compressobj()
     stored = compressor.compress(b"x" * 1_000) + compressor.flush()
@@ -227,7 +227,7 @@ def test_names_that_are_not_utf8_can_be_shown() -> None:
         ("chunk_count", 2**31, Content.recovered),
     ],
 )
-def test_a_bag_header_that_lies(field: str, value: int, content: Content) -> None:
+def test_a_wrong_bag_header(field: str, value: int, content: Content) -> None:
     """Everything is there: only its header is wrong, or announces what never was."""
     data = small_bag()
     at = data.index(field.encode() + b"=") + len(field) + 1
@@ -277,13 +277,13 @@ def test_a_bag_whose_index_data_contradict_its_chunk_info() -> None:
         (b"", "drive.mcap", RecordingFormat.empty, False),
     ],
 )
-def test_the_content_says_what_a_file_is(data: bytes, name: str, kind: RecordingFormat, lies: bool) -> None:
+def test_files_are_recognised_by_their_content(data: bytes, name: str, kind: RecordingFormat, lies: bool) -> None:
     summary = summarise_bytes(data, name)
     assert summary.format is kind
     assert ("extension-lies" in [problem.code for problem in summary.problems]) == lies
 
 
-def test_an_empty_file_says_so() -> None:
+def test_an_empty_file_is_reported_as_empty() -> None:
     summary = summarise_bytes(b"")
     assert (summary.content, summary.reason) == (Content.broken, "the file has 0 bytes")
 

@@ -190,7 +190,7 @@ def test_every_reader_of_a_file_finds_all_once_one_of_them_has_seen_that_the_ind
     assert actual == [T0 + n * S for n in range(3 * PER_CHUNK)]
 
 
-def test_an_empty_answer_over_a_network_is_not_believed_before_the_index_was_compared(tmp_path: Path) -> None:
+def test_an_empty_selection_over_a_network_compares_the_index_first(tmp_path: Path) -> None:
     """The times of chunks 1 and 2 are so wrong that nothing seems to lie there, and the statistics do not show it."""
 
     def moved(number: int, body: bytearray) -> None:

@@ -3,7 +3,7 @@
 import pytest
 
 from kleinkram.contract.errors import StoreUnavailable
-from kleinkram.server.jobs.attempts import sentence_of
+from kleinkram.server.jobs.attempts import error_sentence
 
 
 @pytest.mark.parametrize(
@@ -19,9 +19,9 @@ from kleinkram.server.jobs.attempts import sentence_of
     ],
 )
 def test_a_sentence(error: Exception, sentence: str) -> None:
-    assert sentence_of(error) == sentence
+    assert error_sentence(error) == sentence
 
 
 def test_an_error_with_a_sentence_of_its_own_says_that() -> None:
     error = StoreUnavailable(reason="it is away")
-    assert sentence_of(error) == error.sentence()
+    assert error_sentence(error) == error.sentence()

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from kleinkram.contract.tokens import PATTERN, SecretKind, is_mangled, is_whole, with_checksum
-from kleinkram.server.access.actor import beginning, new_secret
+from kleinkram.server.access.actor import new_secret, secret_prefix
 
 
 @pytest.mark.parametrize("kind", SecretKind)
@@ -21,7 +21,7 @@ def test_a_new_secret_is_found_and_verified(kind: SecretKind) -> None:
 
 
 def test_tokens_of_another_form_are_not_shown() -> None:
-    assert beginning("klein_pat_too-short") == beginning("0123456789abcdef") == ""
+    assert secret_prefix("klein_pat_too-short") == secret_prefix("0123456789abcdef") == ""
 
 
 def test_the_checksum_is_the_one_that_is_written_down() -> None:

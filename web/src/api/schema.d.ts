@@ -2482,11 +2482,11 @@ export interface components {
     schemas: {
         /**
          * AccessRead
-         * @description One way in which somebody has a right now; of several, the highest counts.
+         * @description A right that somebody has now, and its source; of several, the highest counts.
          *
-         *     `to` is who was granted it; null: all admins, or, where the project is public, everybody. `person` is who has it by
-         *     that; null where that is not known, or not for the one who asks: the members of a group, whoever has an address.
-         *     `expires_at` is when the grant or the membership ends, whichever is first.
+         *     `to` is the grantee; null for all admins or, in a public project, everybody. `person` has the right through it;
+         *     null if unknown or hidden, such as members of a group or the owner of an address. `expires_at` is when the grant or
+         *     the membership ends, whichever is first.
          */
         AccessRead: {
             /** Expires At */
@@ -2500,16 +2500,15 @@ export interface components {
         };
         /**
          * AccessThrough
-         * @description What a right comes from: a grant on the project or the mission, the project's being public, or being an admin.
+         * @description The source of a right: a grant on the project or mission, a public project, or admin rights.
          * @enum {string}
          */
         AccessThrough: "project grant" | "mission grant" | "public" | "admin";
         /**
          * AccountRead
-         * @description One's own account: `GET /me/account`. `affiliations` are the groups that one is in by an address.
+         * @description Your account: `GET /me/account`. `affiliations` are the groups that follow from your addresses.
          *
-         *     `totp`: the second factor beside the password, where one is in use.
-         *     `has_password`: that one may sign in with; none is kept here of who comes by a provider alone.
+         *     `totp` is the confirmed second factor. `has_password`: you can sign in with a password.
          */
         AccountRead: {
             /** Addresses */
@@ -2673,7 +2672,7 @@ export interface components {
         };
         /**
          * AddressRead
-         * @description An address that is one's own; `verified_by` says by whose word: an issuer's URL, or how one came by it here.
+         * @description A verified address; `verified_by` is the URL of a provider, or how the account was created.
          */
         AddressRead: {
             /** Email */
@@ -2688,7 +2687,7 @@ export interface components {
         };
         /**
          * AdminBootstrap
-         * @description Become the first admin of a new server: `POST /auth/bootstrap`. A signed-in person sends only the code.
+         * @description Become the first admin of a new server: `POST /auth/bootstrap`. Signed-in people send only the code.
          */
         AdminBootstrap: {
             /** Code */
@@ -2702,11 +2701,10 @@ export interface components {
         };
         /**
          * AdminHealth
-         * @description How the server is.
+         * @description The state of the server.
          *
-         *     `not_ready`: what keeps it from serving; `warnings`: what does not, but needs somebody to look at it. `workers_at`:
-         *     when each worker process that is alive was last heard of; `worker_last_at`: when any was.
-         *     `runs_problem`: why runs cannot start, and what to do; null where they can, or where no runner was ever started.
+         *     `not_ready`: why it cannot serve. `workers_at`: last heartbeat of each living worker; `worker_last_at`: of any.
+         *     `runs_problem`: why runs cannot start, and what to do; null if they can, or if no runner was ever started.
          *     `invitation_warning`: what stops once a second person has an account, and what to do before.
          */
         AdminHealth: {
@@ -2746,9 +2744,9 @@ export interface components {
         };
         /**
          * AdminJobs
-         * @description The queue; jobs that wait for another attempt, and those that were given up last, at most 100 of each.
+         * @description The queue, the jobs that wait for another attempt, and the last failed ones, at most 100 of each.
          *
-         *     A job that was given up is forgotten after a week.
+         *     Failed jobs are deleted after a week.
          */
         AdminJobs: {
             /** Failed */
@@ -2770,7 +2768,7 @@ export interface components {
          * AdminStorage
          * @description Stored blobs by state, those that only the trash uses, uploads in progress, and what is about to be deleted.
          *
-         *     A blob counts once, however many files are made of it.
+         *     A blob counts once, however many files have it.
          */
         AdminStorage: {
             /** Blobs */
@@ -2860,7 +2858,7 @@ export interface components {
         };
         /**
          * Attention
-         * @description So many things of a kind that need somebody, in one mission where they are of one.
+         * @description A number of objects that need attention, in one mission or on the whole server.
          */
         Attention: {
             /** Count */
@@ -2870,10 +2868,10 @@ export interface components {
         };
         /**
          * AuditRead
-         * @description One event: who did what to what, with what changed.
+         * @description One event: who did what to which object, and what changed.
          *
-         *     `address` and `session_id` of a person are theirs and the admins' to see; of a link or a stranger, the owners' too.
-         *     `as_admin`: it took the power of an admin; by their own rights they would have been refused.
+         *     Only the person and admins see their `address` and `session_id`; owners see those of links and guests.
+         *     `as_admin`: it required admin rights; the actor's own rights would not have sufficed.
          */
         AuditRead: {
             actor: components["schemas"]["PersonRef"] | null;
@@ -2923,7 +2921,7 @@ export interface components {
         BlobState: "stored" | "verified" | "lost" | "corrupt";
         /**
          * BrowserSignedIn
-         * @description Who a browser is signed in as, from now on; the session itself is in a cookie that no script can read.
+         * @description The signed-in person; the session is in a cookie that no script can read.
          */
         BrowserSignedIn: {
             person: components["schemas"]["PersonRef"];
@@ -3001,7 +2999,7 @@ export interface components {
         };
         /**
          * CliExchange
-         * @description Exchange what the browser brought for a token: `POST /auth/cli/token`. A code is good for once.
+         * @description Exchange the code from the browser for a token: `POST /auth/cli/token`. A code is valid once.
          */
         CliExchange: {
             /** Code */
@@ -3011,7 +3009,7 @@ export interface components {
         };
         /**
          * CodeRead
-         * @description For whom a link is: `POST /auth/codes`. Asking does not use it.
+         * @description Purpose and recipient of a link: `POST /auth/codes`. The request does not use the link.
          */
         CodeRead: {
             /** Email */
@@ -3023,7 +3021,7 @@ export interface components {
         };
         /**
          * CodeSignIn
-         * @description Sign in by a link that is good once: `POST /auth/link`.
+         * @description Sign in with a one-time link: `POST /auth/link`.
          */
         CodeSignIn: {
             /** Code */
@@ -3054,13 +3052,13 @@ export interface components {
         ContentState: "pending" | "indexed" | "recovered" | "broken" | "opaque" | "error";
         /**
          * CredentialKind
-         * @description What somebody came with.
+         * @description The kind of a credential.
          * @enum {string}
          */
         CredentialKind: "session" | "personal" | "robot" | "runner" | "run";
         /**
          * CredentialRead
-         * @description The token or browser session of this very request. `is_limited`: it reaches certain projects or missions only.
+         * @description The token or browser session of this request. `is_limited`: it reaches only some projects or missions.
          *
          *     `DELETE /tokens/{id}` ends a token, `DELETE /me/sessions/{id}` a session.
          */
@@ -3082,7 +3080,7 @@ export interface components {
         };
         /**
          * CredentialRef
-         * @description A token or a link, by the name that it was given.
+         * @description The id and name of a token or link.
          */
         CredentialRef: {
             /**
@@ -3097,7 +3095,7 @@ export interface components {
          * Deleted
          * @description What a deletion moved to the trash (or, as a dry run, would move).
          *
-         *     Of a single file: how many runs read it, and which files of its mission came of that, which stay; 100 at most.
+         *     For a single file: how many runs read it, and at most 100 files of the mission that they made from it, which stay.
          */
         Deleted: {
             /** Dry Run */
@@ -3136,7 +3134,7 @@ export interface components {
         };
         /**
          * Departure
-         * @description What ended when somebody was deactivated, and the projects that went to the admins for want of another owner.
+         * @description What ended when a person was deactivated, and the projects that went to the admins.
          */
         Departure: {
             /** Links */
@@ -3157,7 +3155,7 @@ export interface components {
         DerivedTokens: "ended" | "kept";
         /**
          * DeviceBegin
-         * @description Ask for a code that can be typed on another machine: `POST /auth/device`.
+         * @description Request a code to type on another machine: `POST /auth/device`.
          */
         DeviceBegin: {
             /**
@@ -3168,7 +3166,7 @@ export interface components {
         };
         /**
          * DeviceCode
-         * @description Where to type which code, and how to ask whether it was.
+         * @description The code to type, where, and how to poll for the result.
          */
         DeviceCode: {
             /** Device Code */
@@ -3186,7 +3184,7 @@ export interface components {
         };
         /**
          * DeviceDecision
-         * @description Agree or disagree that the program that shows this code gets a token: `POST /auth/device/approve` or `/deny`.
+         * @description Approve or deny a token for the program that shows this code: `POST /auth/device/approve` or `/deny`.
          */
         DeviceDecision: {
             /** User Code */
@@ -3194,7 +3192,7 @@ export interface components {
         };
         /**
          * DeviceExchange
-         * @description Ask whether the code was typed: `POST /auth/device/token`.
+         * @description Poll for the result: `POST /auth/device/token`.
          */
         DeviceExchange: {
             /** Device Code */
@@ -3202,7 +3200,7 @@ export interface components {
         };
         /**
          * DeviceRead
-         * @description Who asks by a code: `POST /auth/device/status`.
+         * @description The program that shows a code: `POST /auth/device/status`.
          */
         DeviceRead: {
             /** Address */
@@ -3298,9 +3296,9 @@ export interface components {
         };
         /**
          * Facet
-         * @description How the files divide by `name`: `project`, `format`, `content`, `topic`, `type`, `label`, `month`, `meta.FIELD`.
+         * @description The files by `name`: `project`, `format`, `content`, `topic`, `type`, `label`, `month` or `meta.FIELD`.
          *
-         *     The most frequent values first, months the latest; `value_count` is how many there are in all.
+         *     The most frequent values come first, months the latest first; `value_count` is the number of all values.
          */
         Facet: {
             /** Name */
@@ -3312,7 +3310,7 @@ export interface components {
         };
         /**
          * FacetsRead
-         * @description The facets of a query. Not `is_whole` where only the first `file_count` files were looked at, to save time.
+         * @description The facets of a query. If `is_whole` is false, they cover only the first `file_count` files.
          */
         FacetsRead: {
             /** Facets */
@@ -3326,9 +3324,9 @@ export interface components {
         };
         /**
          * FacetValue
-         * @description One value of a facet. `query` is the whole text with this value chosen, or taken back where it is chosen.
+         * @description A value of a facet. `query` is the text with this value selected, or deselected if it is selected.
          *
-         *     `file_count` is how many files the query finds that have it, whatever else is chosen of the same facet.
+         *     `file_count` is the number of matching files that have it, whatever else of the same facet is selected.
          */
         FacetValue: {
             /** File Count */
@@ -3342,8 +3340,7 @@ export interface components {
         };
         /**
          * FailedJob
-         * @description A job that was given up. `ref` is the id of what it was for; `error` says why, where that could be kept, and the
-         *     worker's log says more.
+         * @description A job that failed for the last time. `ref` is the id of its object; the worker's log has more than `error`.
          */
         FailedJob: {
             /** Attempts */
@@ -3501,7 +3498,7 @@ export interface components {
         };
         /**
          * FileLabelled
-         * @description How it went with one file: its labels now, or what kept them as they were.
+         * @description The result for one file: its labels now, or why they did not change.
          */
         FileLabelled: {
             /**
@@ -3608,7 +3605,7 @@ export interface components {
         };
         /**
          * FilesLabelled
-         * @description How it went, file by file, in the order asked.
+         * @description The result for each file, in the requested order.
          */
         FilesLabelled: {
             /** Items */
@@ -3667,9 +3664,9 @@ export interface components {
         };
         /**
          * GrantCreate
-         * @description A right to give, to exactly one of a person, a group and an address; without `expires_at` it has no end.
+         * @description A right to grant to exactly one of a person, a group and an address; it replaces their earlier grant there.
          *
-         *     Where they were granted a right there before, this takes its place.
+         *     Without `expires_at` it has no end.
          */
         GrantCreate: {
             /** Email */
@@ -3684,7 +3681,7 @@ export interface components {
         };
         /**
          * Grantee
-         * @description Whom a right is given to. An address has no id, whether or not somebody has it; its name is the address.
+         * @description Who has a grant. An address has no id, whether or not somebody has it; its name is the address.
          */
         Grantee: {
             /** Id */
@@ -3695,19 +3692,19 @@ export interface components {
         };
         /**
          * GranteeKind
-         * @description Whom a right is given to: a person, a group, or whoever has an e-mail address.
+         * @description The kind of a grantee: a person, a group, or the owner of an e-mail address.
          * @enum {string}
          */
         GranteeKind: "person" | "group" | "email";
         /**
          * GrantOn
-         * @description Where a grant stands. One on a project holds for all its missions.
+         * @description What a grant is on. A grant on a project applies to all its missions.
          * @enum {string}
          */
         GrantOn: "project" | "mission";
         /**
          * GrantRead
-         * @description A right that was given. One that has expired has no effect any more.
+         * @description A granted right. Expired grants have no effect.
          */
         GrantRead: {
             /** Expires At */
@@ -3731,7 +3728,7 @@ export interface components {
         };
         /**
          * GrantUpdate
-         * @description What to change of a grant; what is left out stays. `expires_at` null takes its end away.
+         * @description Changes of a grant; omitted fields stay. `expires_at` null removes the end.
          */
         GrantUpdate: {
             /** Expires At */
@@ -3740,7 +3737,7 @@ export interface components {
         };
         /**
          * GroupCreate
-         * @description A group to make; whoever makes it is its first member and editor.
+         * @description A group to create; its creator is the first member and editor.
          */
         GroupCreate: {
             /** Name */
@@ -3750,18 +3747,17 @@ export interface components {
          * GroupKind
          * @description How a group gets its members.
          *
-         *     `person`: one person's own, always just that person. `email`: whoever proves that address. `custom`: by its editors.
-         *     `affiliation`: by the domain of a verified address. `admins`: by admins.
+         *     `person`: always one person. `email`: the person with that verified address. `custom`: added by its editors.
+         *     `affiliation`: by the domain of a verified address. `admins`: added by admins.
          * @enum {string}
          */
         GroupKind: "person" | "email" | "custom" | "affiliation" | "admins";
         /**
          * GroupRead
-         * @description A group. Members whose time is over, or who left, do not count.
+         * @description A group. Expired memberships and deactivated people do not count.
          *
-         *     `is_member`, `is_editor` and `expires_at` are the asker's own membership. `domains` and `default_right` are what the
-         *     settings say of an affiliation group. `etag` names the group as its editors last named it: given back with a
-         *     change, that is refused where somebody else came first.
+         *     `is_member`, `is_editor` and `expires_at` are the caller's own membership. `domains` and `default_right` are the
+         *     settings of an affiliation group. Changes with `etag` are refused if somebody else changed the group meanwhile.
          */
         GroupRead: {
             /**
@@ -3870,7 +3866,7 @@ export interface components {
         };
         /**
          * HomeRead
-         * @description `GET /api/v1/home`. Lists are bounded: the latest, the most pressing.
+         * @description `GET /api/v1/home`. Every list is bounded.
          */
         HomeRead: {
             /** Attention */
@@ -3882,7 +3878,7 @@ export interface components {
         };
         /**
          * HomeStorage
-         * @description `GET /api/v1/home/storage`: the largest projects, and for admins the store.
+         * @description `GET /api/v1/home/storage`: the largest projects and, for admins, the store.
          */
         HomeStorage: {
             /** Projects */
@@ -3891,9 +3887,9 @@ export interface components {
         };
         /**
          * IdentityRead
-         * @description Under whose word one signs in: `GET /me/identities`; `DELETE /me/identities/{id}` unlinks it.
+         * @description A linked identity: `GET /me/identities`; `DELETE /me/identities/{id}` unlinks it.
          *
-         *     `provider` is its title, null where this server has it no more. `is_last`: without it there would be no way in.
+         *     `provider` is the title of its provider, null if it left the settings. `is_last`: your last sign-in method.
          */
         IdentityRead: {
             /**
@@ -3966,7 +3962,7 @@ export interface components {
         };
         /**
          * InvitationAccept
-         * @description Get the account that one is invited to: `POST /auth/invitation`.
+         * @description Create the account of an invitation: `POST /auth/invitation`.
          */
         InvitationAccept: {
             /** Code */
@@ -3978,7 +3974,7 @@ export interface components {
         };
         /**
          * InvitationCreate
-         * @description Invite somebody to an account: `POST /people/invitations`. That the address is theirs is the word of who does.
+         * @description Invite a person: `POST /people/invitations`. You vouch for the address.
          */
         InvitationCreate: {
             /** Email */
@@ -3994,7 +3990,7 @@ export interface components {
         Isolation: "container" | "namespaces" | "none";
         /**
          * JobAmount
-         * @description So many jobs of a kind in a state: `todo`, `doing` or `failed`; `oldest_at` is since when the oldest waits.
+         * @description Number of jobs of a kind in a state: `todo`, `doing` or `failed`; `oldest_at`: when the oldest was enqueued.
          */
         JobAmount: {
             /** Count */
@@ -4009,7 +4005,7 @@ export interface components {
         JsonValue: unknown;
         /**
          * LabelChange
-         * @description Labels to put on files and to take off; what is in both is put on.
+         * @description Labels to add to files and to remove; a label in both is added.
          */
         LabelChange: {
             /**
@@ -4156,7 +4152,7 @@ export interface components {
         };
         /**
          * LoopbackApproval
-         * @description Agree that a program on this machine gets a token: `POST /auth/cli/approve`. It listens on 127.0.0.1:`port`.
+         * @description Approve a token for a program on this machine, which listens on 127.0.0.1:`port`: `POST /auth/cli/approve`.
          */
         LoopbackApproval: {
             /**
@@ -4173,7 +4169,7 @@ export interface components {
         };
         /**
          * LoopbackApproved
-         * @description Where the browser brings the code.
+         * @description The URL that delivers the code to the program.
          */
         LoopbackApproved: {
             /** Url */
@@ -4181,10 +4177,10 @@ export interface components {
         };
         /**
          * MemberRead
-         * @description Somebody in a group. `emails` are for its editors and admins, as are members who are not active any more.
+         * @description A member of a group. Only its editors and admins see `emails`, and members who are not active.
          *
-         *     `is_active`: neither has their time ended, nor did they leave. `etag` names how and until when they are in it:
-         *     given back with a change, that is refused where somebody else came first.
+         *     `is_active`: the membership has not expired, and the person is not deactivated. Changes with `etag` are refused if
+         *     somebody else changed the membership meanwhile.
          */
         MemberRead: {
             /**
@@ -4207,7 +4203,7 @@ export interface components {
         };
         /**
          * MemberSet
-         * @description How somebody is in a group: with a say in who else is, and until when; without `expires_at` there is no end.
+         * @description A membership. Editors may change the members. Without `expires_at` there is no end.
          */
         MemberSet: {
             /** Expires At */
@@ -4220,7 +4216,7 @@ export interface components {
         };
         /**
          * MeRead
-         * @description Who the server takes the caller for: `GET /me`. `is_admin`: with the power of an admin, by this credential.
+         * @description The caller: `GET /me`. `is_admin`: with admin rights, by this credential.
          */
         MeRead: {
             credential: components["schemas"]["CredentialRead"];
@@ -4451,11 +4447,10 @@ export interface components {
          * MissionTopic
          * @description One topic with one type, in all recordings of a mission.
          *
-         *     `other_types` are those under which the mission has the same topic too: a conflict. `count` is null where a file
-         *     does not say its own. `rate_hz` is that while recordings lasted, and `longest_gap_ns` the longest silence inside of
-         *     one: between two recordings nobody listened. `counts` are by the bins of `axis`; null where no file that has the
-         *     topic was read since densities are kept, and adding up to less than `count` where only some were. `recordings` are
-         *     those that have messages of it, as ranges `[first, last]` (both inclusive) of places in the answer's `recordings`.
+         *     `other_types`: other types of the same topic in the mission, a conflict. `count` is null if a file has no count.
+         *     `rate_hz` and `longest_gap_ns` cover only the time within recordings. `counts` are by the bins of `axis`; null if no
+         *     file with the topic has a density, and less than `count` in sum if only some have. `recordings` are ranges
+         *     `[first, last]` (inclusive) of indexes in the response's `recordings`.
          */
         MissionTopic: {
             /** Count */
@@ -4492,8 +4487,8 @@ export interface components {
          * MissionTopics
          * @description A page of the topics of a mission, by name and type.
          *
-         *     `axis` spans the mission without recordings from before 1990; null where no times are known. `recordings` are in
-         *     the order of time. `is_current` says whether this follows from today's files; if not, it soon will.
+         *     `axis` spans the mission without recordings from before 1990; null if no times are known. `recordings` are in
+         *     chronological order. `is_current`: it reflects the current files; otherwise it will soon.
          */
         MissionTopics: {
             axis: components["schemas"]["TimeAxis"] | null;
@@ -4512,7 +4507,7 @@ export interface components {
          *
          *     `metadata_yaml` is all metadata anew; with `merge_yaml`, it changes the fields that it names, and a field without a
          *     value (null) is removed. `metadata` changes the fields that it names, null takes one away, and the
-         *     document that said all is dropped.
+         *     document that values all is dropped.
          */
         MissionUpdate: {
             /** Completed */
@@ -4534,7 +4529,7 @@ export interface components {
         };
         /**
          * Need
-         * @description What needs somebody. The last four are of the whole server, and for admins.
+         * @description What needs attention. The last four concern the whole server, and are for admins.
          * @enum {string}
          */
         Need: "files_corrupt" | "files_lost" | "files_broken" | "files_unread" | "files_recovered" | "runs_cannot_start" | "runs_failed" | "metadata_missing" | "scrub_stopped" | "verifications_overdue" | "jobs_failed" | "disk_low";
@@ -4563,7 +4558,7 @@ export interface components {
         };
         /**
          * OneTimeLink
-         * @description A link that is good once, until then. `warning`: what its use changes for others, and what to do before.
+         * @description A one-time link. `warning`: what its use changes for others, and what to do before.
          */
         OneTimeLink: {
             /**
@@ -4876,7 +4871,7 @@ export interface components {
         };
         /**
          * PasswordChange
-         * @description Choose a new password: `POST /auth/password/change`. Other browsers are signed out.
+         * @description Change your password: `POST /auth/password/change`. Your other browsers are signed out.
          */
         PasswordChange: {
             /** New Password */
@@ -4896,7 +4891,7 @@ export interface components {
         };
         /**
          * PasswordReset
-         * @description Choose a new password by an admin's link: `POST /auth/reset`.
+         * @description Choose a new password with a reset link: `POST /auth/reset`.
          */
         PasswordReset: {
             /** Code */
@@ -4908,7 +4903,7 @@ export interface components {
         };
         /**
          * PasswordSignIn
-         * @description Sign in with a local account: `POST /auth/password`. `second_factor`: of an account that has one.
+         * @description Sign in with a local account: `POST /auth/password`. `second_factor`: if the account has one.
          */
         PasswordSignIn: {
             /** Email */
@@ -4920,9 +4915,9 @@ export interface components {
         };
         /**
          * PersonRead
-         * @description A person. `emails` are their verified addresses, for themselves, admins, and editors of a group that they are in.
+         * @description A person. `emails`, their verified addresses, are for themselves, admins, and editors of a shared group.
          *
-         *     `deactivated_at` is when they left; only admins see those who did.
+         *     Only admins see deactivated people.
          */
         PersonRead: {
             /**
@@ -4946,7 +4941,7 @@ export interface components {
         };
         /**
          * PersonRef
-         * @description A person, as named beside what they did.
+         * @description The id and name of a person.
          */
         PersonRef: {
             /**
@@ -5016,7 +5011,7 @@ export interface components {
         };
         /**
          * ProjectCreate
-         * @description A project to make. Its fields are the text of a `fields.yaml`, or `metadata_fields`; the server judges both.
+         * @description A project to create, with its metadata fields as the text of a `fields.yaml` or as `metadata_fields`.
          */
         ProjectCreate: {
             /**
@@ -5032,10 +5027,9 @@ export interface components {
         };
         /**
          * ProjectRead
-         * @description A project and what it amounts to. Counts leave out what is in the trash; `right` is the asker's own on it.
+         * @description A project and its contents, without the trash. `right` is the caller's own.
          *
-         *     What is used, which the quotas bound, is the files and the uploads under way. `etag` names what people edited
-         *     last, as with missions.
+         *     The quotas limit files and uploads in progress: `used_bytes` and `used_files`. `etag` is of the edited fields.
          */
         ProjectRead: {
             /** Citation */
@@ -5084,7 +5078,7 @@ export interface components {
         };
         /**
          * ProjectRef
-         * @description A project, as named beside what it holds.
+         * @description The id and name of a project.
          */
         ProjectRef: {
             /**
@@ -5103,7 +5097,7 @@ export interface components {
         ProjectSort: "name" | "-name" | "created" | "-created";
         /**
          * ProjectStorage
-         * @description What a project takes. A file counts with all its bytes, whether or not others share them.
+         * @description The size of a project. Files count with all their bytes, even if they share them with others.
          */
         ProjectStorage: {
             /** File Count */
@@ -5116,9 +5110,9 @@ export interface components {
         };
         /**
          * ProjectUpdate
-         * @description What to change of a project; what is left out stays. Fields are replaced as a whole.
+         * @description Changes of a project; omitted fields stay. Metadata fields are replaced as a whole.
          *
-         *     Anybody may read a public project, with or without an account. A quota of null is none; admins set quotas.
+         *     Everybody may read a public project, also without an account. A quota of null is no quota; admins set quotas.
          */
         ProjectUpdate: {
             /** Citation */
@@ -5141,7 +5135,7 @@ export interface components {
         };
         /**
          * ProviderBegin
-         * @description Begin to sign in by a provider: `POST /auth/providers/{name}`; `POST /auth/link/{name}` to add it to oneself.
+         * @description Start a sign-in with a provider: `POST /auth/providers/{name}`, or `…/link` to link it to your account.
          */
         ProviderBegin: {
             /**
@@ -5152,7 +5146,7 @@ export interface components {
         };
         /**
          * ProviderBegun
-         * @description Where the browser goes next.
+         * @description The URL to which the browser goes next.
          */
         ProviderBegun: {
             /** Url */
@@ -5160,7 +5154,7 @@ export interface components {
         };
         /**
          * ProviderRef
-         * @description Somebody who says who people are; `name` is what requests call them.
+         * @description An identity provider; `name` is its id in requests.
          */
         ProviderRef: {
             /** Name */
@@ -5191,7 +5185,7 @@ export interface components {
         ReadDepth: "summary" | "scan";
         /**
          * RecentMission
-         * @description A mission in which something arrived lately; `active_at` is when.
+         * @description A mission with its last activity.
          */
         RecentMission: {
             /**
@@ -5248,7 +5242,7 @@ export interface components {
         };
         /**
          * RecordingRef
-         * @description A recording, as named beside what it holds.
+         * @description The id and name of a recording.
          */
         RecordingRef: {
             /**
@@ -5261,25 +5255,11 @@ export interface components {
         };
         /**
          * RecoveryCodes
-         * @description What stands for a code where the device is lost: each is good once, and nobody can show them again.
+         * @description Recovery codes for a lost device: each is valid once, and they cannot be shown again.
          */
         RecoveryCodes: {
             /** Codes */
             codes: string[];
-        };
-        /**
-         * Refused
-         * @description This file cannot be uploaded; the others can.
-         */
-        Refused: {
-            /**
-             * @description discriminator enum property added by openapi-typescript
-             * @enum {string}
-             */
-            decision: "refused";
-            /** Path */
-            path: string;
-            problem: components["schemas"]["ProblemDocument"];
         };
         /**
          * Report
@@ -5354,7 +5334,7 @@ export interface components {
         };
         /**
          * RetriedJobs
-         * @description How many jobs that were given up are in the queue again.
+         * @description The number of failed jobs that were put back into the queue.
          */
         RetriedJobs: {
             /** Count */
@@ -5362,7 +5342,7 @@ export interface components {
         };
         /**
          * RetryingJob
-         * @description A job that failed and waits for another attempt. `error` says why the last one failed.
+         * @description A job that failed and waits for another attempt. `error` is of the last one.
          */
         RetryingJob: {
             /** Attempts */
@@ -5380,7 +5360,7 @@ export interface components {
         };
         /**
          * Right
-         * @description What somebody may do with a project or a mission. Each contains those before it; compare by `level`.
+         * @description What somebody may do with a project or a mission. Each right includes those before it; compare by `level`.
          * @enum {string}
          */
         Right: "READ" | "CREATE" | "WRITE" | "DELETE";
@@ -5834,21 +5814,21 @@ export interface components {
         RunState: "queued" | "preparing" | "running" | "collecting" | "done" | "failed" | "cancelled";
         /**
          * Scope
-         * @description What a token may be used for, within what its person may do.
+         * @description What a token may be used for, within the rights of its person.
          *
-         *     `read`: see and download. `upload`: make missions and send files, seeing no more than names. `write`: change and
-         *     delete, with `read` and `upload`. `run`: start and cancel runs. `admin`: all of these, grant rights, and use the
-         *     power of an admin.
+         *     `read`: view and download. `upload`: create missions and upload files, seeing only names. `write`: change and
+         *     delete, and also `read` and `upload`. `run`: start and cancel runs. `admin`: everything, including granting rights
+         *     and admin rights.
          * @enum {string}
          */
         Scope: "read" | "upload" | "write" | "run" | "admin";
         /**
          * ScrubRead
-         * @description One comparison of what the store lists with what the database knows of it.
+         * @description A comparison of the objects in the store with the database.
          *
-         *     `lost` and `corrupt` are blobs that it newly found so, `found` lost ones whose objects are there again and are being
-         *     verified, `unknown` objects that nothing here speaks of. `stopped` says why it marked nothing, or not to the end.
-         *     Until it has `ended_at`, all this is of what it has compared so far.
+         *     `lost` and `corrupt`: newly detected blobs; `found`: lost ones whose objects are back and are being verified;
+         *     `unknown`: objects that the database does not have. `stopped`: why it marked nothing, or not all. Until `ended_at`,
+         *     the numbers cover what was compared so far.
          */
         ScrubRead: {
             /** Compared */
@@ -5887,7 +5867,7 @@ export interface components {
         };
         /**
          * ScrubRequest
-         * @description A scrub to be asked for. `believe`: whoever asks has looked, and objects that are missing are gone indeed.
+         * @description A scrub to start. `believe`: the admin has checked that missing objects are really gone.
          */
         ScrubRequest: {
             /**
@@ -5898,12 +5878,9 @@ export interface components {
         };
         /**
          * ScrubState
-         * @description The last scrub, if there was one, and how many blobs are in which state now, each with their bytes.
+         * @description The last scrub, if any, and the blobs by state; lost and corrupt ones count if something refers to them.
          *
-         *     Of the lost and corrupt those count that something still refers to.
-         *
-         *     `oldest_verification_at` is the oldest `verified_at` of all blobs. A blob is verified again `again_after_days` days
-         *     after its last verification.
+         *     `oldest_verification_at` is the oldest `verified_at` of all blobs; they are verified again after `again_after_days`.
          */
         ScrubState: {
             /** Again After Days */
@@ -5918,12 +5895,11 @@ export interface components {
         };
         /**
          * SearchRead
-         * @description What a query finds: the first of the missions, files and topics, with how many there are.
+         * @description The first missions, files and topics that match a query, and their numbers.
          *
-         *     `query` is the text in its own order and spelling; `filter` is what it means. Missions are those that match by what
-         *     they say themselves, and those of files that match. Their lists go on at `/missions` and `/files` with the same
-         *     `query` and `sort=-start`. Not `is_whole` where very many files match: then every number of missions, files and
-         *     topics is an estimate, in two digits, and the topics are those of files drawn by lot.
+         *     `query` is the normalized text; `filter` its meaning. Missions match themselves or by their files. The lists
+         *     continue at `/missions` and `/files` with the same `query` and `sort=-start`. If very many files match, not
+         *     `is_whole`: all numbers are estimates with two digits, and the topics are those of sampled files.
          */
         SearchRead: {
             files: components["schemas"]["Page_FileRead_"];
@@ -5955,9 +5931,9 @@ export interface components {
         };
         /**
          * ServiceRead
-         * @description What a server says of itself to whoever comes: `GET /api/v1/service`. `person` is who asks, where it is one.
+         * @description A server: `GET /api/v1/service`. `name` is the lab's; `person` is the caller, if they have an account.
          *
-         *     `name` is the lab's. `store_url` is where bytes are sent and fetched, `store_origin` how a browser names that place.
+         *     Bytes are sent to and fetched from `store_url`; `store_origin` is its origin in browsers.
          */
         ServiceRead: {
             /** Checksum */
@@ -5990,7 +5966,7 @@ export interface components {
         };
         /**
          * SessionRead
-         * @description A browser that one is signed in with: `GET /me/sessions`; `DELETE /me/sessions/{id}` signs it out.
+         * @description A browser in which you are signed in: `GET /me/sessions`; `DELETE /me/sessions/{id}` signs it out.
          */
         SessionRead: {
             /** Address */
@@ -6024,7 +6000,7 @@ export interface components {
         };
         /**
          * SettingRead
-         * @description One setting in force. `is_set`: by the environment, else it is the default. A secret has no value here.
+         * @description A setting in force. `is_set`: by the environment, otherwise the default. Secrets have no value here.
          */
         SettingRead: {
             /** Is Secret */
@@ -6044,7 +6020,7 @@ export interface components {
         Severity: "info" | "warning" | "error";
         /**
          * ShareCreate
-         * @description A link to make: to files of the mission, or with `file_ids` null to all that is in it now and later.
+         * @description A link to create: to files of a mission, or with `file_ids` null to everything in it, now and later.
          */
         ShareCreate: {
             /**
@@ -6059,7 +6035,7 @@ export interface components {
         };
         /**
          * SharedRead
-         * @description What a link shows, as seen by whoever has it: `file_count` and `size_bytes` of what it shows now.
+         * @description What a link shows now, to those who have it.
          */
         SharedRead: {
             /**
@@ -6079,7 +6055,7 @@ export interface components {
         };
         /**
          * ShareMade
-         * @description A new link with its secret, which nobody can show again. `url` holds the secret, too.
+         * @description A new link with its secret, which cannot be shown again. `url` contains the secret.
          */
         ShareMade: {
             /** Secret */
@@ -6090,9 +6066,9 @@ export interface components {
         };
         /**
          * ShareRead
-         * @description A link without its secret; `prefix` is how that begins.
+         * @description A link without its secret; `prefix` is the beginning of the secret.
          *
-         *     `file_count` is null for a link to a whole mission. Downloads are addresses given out, a file each, and their bytes.
+         *     `file_count` is null for a link to a whole mission. Downloads count each file whose URL was requested.
          */
         ShareRead: {
             /**
@@ -6129,7 +6105,7 @@ export interface components {
         };
         /**
          * SignedIn
-         * @description A new token, told this once, and whose it is.
+         * @description A new token, shown only once, and its person.
          */
         SignedIn: {
             /** Expires At */
@@ -6184,7 +6160,7 @@ export interface components {
         };
         /**
          * StateAmount
-         * @description So many blobs, or uploads, in a state, and their bytes.
+         * @description Number and bytes of the blobs or uploads in a state.
          */
         StateAmount: {
             /** Count */
@@ -6241,7 +6217,7 @@ export interface components {
         };
         /**
          * StoreUse
-         * @description What the store holds, and what is free on its disk where that is this server's to know.
+         * @description The bytes in the store, and the free space if its disk is on the server's machine.
          */
         StoreUse: {
             /** Disk Bytes */
@@ -6265,7 +6241,7 @@ export interface components {
         };
         /**
          * TimelineFile
-         * @description When one file was recorded; `start_ns` and `end_ns` are null where it has no times, or nobody read it yet.
+         * @description When a file was recorded; `start_ns` and `end_ns` are null if it has no times, or was not read yet.
          */
         TimelineFile: {
             content: components["schemas"]["ContentState"];
@@ -6288,13 +6264,11 @@ export interface components {
         };
         /**
          * TokenCreate
-         * @description A token to make. Without `scopes`, those usual for its kind; without limits, it reaches what its person reaches.
+         * @description A token to create. Default `scopes` depend on its kind; without limits it reaches everything its person may see.
          *
-         *     A robot's token is limited to projects or missions and is never for administration. A runner's is for runs alone,
-         *     and for one runner: `runner_id`, else the first one that uses it. With projects it gets only runs on these, with
-         *     `runner_labels` only runs that ask for one of them.
-         *
-         *     Without `expires_at` it ends after the time that the server's settings name. `no_end` takes a server that allows it.
+         *     A robot's token is limited to projects or missions and cannot have the scope admin. A runner's token is for one
+         *     runner: `runner_id`, else the first one that uses it. With projects it gets only runs on these, with `runner_labels`
+         *     only runs that require one of them. Without `expires_at`, the server's settings decide; some servers allow `no_end`.
          */
         TokenCreate: {
             /** Expires At */
@@ -6327,13 +6301,13 @@ export interface components {
         };
         /**
          * TokenKind
-         * @description Who carries a token: a person's script, a robot, a runner of actions, or one run while it lasts.
+         * @description Who uses a token: a person's script, a robot, a runner of actions, or a single run.
          * @enum {string}
          */
         TokenKind: "personal" | "robot" | "runner" | "run";
         /**
          * TokenMade
-         * @description A new token with its secret, which nobody can show again.
+         * @description A new token with its secret, which cannot be shown again.
          */
         TokenMade: {
             /** Secret */
@@ -6342,7 +6316,7 @@ export interface components {
         };
         /**
          * TokenPlace
-         * @description A project or mission that a token is limited to. `name` is null where whoever asks may not see it (any more).
+         * @description A project or mission to which a token is limited. `name` is null if the caller may not see it.
          */
         TokenPlace: {
             /**
@@ -6357,10 +6331,10 @@ export interface components {
         };
         /**
          * TokenRead
-         * @description A token without its secret; `prefix` is how that begins.
+         * @description A token without its secret; `prefix` is the beginning of the secret.
          *
-         *     `limits` are null where it reaches what its person reaches, and empty where all it was limited to is gone.
-         *     `last_used_at` is exact to a minute. `runner` is null of a runner's token that no runner has used yet.
+         *     `limits` are null for an unlimited token, and empty if everything it was limited to was deleted. `last_used_at` is
+         *     exact to a minute. `runner` is null until a runner uses the token.
          */
         TokenRead: {
             /**
@@ -6395,7 +6369,7 @@ export interface components {
         };
         /**
          * TokenRunner
-         * @description The runner that a token is bound to. `name` is null until it has said hello.
+         * @description The runner to which a token is bound. `name` is null until the runner registers.
          */
         TokenRunner: {
             /**
@@ -6408,7 +6382,7 @@ export interface components {
         };
         /**
          * TopicFound
-         * @description A topic of one name and type, over all files that match. `message_count` is null where none is counted.
+         * @description A topic of one name and type, over all matching files. `message_count` is null if unknown.
          */
         TopicFound: {
             /** File Count */
@@ -6464,7 +6438,7 @@ export interface components {
         };
         /**
          * TotpConfirm
-         * @description Take a second factor into use, by a code of it: `POST /me/totp/confirm`.
+         * @description Confirm a second factor with one of its codes: `POST /me/totp/confirm`.
          */
         TotpConfirm: {
             /** Code */
@@ -6472,7 +6446,7 @@ export interface components {
         };
         /**
          * TotpEnrolment
-         * @description A secret for an authenticator app, as text, as `otpauth:` address, and as a picture (a `data:` address).
+         * @description A secret for an authenticator app: as text, `otpauth:` URL, and QR code (a `data:` URL).
          */
         TotpEnrolment: {
             /** Qr */
@@ -6484,7 +6458,7 @@ export interface components {
         };
         /**
          * TotpRead
-         * @description A second factor that is in use.
+         * @description A confirmed second factor.
          */
         TotpRead: {
             /**
@@ -6497,15 +6471,15 @@ export interface components {
         };
         /**
          * TrashNoun
-         * @description What can lie in the trash.
+         * @description What can be in the trash.
          * @enum {string}
          */
         TrashNoun: "project" | "mission" | "file";
         /**
          * TrashRead
-         * @description Something deleted. `place` is what held it: the project of a mission, project and mission of a file.
+         * @description A deleted object. `place` is the project of a mission, or project and mission of a file.
          *
-         *     A mission that was deleted with its project is not listed by itself; it comes back with the project.
+         *     Missions that were deleted with their project are restored with it, and not listed.
          */
         TrashRead: {
             /**
@@ -6542,9 +6516,9 @@ export interface components {
         Undeclared: "accept" | "refuse";
         /**
          * UnfinishedUpload
-         * @description A file that somebody began to send. `sent_bytes` is what the store holds of it, null where it did not say.
+         * @description An unfinished upload. `sent_bytes` are in the store; null if it did not answer.
          *
-         *     It lapses at `expires_at`; until then the same file, chosen again, goes on where it stopped.
+         *     Until `expires_at`, uploading the same file again continues it.
          */
         UnfinishedUpload: {
             /**
@@ -6584,7 +6558,7 @@ export interface components {
          */
         UploadDecisions: {
             /** Items */
-            items: (components["schemas"]["Present"] | components["schemas"]["Linked"] | components["schemas"]["HashFirst"] | components["schemas"]["Send"] | components["schemas"]["Refused"])[];
+            items: (components["schemas"]["Present"] | components["schemas"]["Linked"] | components["schemas"]["HashFirst"] | components["schemas"]["Send"] | components["schemas"]["UploadRefused"])[];
         };
         /**
          * UploadFile
@@ -6670,6 +6644,20 @@ export interface components {
             state: components["schemas"]["UploadState"];
         };
         /**
+         * UploadRefused
+         * @description This file cannot be uploaded; the others can.
+         */
+        UploadRefused: {
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            decision: "refused";
+            /** Path */
+            path: string;
+            problem: components["schemas"]["ProblemDocument"];
+        };
+        /**
          * UploadsComplete
          * @description Uploads to finish.
          */
@@ -6717,7 +6705,7 @@ export interface components {
         };
         /**
          * ViewerRead
-         * @description A page elsewhere that shows a recording; `{url}` in its `url` is replaced by the recording's, percent-encoded.
+         * @description An external page that shows a recording; `{url}` in its `url` stands for the recording's, percent-encoded.
          */
         ViewerRead: {
             /** Name */

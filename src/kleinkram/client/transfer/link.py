@@ -313,7 +313,7 @@ def diagnose(api_url: str, store_url: str | None) -> str:
         return f"{again} again now. Run the same command again; what has arrived stays."
     if len(failed) < len(reachability):
         works = ", ".join(f"{what} ({place}) answers" for what, place, reason in reachability if not reason)
-        return f"{failed[0]}, while {works}. Ask whoever runs the server: one part of it is away, or behind a firewall."
+        return f"{failed[0]}, while {works}. Ask an admin: a part of the server is down, or behind a firewall."
     return f"{'; '.join(failed)}. Look at this machine's network first: cable, Wi-Fi, VPN, name server."
 
 

@@ -32,7 +32,15 @@ from kleinkram.client.transfer.threads import RateLimit, Stop, check_limits
 from kleinkram.client.transfer.upload_pipeline import FileUpload, UploadPipeline
 from kleinkram.contract.errors import KleinkramError, NameLeased, QuotaExceeded, UploadGone
 from kleinkram.contract.problems import from_problem
-from kleinkram.contract.uploads import MIN_PART_BYTES, HashFirst, Refused, Send, UploadDecision, UploadFile, UploadRead
+from kleinkram.contract.uploads import (
+    MIN_PART_BYTES,
+    HashFirst,
+    Send,
+    UploadDecision,
+    UploadFile,
+    UploadRead,
+    UploadRefused,
+)
 
 _FIRST_BATCH_FILES = 16
 _BATCH_FILES = 100
@@ -220,7 +228,7 @@ class Uploader:
         if isinstance(decision, Send):
             self._pipeline.submit(FileUpload(candidate.source, candidate.journal, decision, candidate.whole))
             return False
-        if isinstance(decision, Refused):
+        if isinstance(decision, UploadRefused):
             return self._refuse(candidate, from_problem(decision.problem))
         if isinstance(decision, HashFirst):
             if candidate.whole is not None:

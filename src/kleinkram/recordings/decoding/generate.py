@@ -89,7 +89,7 @@ def _failures(name: str) -> dict[str, Callable[..., NoReturn]]:
 class _CodeWriter:
     """Collects the lines of one function and tracks what is known of the read position.
 
-    The position is `o + ahead`; `modulus` and `residue` say what is known of it, counted from the start.
+    The position is `o + ahead`; counted from the start, it is `residue` modulo `modulus`.
     """
 
     def __init__(self, wire: Wire, reads: NumberReader) -> None:

@@ -309,7 +309,7 @@ class _IdlParser:
         return word
 
     def _identifier(self) -> str:
-        """Return a simple name; a leading "_" only says that it is no keyword of IDL."""
+        """Return a simple name; a leading "_" only marks it as no keyword of IDL."""
         word = self._next()
         if not re.fullmatch(r"[A-Za-z_]\w*", word, re.ASCII):
             raise SchemaError(f"'{word[:40]}' is not a name")

@@ -92,7 +92,7 @@ class Primitive:
 
 @dataclass(frozen=True, eq=False)
 class Array:
-    """Elements of one type; `length` is None where the message says how many."""
+    """Elements of one type; `length` is None where the message has their number."""
 
     element: Type
     length: int | None

@@ -56,7 +56,7 @@ OTHER_ENCAPSULATIONS = {
     10: "PL_CDR2 (big-endian)",
     11: "PL_CDR2 (little-endian)",
 }
-"""Known, and not read: their layout depends on the extensibility of types, which ROS schemas do not tell."""
+"""Known, and not read: their layout depends on the extensibility of types, which ROS schemas do not state."""
 
 
 def least_size(kind: Type, wire: Wire) -> int:
@@ -79,7 +79,7 @@ def object_count(kind: Type) -> int:
 
 
 def is_numbers(kind: Array) -> bool:
-    """Say whether an array is one of numbers or truth values."""
+    """Return whether an array is one of numbers or truth values."""
     return isinstance(kind.element, Primitive) and bool(kind.element.code)
 
 
@@ -136,11 +136,11 @@ def _plain(order: str) -> NumberReader:
 
 
 def read_wide(data: bytes, offset: int, count: int, is_little: bool) -> tuple[str, int]:
-    """Read a wide text whose length says `count`; returns it and the offset behind it.
+    """Read a wide text with the length `count`; returns it and the offset behind it.
 
-    Two layouts are in use and nothing tells which: Fast-CDR 1 (ROS 2 Humble and before) counts characters and writes
-    4 bytes each; DDS-XTypes 1.2 and later counts bytes of UTF-16. The first is taken where all of its characters are
-    ones that can be, which UTF-16 text of two characters or more practically never is.
+    Two layouts are in use, and nothing in the message identifies them: Fast-CDR 1 (ROS 2 Humble and before) counts
+    characters and writes 4 bytes each; DDS-XTypes 1.2 and later counts bytes of UTF-16. The first is taken where all of
+    its characters are ones that can be, which UTF-16 text of two characters or more practically never is.
     """
     wide = bytes(data[offset : offset + 4 * count])
     if len(wide) == 4 * count:

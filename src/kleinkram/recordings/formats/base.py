@@ -21,7 +21,7 @@ from kleinkram.recordings.temporary_files import TooLarge, temporary_database
 
 HEAD_BYTES = 4096  # bytes at the start of a file by which it is recognised
 LONG_HEAD_BYTES = 65536  # likewise of a database, whose schema is at its start
-MAX_UNASKED_BYTES = 2**30  # bytes of a file without index that are read over a network unless more is allowed
+MAX_REMOTE_SCAN_BYTES = 2**30  # bytes of a file without index that are read over a network unless more is allowed
 
 
 class Head(NamedTuple):
@@ -78,7 +78,7 @@ class OpenContext:
         """Return how many bytes of a file may be read only to open it; None: all."""
         if self.most_bytes is not None:
             return self.most_bytes
-        return None if isinstance(source, FileSource) else MAX_UNASKED_BYTES
+        return None if isinstance(source, FileSource) else MAX_REMOTE_SCAN_BYTES
 
     def copy(self, read: Callable[[int], bytes], name: str, logs: Mapping[str, Source] | None = None) -> Path:
         """Write a file, and a database's logs by their suffixes, to temporary files until the recording is closed."""
@@ -114,7 +114,7 @@ class Format:
 
 @dataclass(frozen=True)
 class MemberContents:
-    """What a file's index says, None where it does not: channels by number, messages by channel, inclusive times."""
+    """The content of a file by its index: channels by number, messages by channel, inclusive times; None: unknown."""
 
     channels: Mapping[int, Channel]
     counts: Mapping[int, int] | None
@@ -128,7 +128,7 @@ class Member(Protocol):
 
     @property
     def contents(self) -> MemberContents:
-        """What the file's index says."""
+        """The content by the file's index."""
 
     @property
     def summary(self) -> RecordingSummary | None:
@@ -167,7 +167,7 @@ class ChunkedMember:
 
     @property
     def contents(self) -> MemberContents:
-        """What the index says; once the index turned out wrong, the span by its message indexes."""
+        """The content by the index; if that is wrong, with the span by its message indexes."""
         check = self._file.check
         if check is None or check.span is None:
             return self._contents

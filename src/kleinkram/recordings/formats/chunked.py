@@ -249,13 +249,13 @@ class ChunkScanner(ABC, Generic[FactsT]):
             self._chunk.settle(self._scan.losses)
             self._chunk, self._content = None, b""
 
-    def _resync(self, damage: Malformed, believed: int = 0) -> None:
-        """Skip damage up to the next record; the first `believed` bytes are not lost."""
+    def _resync(self, damage: Malformed, valid_bytes: int = 0) -> None:
+        """Skip damage up to the next record; the first `valid_bytes` are not lost."""
         stream, losses = self._stream, self._scan.losses
         self._end_chunk()
         losses.note(damage)
         losses.messages_are_known = False
-        start = stream.position + believed
+        start = stream.position + valid_bytes
         self._search()
         losses.bytes += max(0, stream.position - start)
 

@@ -250,7 +250,7 @@ class _UlogScanner:
                 self._read_other(kind, bytes(window[body_at:after]))
             at = after
             if kind == MessageType.flag_bits:
-                break  # it may say where messages end
+                break  # it may define where messages end
         return at, False
 
     def _read_data(self, window: memoryview, at: int, size: int) -> None:

@@ -85,7 +85,7 @@ def ros2_name(message_type: str) -> str:
 
 @cache
 def ros1_md5(message_type: str) -> str:
-    """Return the md5 sum by which ROS 1 knows a type: constants first, nested types by their own sums."""
+    """Return the md5 sum by which ROS 1 identifies a type: constants first, nested types by their own sums."""
     lines = _FIELDS[message_type].splitlines()
     constants = [line for line in lines if "=" in line]
     fields: list[str] = []

@@ -99,7 +99,7 @@ def generate_mission(
     formats: Collection[SampleFormat] = tuple(SampleFormat),
     faults: Faults = _NO_FAULTS,
 ) -> MissionTruth:
-    """Make `drive.mcap` (zstd), `drive.bag` (lz4) and `drive_rosbag2/` (db3) in a directory, and say what is in them.
+    """Make `drive.mcap` (zstd), `drive.bag` (lz4) and `drive_rosbag2/` (db3) in a directory; return what is in them.
 
     With `size_bytes`, all data files together have about that size (to a few percent; below 1 MB a file, less); with
     `duration_s`, the drive lasts that long; with both, pictures and scans are scaled. The same arguments give the
@@ -237,7 +237,7 @@ def _record(plan: _Plan, seed: int, encoding: Encoding, faults: Faults, recorder
 
 
 def _truth(path: Path, topics: tuple[TopicTruth, ...], faults: Faults) -> FileTruth:
-    """Cut the finished file if it is to be cut, and say what is in it."""
+    """Cut the finished file if `faults` ask for it; return what is in it."""
     if faults.truncate_to is not None:
         os.truncate(path, int(path.stat().st_size * faults.truncate_to))
     return FileTruth(

@@ -61,8 +61,8 @@ async def add_person(db: Connection, *, name: str, person_id: uuid.UUID | None =
 
 async def own_group(db: Connection, person_id: uuid.UUID | None) -> uuid.UUID:
     """Return the group that is one person's own."""
-    found = select(access_group.c.id).where(access_group.c.person_id == person_id)
-    group_id: uuid.UUID = (await db.execute(found)).scalar_one()
+    stmt = select(access_group.c.id).where(access_group.c.person_id == person_id)
+    group_id: uuid.UUID = (await db.execute(stmt)).scalar_one()
     return group_id
 
 
@@ -73,12 +73,12 @@ async def prove_address(db: Connection, person_id: uuid.UUID, email: str, *, by:
     """
     values = {"email_key": email_key(email), "email": email, "person_id": person_id}
     row = upsert(person_email).values(**values, verified_at=func.now(), verified_by=by)
-    proven = row.on_conflict_do_update(
+    row = row.on_conflict_do_update(
         index_elements=["email_key"],
         set_={"email": email, "verified_at": func.now(), "verified_by": by},
         where=person_email.c.person_id == person_id,
     )
-    if (await db.execute(proven.returning(person_email.c.email_key))).first() is None:
+    if (await db.execute(row.returning(person_email.c.email_key))).first() is None:
         return False
     await join_email_groups(db, person_id, email)
     return True

@@ -171,7 +171,7 @@ def owned_by_groups(group_ids: Collection[uuid.UUID]) -> Select[tuple[uuid.UUID]
 async def ensure_owner_remains(db: Connection, project_ids: Sequence[uuid.UUID]) -> None:
     """Check that projects, also in the trash, still have a permanent owner. Raises LastOwner."""
     if unowned := await _unowned(db, project_ids):
-        raise LastOwner(projects=[each.name for each in unowned])
+        raise LastOwner(projects=[owned.name for owned in unowned])
 
 
 async def ensure_admin_remains(db: Connection) -> None:
@@ -185,8 +185,8 @@ async def ensure_admin_remains(db: Connection) -> None:
 async def give_to_admins(db: Connection, project_ids: Sequence[uuid.UUID]) -> list[OwnedProject]:
     """Make the admins owners of those projects that nobody owns any more, and return these."""
     unowned = await _unowned(db, project_ids)
-    for each in unowned:
-        await own_project(db, project_id=each.id, group_id=ADMINS_ID)
+    for owned in unowned:
+        await own_project(db, project_id=owned.id, group_id=ADMINS_ID)
     return unowned
 
 

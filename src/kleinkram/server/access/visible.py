@@ -1,7 +1,7 @@
-"""What somebody may see: the selects that every other select narrows. Rights are decided here and nowhere else.
+"""What an actor may see: the selects that all other selects narrow. Rights are decided here and nowhere else.
 
-A right is a grant to a group that one is in, on a project or on a mission; the highest one counts. Admins reach all,
-and anybody may read what is public. A credential with limits reaches nothing outside of them, whoever carries it.
+A right is a grant to one of the actor's groups, on a project or on a mission; the highest one counts. Admins have all
+rights, and everybody may read what is public. A credential with limits reaches nothing outside of them.
 """
 
 import datetime
@@ -43,21 +43,20 @@ from kleinkram.server.tables import (
     recording,
 )
 
-# What says of a time of expiry that something is not over.
+# A condition on a time of expiry.
 Still = Callable[[ColumnElement[Any]], ColumnElement[bool]]
-# A column of a grant, and that of the row it is a grant on.
-Place = tuple[ColumnElement[Any], ColumnElement[Any]]
-# Putting these into words again with each request would cost about as much as asking the database for them: so much is
-# kept of who asked last.
+# A column of a grant, and the column that it refers to.
+_GrantColumns = tuple[ColumnElement[Any], ColumnElement[Any]]
+# Building these expressions again for each request would take about as long as executing them.
 _CACHE_SIZE = 1000
-# Whoever is in one of these together knows of each other; all admins of a server need not.
+# Members of these groups see each other; the admins of a server do not by that alone.
 _SHARED = (GroupKind.custom.value, GroupKind.affiliation.value)
 _GROUPS = (*_SHARED, GroupKind.admins.value)
 _public = project.alias("public_project")
 
 
 def visible_projects(actor: Actor, right: Right = Right.read) -> Select[Any]:
-    """Return the projects on which `actor` has a right. A right on a mission does not show its project here."""
+    """Return the projects on which `actor` has a right; a right on a mission does not include its project."""
     return select(project).where(project.c.deleted_at.is_(None), _reaches_project(actor, right))
 
 
@@ -70,19 +69,19 @@ def visible_missions(actor: Actor, right: Right = Right.read) -> Select[Any]:
 def visible_files(actor: Actor, right: Right = Right.read) -> Select[Any]:
     """Return the files on which `actor` has a right, joined with their missions, projects and blobs."""
     live = (file.c.deleted_at.is_(None), mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
-    return joined_files().where(*live, _reaches_file(actor, right))
+    return joined_files().where(*live, _reaches_mission(actor, right), shown_files(actor))
 
 
 @functools.cache
 def joined_missions() -> Select[Any]:
-    """Return all missions joined with their projects: nothing is said here of who sees them."""
+    """Return all missions joined with their projects, whoever sees them."""
     return select(mission).join(project, project.c.id == mission.c.project_id)
 
 
 @functools.cache
 def joined_files() -> Select[Any]:
-    """Return all files joined with their missions, projects and blobs: nothing is said here of who sees them."""
-    # Each file has its blob. As an outer join the database leaves it out where nothing is asked of blobs.
+    """Return all files joined with their missions, projects and blobs, whoever sees them."""
+    # Every file has a blob. PostgreSQL drops an outer join if no column of it is used.
     return (
         select(file)
         .join(mission, mission.c.id == file.c.mission_id)
@@ -92,72 +91,74 @@ def joined_files() -> Select[Any]:
 
 
 def reached_projects(actor: Actor) -> Select[Any]:
-    """Return the projects that `actor` may know of, in the trash too: to say that one changed, and nothing of it."""
+    """Return the projects of which `actor` may know that they changed, including those in the trash."""
     return select(project).where(_reaches_project(actor, Right.read))
 
 
 def reached_missions(actor: Actor) -> Select[Any]:
-    """Return the missions that `actor` may know of, in the trash too, joined with their projects; for the same."""
+    """Return the missions of which `actor` may know that they changed, joined with their projects."""
     return joined_missions().where(_reaches_mission(actor, Right.read))
 
 
-def standing(actor: Actor) -> Select[Any]:
-    """Return a text that is another one as soon as what is granted to `actor`, or to everybody, is something else."""
+def rights_hash(actor: Actor) -> Select[Any]:
+    """Return a hash that changes when what is granted to `actor`, or to everybody, changes."""
     mine = (access_grant.c.group_id == any_(_memberships(actor.person_id))) & unexpired(access_grant.c.expires_at)
     place = func.coalesce(access_grant.c.project_id, access_grant.c.mission_id)
-    granted = select(func.concat(place, " ", access_grant.c.level).label("said")).where(mine)
-    public = select(func.concat(_public.c.id, " public").label("said")).where(_public.c.is_public)
-    said = union_all(granted, public).subquery().c.said
-    return select(func.md5(func.coalesce(func.string_agg(said, aggregate_order_by(literal(","), said)), "")))
+    granted = select(func.concat(place, " ", access_grant.c.level).label("item")).where(mine)
+    public = select(func.concat(_public.c.id, " public").label("item")).where(_public.c.is_public)
+    items = union_all(granted, public).subquery().c.item
+    return select(func.md5(func.coalesce(func.string_agg(items, aggregate_order_by(literal(","), items)), "")))
 
 
 def trashed_projects(actor: Actor) -> Select[Any]:
-    """Return the projects in the trash that `actor` may have back."""
+    """Return the projects in the trash that `actor` may restore."""
     return select(project).where(project.c.deleted_at.is_not(None), _reaches_project(actor, Right.delete))
 
 
 def trashed_missions(actor: Actor) -> Select[Any]:
-    """Return the missions in the trash by themselves that `actor` may have back, joined with their projects."""
+    """Return the missions that were deleted by themselves and that `actor` may restore, joined with their projects."""
     return joined_missions().where(mission.c.deleted_at.is_not(None), _reaches_mission(actor, Right.delete))
 
 
 def trashed_files(actor: Actor) -> Select[Any]:
-    """Return the files in the trash by themselves that `actor` may have back, joined as in `visible_files`."""
-    return joined_files().where(file.c.deleted_at.is_not(None), _reaches_file(actor, Right.delete))
+    """Return the files that were deleted by themselves and that `actor` may restore, joined as in `visible_files`."""
+    return joined_files().where(
+        file.c.deleted_at.is_not(None), _reaches_mission(actor, Right.delete), shown_files(actor)
+    )
 
 
 def sees_whole_missions(actor: Actor) -> bool:
-    """Say whether a mission that `actor` sees shows all that is in it, its metadata too.
+    """Whether `actor` sees everything in a visible mission, including its metadata.
 
-    By a link to some of its files it shows these and its name; who may only upload sees names, and what they brought.
+    Links to some files show these and the mission's name; tokens for uploads show names and their own uploads.
     """
     return Scope.read in actor.scopes and (actor.limits is None or actor.limits.file_ids is None)
 
 
 def shown_files(actor: Actor) -> ColumnElement[bool]:
-    """Say of each `file` of a mission that `actor` sees whether it is shown to them."""
+    """Whether each `file` of a visible mission is shown to `actor`."""
     shown: ColumnElement[bool] = true()
     if actor.limits is not None and actor.limits.file_ids is not None:
         shown = among(file.c.id, actor.limits.file_ids)
     if Scope.read not in actor.scopes:
-        # Who may only upload sees the files they brought, so that an upload can be answered, and no other.
+        # The person's own uploads only, so that an upload can be answered.
         shown = and_(shown, file.c.uploaded_by_id == actor.person_id)
     return shown
 
 
 def shown_recordings(actor: Actor) -> ColumnElement[bool]:
-    """Say of each `recording` of a mission that `actor` sees whether all files it is made of are shown to them."""
+    """Whether all files of each `recording` of a visible mission are shown to `actor`."""
     if sees_whole_missions(actor):
         return true()
     member = select(file.c.id).where(file.c.recording_id == recording.c.id, file.c.deleted_at.is_(None))
     shown = shown_files(actor)
     members = (member.where(shown), member.where(not_(shown)))
-    some, others = (each.correlate(recording).exists() for each in members)
+    some, others = (stmt.correlate(recording).exists() for stmt in members)
     return and_(some, not_(others))
 
 
 def shown_span(actor: Actor) -> tuple[ColumnElement[int | None], ColumnElement[int | None]]:
-    """Return start and end of each `mission` of a select as far as its files are shown, in ns of the log clock."""
+    """Return start and end, in ns of the log clock, of the shown files of each `mission` of a select."""
     if sees_whole_missions(actor):
         return mission.c.start_ns, mission.c.end_ns
     inside = (file.c.mission_id == mission.c.id, file.c.deleted_at.is_(None), shown_files(actor))
@@ -191,24 +192,23 @@ def _at_most(actor: Actor, level: ColumnElement[int]) -> ColumnElement[int]:
 
 
 def lasting_level_on_project(actor: Actor, until: datetime.datetime | None) -> ColumnElement[int]:
-    """Return the level of `actor`'s right on each `project` of a select that lasts until then, or for good."""
+    """Return the level of `actor`'s right on each `project` of a select that lasts until a time, or permanently."""
     if actor.is_admin:
         return literal(Right.delete.level)
     return _granted_level(actor.person_id, (access_grant.c.project_id, project.c.id), project, _lasting(until))
 
 
 def lasting_level_on_mission(actor: Actor, until: datetime.datetime | None) -> ColumnElement[int]:
-    """Return the same on each `mission` of a select."""
+    """Like `lasting_level_on_project`, for each `mission` of a select."""
     if actor.is_admin:
         return literal(Right.delete.level)
     return func.greatest(*_levels_granted_on_mission(actor.person_id, _lasting(until)))
 
 
 def visible_people(actor: Actor) -> Select[Any]:
-    """Return the people whom `actor` may know of: active ones that share a group, a project or a mission with them.
+    """Return the active people who share a group, a project or a mission with `actor`; admins see everybody.
 
-    Whoever was let in by an e-mail address does not show by that, so that nobody learns who has which address. Admins
-    see all, those who left too. What a limited token's carrier sees is themselves.
+    Grants to addresses do not count: nobody learns who has which address. Limited tokens show only their holder.
     """
     if actor.limits is not None:
         return select(person).where(person.c.id == actor.person_id)
@@ -223,7 +223,7 @@ def visible_people(actor: Actor) -> Select[Any]:
 
 
 def visible_groups(actor: Actor) -> Select[Any]:
-    """Return the groups that `actor` is in, of those that several people can be in; admins see all of these."""
+    """Return the groups, of the kinds that can have several members, that `actor` is in; admins see all."""
     if actor.limits is not None:
         return select(access_group).where(false())
     if actor.is_admin:
@@ -232,10 +232,9 @@ def visible_groups(actor: Actor) -> Select[Any]:
 
 
 def knows_addresses(actor: Actor) -> ColumnElement[bool]:
-    """Say of each `person` of a select whether `actor` may know their addresses: editors of a shared group, admins.
+    """Whether `actor` may know the addresses of each `person` of a select: as editor of a shared group, or as admin.
 
-    Whom an editor put into the group by themselves does not count there: else whoever may make groups would learn the
-    address of everybody whom they see.
+    People whom the editor added do not count: everybody who may create groups would learn everybody's address.
     """
     if actor.limits is not None or actor.is_admin:
         return literal(actor.limits is None) | (person.c.id == actor.person_id)
@@ -256,11 +255,11 @@ def _my_groups(actor: Actor, kinds: Collection[str] = _SHARED, *, editors_only: 
 
 
 def _granted_where(actor: Actor) -> Select[Any]:
-    """Return the ids of the people who were granted something on a project, or a mission, where `actor` was too."""
+    """Return the ids of the people who have a grant on a project or mission on which `actor` has one."""
     theirs, group = membership.alias("granted"), access_group.alias("granted_group")
     granted = access_grant.alias("their_grant")
-    my_projects = _granted(actor, access_grant.c.project_id, Right.read)
-    my_missions = _granted(actor, access_grant.c.mission_id, Right.read)
+    my_projects = _granted_to(actor.person_id, access_grant.c.project_id, Right.read)
+    my_missions = _granted_to(actor.person_id, access_grant.c.mission_id, Right.read)
     missions = select(mission.c.id).where(mission.c.project_id.in_(my_projects))
     shared = or_(
         granted.c.project_id.in_(my_projects),
@@ -304,16 +303,8 @@ def _reaches_mission(actor: Actor, right: Right) -> ColumnElement[bool]:
 
 @functools.lru_cache(maxsize=_CACHE_SIZE)
 def _granted_on_mission(person_id: uuid.UUID | None, right: Right) -> ColumnElement[bool]:
-    return or_(mission.c.project_id.in_(_my_projects(person_id, right)), _granted_itself(person_id, right))
-
-
-@functools.lru_cache(maxsize=_CACHE_SIZE)
-def _granted_itself(person_id: uuid.UUID | None, right: Right) -> ColumnElement[bool]:
-    return mission.c.id.in_(_granted_to(person_id, access_grant.c.mission_id, right))
-
-
-def _reaches_file(actor: Actor, right: Right) -> ColumnElement[bool]:
-    return and_(_reaches_mission(actor, right), shown_files(actor))
+    by_mission = mission.c.id.in_(_granted_to(person_id, access_grant.c.mission_id, right))
+    return or_(mission.c.project_id.in_(_my_projects(person_id, right)), by_mission)
 
 
 def _my_projects(person_id: uuid.UUID | None, right: Right) -> Select[Any] | CompoundSelect[Any]:
@@ -337,13 +328,9 @@ def _lasting(until: datetime.datetime | None) -> Still:
     return lambda expires_at: or_(expires_at.is_(None), expires_at >= until)
 
 
-def _granted(actor: Actor, place: ColumnElement[Any], right: Right) -> Select[Any]:
-    return _granted_to(actor.person_id, place, right)
-
-
 @functools.lru_cache(maxsize=_CACHE_SIZE)
 def _granted_to(person_id: uuid.UUID | None, place: ColumnElement[Any], right: Right) -> Select[Any]:
-    # Asked with IN and of nothing outside: found once a statement and hashed, however many grants there are.
+    # For IN, uncorrelated: evaluated once per statement and hashed, for any number of grants.
     mine = (access_grant.c.group_id == any_(_memberships(person_id))) & unexpired(access_grant.c.expires_at)
     return select(place).where(mine, place.is_not(None), access_grant.c.level >= right.level).correlate(None)
 
@@ -354,7 +341,7 @@ def _public_or_granted_level(person_id: uuid.UUID | None) -> ColumnElement[int]:
 
 
 def _levels_granted_on_mission(person_id: uuid.UUID | None, still: Still = unexpired) -> list[ColumnElement[int]]:
-    # Two looks, each into its own index: with OR, the database may well go through all grants of all the groups.
+    # Two subqueries with an index each: with OR, PostgreSQL may scan all grants of the groups.
     return [
         _granted_level(person_id, (access_grant.c.project_id, mission.c.project_id), mission, still),
         _granted_level(person_id, (access_grant.c.mission_id, mission.c.id), mission, still),
@@ -362,15 +349,17 @@ def _levels_granted_on_mission(person_id: uuid.UUID | None, still: Still = unexp
 
 
 def _granted_level(
-    person_id: uuid.UUID | None, place: Place, outer: Any, still: Still = unexpired
+    person_id: uuid.UUID | None, place: _GrantColumns, outer: Any, still: Still = unexpired
 ) -> ColumnElement[int]:
-    # What lasts until some moment is asked for seldom, and each time of another.
+    # Levels until a given time are rare, and each is different: do not cache them.
     level = _level_granted_to if still is unexpired else _level_granted_to.__wrapped__
     return level(person_id, place, outer, still)
 
 
 @functools.lru_cache(maxsize=_CACHE_SIZE)
-def _level_granted_to(person_id: uuid.UUID | None, place: Place, outer: Any, still: Still) -> ColumnElement[int]:
+def _level_granted_to(
+    person_id: uuid.UUID | None, place: _GrantColumns, outer: Any, still: Still
+) -> ColumnElement[int]:
     granted_on, here = place
     mine = (access_grant.c.group_id == any_(_memberships(person_id, still))) & still(access_grant.c.expires_at)
     highest = select(func.coalesce(func.max(access_grant.c.level), 0)).where(mine, granted_on == here)

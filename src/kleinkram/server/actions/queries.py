@@ -12,7 +12,7 @@ from kleinkram.contract.projects import ProjectRef
 from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.visible import visible_projects
 from kleinkram.server.filters.patterns import matches_key
-from kleinkram.server.paging import Order
+from kleinkram.server.pagination import Order
 from kleinkram.server.tables import action, action_version, person, project
 
 ACTION_ORDER = Order([action.c.name, action.c.id])

@@ -17,7 +17,7 @@ from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.server.actions import service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Reading, Transaction
 from kleinkram.server.http.headers import IfMatch
-from kleinkram.server.paging import PageRequest
+from kleinkram.server.pagination import PageRequest
 
 router = APIRouter(prefix="/api/v1/actions", tags=["actions"])
 

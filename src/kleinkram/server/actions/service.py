@@ -26,7 +26,7 @@ from kleinkram.server.actions import queries
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.http.headers import require_match
-from kleinkram.server.paging import PageRequest, fetch_page
+from kleinkram.server.pagination import PageRequest, fetch_page
 from kleinkram.server.settings import Creators
 from kleinkram.server.tables import action, action_version
 

@@ -53,16 +53,16 @@ async def get_admin_scrub(db: Transaction, settings: CurrentSettings) -> ScrubSt
 
 @router.post("/scrub", operation_id="begin_scrub", status_code=202)
 async def begin_scrub(
-    wanted: ScrubRequest, db: Transaction, actor: CurrentActor, settings: CurrentSettings
+    request: ScrubRequest, db: Transaction, actor: CurrentActor, settings: CurrentSettings
 ) -> ScrubRead:
     """Have the store's list compared with the database now."""
-    return await service.begin_scrub(db, actor, settings, believe=wanted.believe)
+    return await service.begin_scrub(db, actor, settings, believe=request.believe)
 
 
 @router.get("/health", operation_id="get_admin_health")
-async def get_admin_health(request: Request, context: CurrentContext, _actor: CurrentActor) -> AdminHealth:
+async def get_admin_health(http_request: Request, context: CurrentContext, _actor: CurrentActor) -> AdminHealth:
     """Say how database, store and workers are."""
-    return await service.get_health(context, takes_pages=request.app.state.pages_may_send)
+    return await service.get_health(context, takes_pages=http_request.app.state.pages_may_send)
 
 
 @router.get("/settings", operation_id="get_admin_settings")

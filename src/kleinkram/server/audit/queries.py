@@ -31,7 +31,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import level_on_mission, level_on_project, trashed_projects, visible_projects
 from kleinkram.server.db import unnest_rows
 from kleinkram.server.filters.patterns import matches
-from kleinkram.server.paging import Order
+from kleinkram.server.pagination import Order
 from kleinkram.server.tables import (
     access_group,
     audit_event,

@@ -10,7 +10,7 @@ from kleinkram.contract.audit import AuditFilter, AuditRead
 from kleinkram.contract.base import Page
 from kleinkram.server.audit import service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentDatabase, Transaction
-from kleinkram.server.paging import PageQuery
+from kleinkram.server.pagination import PageQuery
 
 router = APIRouter(prefix="/api/v1/audit", tags=["audit"])
 

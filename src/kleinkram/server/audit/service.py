@@ -15,7 +15,7 @@ from kleinkram.server.access.operations import OPERATIONS, ResourceKind
 from kleinkram.server.audit.queries import AUDIT_ORDER, EventPlace, lacks_own_right, matching_events, to_event
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection, Database, insert_rows, unnest_rows
-from kleinkram.server.paging import PageRequest, read_page
+from kleinkram.server.pagination import PageRequest, read_page
 from kleinkram.server.tables import audit_event
 
 _EXPORT_BATCH = 500

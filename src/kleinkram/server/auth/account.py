@@ -10,7 +10,6 @@ import enum
 import secrets
 import time
 import uuid
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import pyotp
@@ -98,7 +97,8 @@ async def begin_totp(db: Connection, actor: Actor, *, settings: Settings) -> Tot
 
     Raises Forbidden or NameTaken.
     """
-    if actor.person_id is None or not await _has_password(db, actor.person_id):
+    has_password = select(password.c.person_id).where(password.c.person_id == actor.person_id)
+    if actor.person_id is None or (await db.execute(has_password)).first() is None:
         needs = "an account with a password; providers have second factors of their own"
         raise Forbidden(noun="account", operation="add a second factor", needs=needs)
     secret = pyotp.random_base32()
@@ -195,7 +195,11 @@ async def _check(db: Connection, enrolled: _Totp, code: str, guest: Actor | None
         return _Result.wrong
     text = code.replace(" ", "").replace("-", "").upper()
     stmt = update(totp).where(totp.c.person_id == enrolled.person_id)
-    step = _matching_step(enrolled, text)
+    device, now = pyotp.TOTP(enrolled.secret, interval=_PERIOD_S), int(time.time()) // _PERIOD_S
+    steps = range(now - _MAX_DRIFT, now + _MAX_DRIFT + 1)
+    matching = [step for step in steps if secrets.compare_digest(device.generate_otp(step).encode(), text.encode())]
+    # Codes up to the last accepted one are replays.
+    step = next((step for step in matching if step > enrolled.last_step), None)
     if step is not None:
         await db.execute(stmt.values(last_step=step, failed_count=0, failed_at=None))
         return _Result.correct
@@ -214,20 +218,8 @@ async def _check(db: Connection, enrolled: _Totp, code: str, guest: Actor | None
     return _Result.wrong
 
 
-def _matching_step(enrolled: _Totp, code: str) -> int | None:
-    """Return the time step of a code, if it is later than that of the last accepted code."""
-    device, now = pyotp.TOTP(enrolled.secret, interval=_PERIOD_S), int(time.time()) // _PERIOD_S
-    steps = range(now - _MAX_DRIFT, now + _MAX_DRIFT + 1)
-    matching = [step for step in steps if secrets.compare_digest(device.generate_otp(step).encode(), code.encode())]
-    return next((step for step in matching if step > enrolled.last_step), None)
-
-
 def _wrong() -> SecondFactorWrong:
     return SecondFactorWrong(max_attempts=_MAX_FAILURES, minutes=_LOCKOUT.total_seconds() / 60)
-
-
-async def _has_password(db: Connection, person_id: uuid.UUID) -> bool:
-    return (await db.execute(select(password.c.person_id).where(password.c.person_id == person_id))).first() is not None
 
 
 async def _create_recovery_codes(db: Connection, person_id: uuid.UUID) -> RecoveryCodes:
@@ -236,14 +228,6 @@ async def _create_recovery_codes(db: Connection, person_id: uuid.UUID) -> Recove
     rows = [{"person_id": person_id, "secret_sha256": secret_hash(code)} for code in codes]
     await db.execute(insert(recovery_code), rows)
     return RecoveryCodes(codes=["-".join(code[at : at + 4] for at in range(0, 16, 4)) for code in codes])
-
-
-class _Identity(NamedTuple):
-    id: uuid.UUID
-    issuer: str
-    email: str | None
-    created_at: datetime.datetime
-    last_used_at: datetime.datetime
 
 
 async def get_me(db: Connection, actor: Actor) -> MeRead:
@@ -280,22 +264,17 @@ async def get_me(db: Connection, actor: Actor) -> MeRead:
 async def _get_credential(db: Connection, actor: Actor) -> CredentialRead:
     if actor.token_id is not None:
         row = (await db.execute(select(token).where(token.c.id == actor.token_id))).one()
-        return CredentialRead(
-            id=row.id,
-            kind=CredentialKind(row.kind),
-            name=row.name,
-            scopes=[Scope(scope) for scope in row.scopes],
-            is_limited=row.is_limited,
-            expires_at=row.expires_at,
+        kind, name, scopes, is_limited = (
+            CredentialKind(row.kind),
+            row.name,
+            [Scope(scope) for scope in row.scopes],
+            row.is_limited,
         )
-    row = (await db.execute(select(session).where(session.c.id == actor.session_id))).one()
+    else:
+        row = (await db.execute(select(session).where(session.c.id == actor.session_id))).one()
+        kind, name, scopes, is_limited = CredentialKind.session, row.method, sorted(actor.scopes), False
     return CredentialRead(
-        id=row.id,
-        kind=CredentialKind.session,
-        name=row.method,
-        scopes=sorted(actor.scopes),
-        is_limited=False,
-        expires_at=row.expires_at,
+        id=row.id, kind=kind, name=name, scopes=scopes, is_limited=is_limited, expires_at=row.expires_at
     )
 
 
@@ -322,12 +301,28 @@ async def get_account(db: Connection, actor: Actor, *, settings: Settings) -> Ac
 
 async def list_identities(db: Connection, actor: Actor, *, settings: Settings) -> list[IdentityRead]:
     """Return the actor's linked identities in the order in which they were linked."""
-    columns = [identity.c[name] for name in _Identity._fields]
     linked = (identity.c.person_id == actor.person_id) & identity.c.unlinked_at.is_(None)
-    rows = await db.execute(select(*columns).where(linked).order_by(identity.c.created_at, identity.c.id))
-    identities = [_Identity(*row) for row in rows]
-    has_other_method = await _has_other_method(db, actor, settings)
-    return [_to_read(row, identities, has_other_method=has_other_method, settings=settings) for row in identities]
+    stmt = select(identity).where(linked).order_by(identity.c.created_at, identity.c.id)
+    rows = (await db.execute(stmt)).all()
+    # Without a provider, people sign in with a password, and the owner with a link.
+    has_other_method = actor.person_id == OWNER_ID and settings.owner_token_file is not None
+    if not has_other_method and (await db.execute(_addresses(actor))).first() is not None:
+        has_other_method = await _may_use_password(db, actor, settings)
+    titles = {provider.issuer: provider.title for provider in settings.oidc_providers}
+    # Identities of providers that left the settings no longer work.
+    usable_ids = {row.id for row in rows if row.issuer in titles}
+    return [
+        IdentityRead(
+            id=row.id,
+            issuer=row.issuer,
+            provider=titles.get(row.issuer),
+            is_last=not has_other_method and not usable_ids - {row.id},
+            email=row.email,
+            created_at=row.created_at,
+            last_used_at=row.last_used_at,
+        )
+        for row in rows
+    ]
 
 
 async def unlink_identity(db: Connection, actor: Actor, *, identity_id: uuid.UUID, settings: Settings) -> None:
@@ -355,28 +350,3 @@ def _addresses(actor: Actor) -> Select[Any]:
 async def _may_use_password(db: Connection, actor: Actor, settings: Settings) -> bool:
     has_password = exists().where(password.c.person_id == actor.person_id)
     return settings.local_accounts and bool((await db.execute(select(has_password))).scalar_one())
-
-
-async def _has_other_method(db: Connection, actor: Actor, settings: Settings) -> bool:
-    """Whether the actor can sign in without a provider: with a password, or as the owner with a link."""
-    if actor.person_id == OWNER_ID and settings.owner_token_file is not None:
-        return True
-    has_address = (await db.execute(_addresses(actor))).first() is not None
-    return has_address and await _may_use_password(db, actor, settings)
-
-
-def _to_read(
-    row: _Identity, linked: Sequence[_Identity], *, has_other_method: bool, settings: Settings
-) -> IdentityRead:
-    titles = {provider.issuer: provider.title for provider in settings.oidc_providers}
-    # Identities of providers that left the settings no longer work.
-    others = [other for other in linked if other.id != row.id and other.issuer in titles]
-    return IdentityRead(
-        id=row.id,
-        issuer=row.issuer,
-        provider=titles.get(row.issuer),
-        is_last=not has_other_method and not others,
-        email=row.email,
-        created_at=row.created_at,
-        last_used_at=row.last_used_at,
-    )

@@ -13,7 +13,7 @@ from kleinkram.contract.accounts import AdminBootstrap, OneTimeLink
 from kleinkram.contract.errors import CodeGone, FieldProblem, Forbidden, InvalidRequest, SignInRefused
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.tokens import SecretKind
-from kleinkram.server.access.actor import Actor, beginning, new_secret, secret_hash, unexpired
+from kleinkram.server.access.actor import Actor, new_secret, secret_hash, secret_prefix, unexpired
 from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID, OWNER_TOKEN_NAME, add_person, make_admin, prove_address
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.auth.local_accounts import refuse_obvious_password, set_password
@@ -45,7 +45,7 @@ async def log_bootstrap_code(db: Connection) -> None:
 
 
 async def bootstrap_admin(
-    db: Connection, actor: Actor, *, bootstrap: AdminBootstrap, password_hash: str | None
+    db: Connection, actor: Actor, *, request: AdminBootstrap, password_hash: str | None
 ) -> uuid.UUID:
     """Make the signed-in person, or a new local account, the first admin; returns the person.
 
@@ -54,14 +54,23 @@ async def bootstrap_admin(
     await db.execute(select(func.pg_advisory_xact_lock(_BOOTSTRAP_LOCK)))
     if await has_admin(db):
         raise CodeGone
-    await use_code(db, bootstrap.code, CodePurpose.bootstrap)
+    await use_code(db, request.code, CodePurpose.bootstrap)
     person_id, name = actor.person_id, actor.name
     if person_id is None:
-        person_id, name = await _new_account(db, bootstrap, password_hash)
+        if request.name is None or request.email is None or request.password is None or password_hash is None:
+            missing = [field for field in ("name", "email", "password") if getattr(request, field) is None]
+            raise InvalidRequest(problems=[FieldProblem(field=field, message="is missing") for field in missing])
+        name = request.name
+        refuse_obvious_password(request.password, field="password", about=(name, request.email))
+        person_id = await add_person(db, name=name)
+        if not await prove_address(db, person_id, request.email, by="bootstrap"):
+            raise SignInRefused(
+                reason=f"{request.email} has an account already. Sign in with it, then become the first admin."
+            )
+        await set_password(db, person_id, password_hash)
     await make_admin(db, person_id)
-    await record(
-        db, actor, Event("server.bootstrap", "person", person_id, name, None, after={"email": bootstrap.email})
-    )
+    event = Event("server.bootstrap", "person", person_id, name, None, after={"email": request.email})
+    await record(db, actor, event)
     return person_id
 
 
@@ -75,24 +84,6 @@ async def create_owner_link(db: Connection, actor: Actor, *, settings: Settings)
     return code.link(settings, CodePurpose.owner)
 
 
-async def _new_account(db: Connection, bootstrap: AdminBootstrap, password_hash: str | None) -> tuple[uuid.UUID, str]:
-    missing = [
-        FieldProblem(field=field, message="is missing")
-        for field in ("name", "email", "password")
-        if getattr(bootstrap, field) is None
-    ]
-    if bootstrap.name is None or bootstrap.email is None or bootstrap.password is None or password_hash is None:
-        raise InvalidRequest(problems=missing)
-    refuse_obvious_password(bootstrap.password, field="password", about=(bootstrap.name, bootstrap.email))
-    person_id = await add_person(db, name=bootstrap.name)
-    if not await prove_address(db, person_id, bootstrap.email, by="bootstrap"):
-        raise SignInRefused(
-            reason=f"{bootstrap.email} has an account already. Sign in with it, then become the first admin."
-        )
-    await set_password(db, person_id, password_hash)
-    return person_id, bootstrap.name
-
-
 _log = logging.getLogger("kleinkram.owner")
 OWNER_NAME = "owner"
 
@@ -102,8 +93,8 @@ async def let_owner_in(db: Connection, token_file: Path) -> None:
 
     Raises RuntimeError.
     """
-    held = (await asyncio.to_thread(token_file.read_text, encoding="ascii")).strip()
-    if held and await ensure_owner(db, held):
+    stored = (await asyncio.to_thread(token_file.read_text, encoding="ascii")).strip()
+    if stored and await ensure_owner(db, stored):
         return
     renewed = new_secret(SecretKind.personal).text
     await ensure_owner(db, renewed)
@@ -124,14 +115,14 @@ async def ensure_owner(db: Connection, secret_token: str) -> bool:
     # Processes that start together do this one after the other.
     await db.execute(select(person.c.id).where(person.c.id == OWNER_ID).with_for_update(key_share=True))
     secret = secret_hash(secret_token)
-    held = (await db.execute(select(token.c.revoked_at).where(token.c.secret_sha256 == secret))).one_or_none()
-    if held is not None:
-        return held.revoked_at is None
+    stored = (await db.execute(select(token.c.revoked_at).where(token.c.secret_sha256 == secret))).one_or_none()
+    if stored is not None:
+        return stored.revoked_at is None
     stale = (token.c.person_id == OWNER_ID) & (token.c.name == OWNER_TOKEN_NAME) & token.c.revoked_at.is_(None)
     revoked = await db.execute(update(token).where(stale).values(revoked_at=func.now()).returning(token.c.id))
     made = uuid.uuid4()
     values = {"id": made, "person_id": OWNER_ID, "name": OWNER_TOKEN_NAME, "secret_sha256": secret}
-    values |= {"prefix": beginning(secret_token)}
+    values |= {"prefix": secret_prefix(secret_token)}
     await db.execute(insert(token).values(scopes=[Scope.admin.value], **values))
     events = [Event("token.revoke", "token", token_id, OWNER_TOKEN_NAME, None) for token_id in revoked.scalars()]
     await record(db, None, *events, Event("token.create", "token", made, OWNER_TOKEN_NAME, None))

@@ -42,7 +42,7 @@ from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.access.groups import add_person, prove_address
 from kleinkram.server.access.rights import lock_person
 from kleinkram.server.audit.service import Event, record
-from kleinkram.server.auth.one_time_codes import CodeRequest, create_code, get_code, require_person, use_code
+from kleinkram.server.auth.one_time_codes import CodeRequest, create_code, require_person, use_code
 from kleinkram.server.auth.sessions import end_sessions
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.runners.eligibility import has_single_person, invitation_warning, known_runners
@@ -90,7 +90,14 @@ class PasswordHasher:
 
     async def verify(self, hashed: str | None, password: str) -> bool:
         """Whether a password matches a hash; with None, take equally long and return False. Raises SlowDown."""
-        return await self._run(lambda: _matches(hashed or _unknown_hash(), password)) and hashed is not None
+
+        def matches() -> bool:
+            try:
+                return _argon2.verify(hashed or _unknown_hash(), password)
+            except (VerificationError, InvalidHashError):
+                return False
+
+        return await self._run(matches) and hashed is not None
 
     @staticmethod
     def is_outdated(hashed: str) -> bool:
@@ -106,13 +113,6 @@ class PasswordHasher:
                 return await asyncio.to_thread(work)
         finally:
             self._waiting -= 1
-
-
-def _matches(hashed: str, password: str) -> bool:
-    try:
-        return _argon2.verify(hashed, password)
-    except (VerificationError, InvalidHashError):
-        return False
 
 
 @cache
@@ -281,11 +281,6 @@ async def create_reset_link(db: Connection, actor: Actor, *, person_id: uuid.UUI
     after: Metadata = {"expires_at": code.expires_at.isoformat()}
     await record(db, actor, Event("password.reset_link", "person", person_id, owner.name, None, after=after))
     return code.link(settings, CodePurpose.reset)
-
-
-async def get_reset_person(db: Connection, code: str) -> uuid.UUID:
-    """Return the person whose password a link resets, without using the link. Raises CodeGone."""
-    return require_person(await get_code(db, code, CodePurpose.reset))
 
 
 async def reset_password(db: Connection, guest: Actor, *, reset: PasswordReset, password_hash: str) -> uuid.UUID:

@@ -92,13 +92,13 @@ async def use_code(db: Connection, secret: str, purpose: CodePurpose) -> StoredC
     return StoredCode(*row)
 
 
-async def get_code(db: Connection, secret: str, purpose: CodePurpose) -> StoredCode:
-    """Return a code without using it. Raises CodeGone."""
-    stmt = select(*_STORED).where(*_is_valid_code(secret), one_time_code.c.purpose == purpose.value)
-    row = (await db.execute(stmt)).one_or_none()
-    if row is None:
+async def get_code_person(db: Connection, secret: str, purpose: CodePurpose) -> uuid.UUID:
+    """Return the person of a code without using it. Raises CodeGone."""
+    stmt = select(one_time_code.c.person_id).where(*_is_valid_code(secret), one_time_code.c.purpose == purpose.value)
+    person_id: uuid.UUID | None = (await db.execute(stmt)).scalar_one_or_none()
+    if person_id is None:
         raise CodeGone
-    return StoredCode(*row)
+    return person_id
 
 
 def require_person(code: StoredCode) -> uuid.UUID:

@@ -3,7 +3,6 @@
 Loading a page changes nothing; actions go through the JSON API. Everything that others sent is escaped.
 """
 
-from collections.abc import Callable
 from functools import cache
 from html import escape
 from importlib import resources
@@ -49,7 +48,9 @@ _NAME_FIELD = '<label>Your name<input name="name" autocomplete="name" maxlength=
 def sign_in_page(settings: Settings) -> HTMLResponse:
     """Return the page with the sign-in methods."""
     methods = [
-        _provider_button(provider.name, f"Sign in with {provider.title}") for provider in settings.oidc_providers
+        f'<button type="button" disabled data-act="start" data-provider="{escape(provider.name)}">'
+        f"{escape(f'Sign in with {provider.title}')}</button>"
+        for provider in settings.oidc_providers
     ]
     if settings.local_accounts:
         form = f'{_EMAIL_FIELD}<label>Password<input name="password" type="password" autocomplete="current-password"'
@@ -60,45 +61,6 @@ def sign_in_page(settings: Settings) -> HTMLResponse:
         '<a href="/sign-in/bootstrap">become its first admin</a>.</p>'
     )
     return _page(settings, "Sign in", "sign-in", "".join(methods))
-
-
-def link_page(settings: Settings) -> HTMLResponse:
-    """Return the page that the owner's one-time link opens."""
-    return _page(settings, "Signing in", "link", '<p id="doing">One moment.</p>')
-
-
-def invitation_page(settings: Settings) -> HTMLResponse:
-    """Return the page that an invitation opens."""
-    fields = '<p id="for"></p>' + _NAME_FIELD + _CHOOSE_FIELD
-    return _page(settings, "Your account", "invitation", _form("invitation", fields, "Create my account"))
-
-
-def reset_page(settings: Settings) -> HTMLResponse:
-    """Return the page on which a new password is chosen."""
-    form = _form("reset", f'<p id="for"></p>{_CHOOSE_FIELD}{_SECOND_FACTOR_FIELD}', "Set this password")
-    return _page(settings, "A new password", "reset", form)
-
-
-def bootstrap_page(settings: Settings) -> HTMLResponse:
-    """Return the page on which the first admin proves that they can read the server's log."""
-    code = '<label>Bootstrap code, from the server’s log<input name="code" autocomplete="off" required></label>'
-    form = _form("bootstrap", code + _NAME_FIELD + _EMAIL_FIELD + _CHOOSE_FIELD, "Become admin")
-    return _page(settings, "First admin", "bootstrap", form)
-
-
-def device_page(settings: Settings) -> HTMLResponse:
-    """Return the page for typing the code that a program shows."""
-    code = (
-        "<label>The code that the program shows"
-        '<input name="user_code" autocomplete="off" spellcheck="false" required></label>'
-    )
-    form = _form("device", code, "Continue")
-    return _page(settings, "Sign a program in", "device", form + _decision())
-
-
-def cli_page(settings: Settings) -> HTMLResponse:
-    """Return the page for approving a program on this machine."""
-    return _page(settings, "Sign a program in", "cli", _decision())
 
 
 def error_page(settings: Settings, error: KleinkramError) -> HTMLResponse:
@@ -128,26 +90,43 @@ def _form(name: str, fields: str, button: str) -> str:
     return f'<form method="post" data-form="{name}">{fields}{submit}</form>'
 
 
-def _provider_button(name: str, text: str) -> str:
-    return f'<button type="button" disabled data-act="start" data-provider="{escape(name)}">{escape(text)}</button>'
+_DECISION = (
+    '<section id="decision" hidden><p id="asks"></p><p class="small">It will be able to do everything you can do. '
+    "Approve only a program that you have just started yourself.</p>"
+    '<button type="button" class="primary" disabled data-act="approve">Approve</button>'
+    '<button type="button" disabled data-act="deny">Deny</button></section>'
+)
 
 
-def _decision() -> str:
-    return (
-        '<section id="decision" hidden><p id="asks"></p><p class="small">It will be able to do everything you can do. '
-        "Approve only a program that you have just started yourself.</p>"
-        '<button type="button" class="primary" disabled data-act="approve">Approve</button>'
-        '<button type="button" disabled data-act="deny">Deny</button></section>'
-    )
+def _code_field(label: str, name: str) -> str:
+    return f'<label>{label}<input name="{name}" autocomplete="off" spellcheck="false" required></label>'
 
 
-_PAGES: dict[str, Callable[[Settings], HTMLResponse]] = {
-    "link": link_page,
-    "invitation": invitation_page,
-    "reset": reset_page,
-    "bootstrap": bootstrap_page,
-    "device": device_page,
-    "cli": cli_page,
+# The other pages, by name: their title and body.
+_PAGES = {
+    "link": ("Signing in", '<p id="doing">One moment.</p>'),
+    "invitation": (
+        "Your account",
+        _form("invitation", f'<p id="for"></p>{_NAME_FIELD}{_CHOOSE_FIELD}', "Create my account"),
+    ),
+    "reset": (
+        "A new password",
+        _form("reset", f'<p id="for"></p>{_CHOOSE_FIELD}{_SECOND_FACTOR_FIELD}', "Set this password"),
+    ),
+    # The code shows that the first admin can read the server's log.
+    "bootstrap": (
+        "First admin",
+        _form(
+            "bootstrap",
+            _code_field("Bootstrap code, from the server’s log", "code") + _NAME_FIELD + _EMAIL_FIELD + _CHOOSE_FIELD,
+            "Become admin",
+        ),
+    ),
+    "device": (
+        "Sign a program in",
+        _form("device", _code_field("The code that the program shows", "user_code"), "Continue") + _DECISION,
+    ),
+    "cli": ("Sign a program in", _DECISION),
 }
 
 
@@ -182,29 +161,27 @@ async def end_provider_sign_in(
 ) -> Response:
     """Finish a sign-in with a provider, or show an error page."""
     try:
-        return await _handle_callback(context, provider, query)
+        return await _finish_sign_in(context, provider, query)
     except KleinkramError as error:
         await record_refusal(request, error)
         return error_page(context.settings, error)
 
 
-@router.get("/{name}")
-async def page(name: str, settings: CurrentSettings) -> HTMLResponse:
-    """Show one of the other pages."""
-    if name not in _PAGES:
-        raise NotFound(noun="page", ref=name)
-    return _PAGES[name](settings)
-
-
-async def _handle_callback(context: SignInContext, name: str, query: CallbackQuery) -> Response:
+async def _finish_sign_in(context: SignInContext, name: str, query: CallbackQuery) -> Response:
     provider = context.providers.get(name)
     browser_secret = bound_browser(context.request, context.settings)
     async with context.database.begin() as db:  # the request is used up, whatever happens afterwards
         request = await take_request(db, provider=name, state=query.state, browser_secret=browser_secret)
-    code = _require_code(query, provider.settings.title, provider.settings.issuer)
-    verified = await provider.verify_callback(code, request)
-    response = RedirectResponse(request.return_to, status_code=303, headers={"Cache-Control": "no-store"})
     actor, settings = context.actor, provider.settings
+    if query.error == "access_denied":
+        raise SignInRefused(reason=f"you or {settings.title} denied access. Start again if you want to.")
+    if query.error is not None or query.code is None:
+        error = (query.error or "no code")[:60]
+        raise SignInRefused(reason=f"{settings.title} sent you back with an error ({error}).")
+    if query.iss is not None and query.iss != settings.issuer:  # RFC 9207
+        raise SignInRefused(reason=f"the response is not from {settings.title}. Start again.")
+    verified = await provider.verify_callback(query.code, request)
+    response = RedirectResponse(request.return_to, status_code=303, headers={"Cache-Control": "no-store"})
     async with context.database.begin() as db:
         if request.session_id is None:
             person_id = await provider_accounts.open_account(db, actor, verified=verified, provider=settings)
@@ -218,14 +195,13 @@ async def _handle_callback(context: SignInContext, name: str, query: CallbackQue
     return response
 
 
-def _require_code(query: CallbackQuery, title: str, issuer: str) -> str:
-    if query.error == "access_denied":
-        raise SignInRefused(reason=f"you or {title} denied access. Start again if you want to.")
-    if query.error is not None or query.code is None:
-        raise SignInRefused(reason=f"{title} sent you back with an error ({(query.error or 'no code')[:60]}).")
-    if query.iss is not None and query.iss != issuer:  # RFC 9207
-        raise SignInRefused(reason=f"the response is not from {title}. Start again.")
-    return query.code
+@router.get("/{name}")
+async def page(name: str, settings: CurrentSettings) -> HTMLResponse:
+    """Show one of the other pages."""
+    if name not in _PAGES:
+        raise NotFound(noun="page", ref=name)
+    title, body = _PAGES[name]
+    return _page(settings, title, name, body)
 
 
 @cache

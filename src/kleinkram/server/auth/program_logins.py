@@ -224,7 +224,7 @@ async def _create_token(db: Connection, guest: Actor, approval: _Approval, setti
     ends = func.now() + datetime.timedelta(days=days)
     expires_at: datetime.datetime = (await db.execute(select(ends))).scalar_one()
     request = TokenCreate(name=_as_label(approval.label), scopes=[Scope.admin], expires_at=expires_at)
-    token_id, secret = await issue_token(db, approver.person_id, wanted=request, expires_at=expires_at)
+    token_id, secret = await issue_token(db, approver.person_id, request=request, expires_at=expires_at)
     actor = approver.asking(guest.operation or "", request_id=guest.request_id, address=guest.address)
     after: Metadata = {
         "method": f"login by {approval.kind}",

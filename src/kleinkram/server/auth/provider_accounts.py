@@ -1,6 +1,12 @@
-"""Identity providers, and authorization requests: what is stored until a provider sends a browser back.
+"""Sign-in with identity providers: authorization requests, and the accounts that identities open.
 
 A request is bound to the browser by a cookie, is valid once, and expires after some minutes.
+
+A person has one account, to which they link identities. An unknown identity is linked automatically to the account with
+its address only if the provider verified the address, the settings trust the provider for its domain, and the account
+has no other identity of this provider (addresses are reassigned). Otherwise the person links it while signed in. An
+unlinked identity is never linked again automatically. For an unverified address, the response does not reveal whether
+it has an account.
 """
 
 import asyncio
@@ -96,7 +102,9 @@ async def open_providers(settings: Settings) -> AsyncIterator[Providers]:
     async with aiohttp.ClientSession(cookie_jar=aiohttp.DummyCookieJar(), trust_env=True) as http:
         providers: dict[str, OpenIdProvider] = {}
         for provider in settings.oidc_providers:
-            secret = await asyncio.to_thread(_read_secret, provider)
+            secret = None if provider.client_secret is None else provider.client_secret.get_secret_value()
+            if provider.client_secret_file is not None:
+                secret = (await asyncio.to_thread(provider.client_secret_file.read_text, encoding="utf-8")).strip()
             redirect_url = callback_url(settings, provider.name)
             providers[provider.name] = OpenIdProvider(provider, http, redirect_url=redirect_url, secret=secret)
         yield Providers(providers)
@@ -105,12 +113,6 @@ async def open_providers(settings: Settings) -> AsyncIterator[Providers]:
 def callback_url(settings: Settings, provider: str) -> str:
     """Return the redirect URL that is registered with a provider."""
     return f"{settings.public_url.rstrip('/')}/sign-in/callback/{provider}"
-
-
-def _read_secret(settings: OidcProvider) -> str | None:
-    if settings.client_secret_file is not None:
-        return settings.client_secret_file.read_text(encoding="utf-8").strip()
-    return None if settings.client_secret is None else settings.client_secret.get_secret_value()
 
 
 async def store_request(db: Connection, request: AuthorizationRequest, *, provider: str, browser_secret: str) -> None:
@@ -200,11 +202,20 @@ async def open_account(
     if person_id is not None:
         await _verify_address(db, person_id, trusted_address, provider)
         return person_id
-    await _require_never_linked(db, verified, provider)
-    owner = await _find_address_owner(db, trusted_address)
+    if (await db.execute(select(identity.c.id).where(_same(verified)))).first() is not None:
+        raise SignInRefused(
+            reason=f"this account of {provider.title} was unlinked here. Sign in with another method and link it again "
+            "on the page /account, or ask an admin of this server."
+        )
+    owner: uuid.UUID | None = None
+    if trusted_address is not None:
+        owners = select(person_email.c.person_id).where(person_email.c.email_key == email_key(trusted_address))
+        owner = (await db.execute(owners)).scalar_one_or_none()
     if owner is None:
         return await _new_account(db, asker, verified=verified, provider=provider, trusted_address=trusted_address)
-    if await _has_identity_of(db, owner, provider):
+    # Also unlinked ones: the address may be reassigned.
+    others = exists().where(identity.c.person_id == owner, identity.c.issuer == provider.issuer)
+    if (await db.execute(select(others))).scalar_one():
         raise SignInRefused(
             reason=f"the account with {address} belongs to another identity of {provider.title}, and a reassigned "
             "address does not open it. Ask an admin of this server."
@@ -259,28 +270,6 @@ def _same(verified: VerifiedIdentity) -> ColumnElement[bool]:
     return (identity.c.issuer == verified.issuer) & (identity.c.subject == verified.subject)
 
 
-async def _require_never_linked(db: Connection, verified: VerifiedIdentity, provider: OidcProvider) -> None:
-    if (await db.execute(select(identity.c.id).where(_same(verified)))).first() is not None:
-        raise SignInRefused(
-            reason=f"this account of {provider.title} was unlinked here. Sign in with another method and link it again "
-            "on the page /account, or ask an admin of this server."
-        )
-
-
-async def _find_address_owner(db: Connection, address: str | None) -> uuid.UUID | None:
-    if address is None:
-        return None
-    stmt = select(person_email.c.person_id).where(person_email.c.email_key == email_key(address))
-    owner: uuid.UUID | None = (await db.execute(stmt)).scalar_one_or_none()
-    return owner
-
-
-async def _has_identity_of(db: Connection, person_id: uuid.UUID, provider: OidcProvider) -> bool:
-    """Whether a person has, or had, an identity of a provider."""
-    identities = exists().where(identity.c.person_id == person_id, identity.c.issuer == provider.issuer)
-    return bool((await db.execute(select(identities))).scalar_one())
-
-
 async def _verify_address(db: Connection, person_id: uuid.UUID, address: str | None, provider: OidcProvider) -> None:
     """Add a verified address to an account, unless another person has it."""
     is_deactivated = select(person.c.deactivated_at.is_not(None)).where(person.c.id == person_id)
@@ -304,10 +293,21 @@ async def _link(
 async def _new_account(
     db: Connection, asker: Actor, *, verified: VerifiedIdentity, provider: OidcProvider, trusted_address: str | None
 ) -> uuid.UUID:
-    is_invited = trusted_address is not None and await _use_invitations(db, trusted_address)
+    is_invited = False
+    if trusted_address is not None:
+        is_invitation = one_time_code.c.purpose == CodePurpose.invitation.value
+        is_theirs = func.lower(one_time_code.c.email) == email_key(trusted_address)
+        stmt = update(one_time_code).where(*is_valid(), is_invitation, is_theirs).values(used_at=func.now())
+        is_invited = (await db.execute(stmt.returning(one_time_code.c.id))).first() is not None
     if not is_invited:
         _require_open_registration(verified, provider, trusted_address)
-    name = _name(verified)
+    # The name from the provider, else the local part of the address.
+    name = "somebody without a name"
+    for candidate in (verified.name, (verified.email or "").partition("@")[0]):
+        printable = "".join(letter for letter in candidate or "" if letter.isprintable())
+        if shortened := printable[:MAX_PERSON_NAME_CHARACTERS].strip():
+            name = check_person_name(shortened)
+            break
     person_id = await add_person(db, name=name)
     after: Metadata = {"method": provider.issuer, "email": verified.email, "by_invitation": is_invited}
     await record(db, asker, Event("person.create", "person", person_id, name, None, after=after))
@@ -317,8 +317,6 @@ async def _new_account(
 
 
 def _require_open_registration(verified: VerifiedIdentity, provider: OidcProvider, trusted_address: str | None) -> None:
-    if provider.open_to is OpenTo.anybody:
-        return
     linking = (
         f"If you have an account, sign in as before and add {provider.title} to it: "
         "“Link another sign-in method” on the page /account."
@@ -327,31 +325,9 @@ def _require_open_registration(verified: VerifiedIdentity, provider: OidcProvide
         raise SignInRefused(
             reason=f"accounts on this server require an invitation. {linking} Otherwise ask an admin for one."
         )
-    if trusted_address is None:
+    if provider.open_to is not OpenTo.anybody and trusted_address is None:
         who = f"{verified.email or 'your account'} of {provider.title}"
         raise SignInRefused(
             reason=f"{who} does not get an account here automatically. {linking} "
             "Otherwise ask an admin of this server for an invitation."
         )
-
-
-async def _use_invitations(db: Connection, address: str) -> bool:
-    """Use the invitations to an address up; returns whether there was one."""
-    unused = (
-        *is_valid(),
-        one_time_code.c.purpose == CodePurpose.invitation.value,
-        func.lower(one_time_code.c.email) == email_key(address),
-    )
-    stmt = update(one_time_code).where(*unused).values(used_at=func.now()).returning(one_time_code.c.id)
-    return (await db.execute(stmt)).first() is not None
-
-
-def _name(verified: VerifiedIdentity) -> str:
-    """Return the name from the provider, else the local part of the address."""
-    for candidate in (verified.name, (verified.email or "").partition("@")[0]):
-        name = "".join(letter for letter in candidate or "" if letter.isprintable())[
-            :MAX_PERSON_NAME_CHARACTERS
-        ].strip()
-        if name:
-            return check_person_name(name)
-    return "somebody without a name"

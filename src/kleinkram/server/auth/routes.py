@@ -7,7 +7,6 @@ import uuid
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Response
-from pydantic import BaseModel, ConfigDict
 
 from kleinkram.contract.accounts import (
     AccountRead,
@@ -42,10 +41,9 @@ from kleinkram.contract.accounts import (
     TotpConfirm,
     TotpEnrolment,
 )
-from kleinkram.contract.base import Cursor, Page, PageSize
+from kleinkram.contract.base import Page
 from kleinkram.server.auth import account as accounts
-from kleinkram.server.auth import bootstrap as bootstrap_module
-from kleinkram.server.auth import local_accounts, one_time_codes, program_logins, sessions
+from kleinkram.server.auth import bootstrap, local_accounts, one_time_codes, program_logins, sessions
 from kleinkram.server.auth.account import require_second_factor
 from kleinkram.server.auth.provider_accounts import AuthorizationRequest, bind_browser, store_request
 from kleinkram.server.auth.sign_in import CurrentSignIn, SignInContext, delete_session_cookie
@@ -56,7 +54,7 @@ from kleinkram.server.http.dependencies import (
     Transaction,
     require_same_origin,
 )
-from kleinkram.server.paging import PageRequest
+from kleinkram.server.pagination import PageQuery
 from kleinkram.server.tables.sign_in import CodePurpose
 
 router = APIRouter(prefix="/api/v1/auth", tags=["signing in"])
@@ -66,20 +64,11 @@ people_router = APIRouter(prefix="/api/v1/people", tags=["people"])
 _SAME_ORIGIN = [Depends(require_same_origin)]
 
 
-class SessionListQuery(BaseModel):
-    """Query parameters of the list of sessions."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    limit: PageSize = 100
-    cursor: Cursor | None = None
-
-
 @router.get("/methods", operation_id="list_sign_in_methods")
 async def list_sign_in_methods(db: Transaction, settings: CurrentSettings) -> SignInMethods:
     """List the methods with which people sign in to this server."""
     providers = [ProviderRef(name=provider.name, title=provider.title) for provider in settings.oidc_providers]
-    has_admin = await bootstrap_module.has_admin(db)
+    has_admin = await bootstrap.has_admin(db)
     return SignInMethods(password=settings.local_accounts, providers=providers, bootstrap=not has_admin)
 
 
@@ -164,7 +153,7 @@ async def reset_password(reset: PasswordReset, context: CurrentSignIn, response:
     await context.count_attempt()
     password_hash = await context.hash_with_code(reset.password, code=reset.code)
     async with context.database.begin() as db:
-        owner_id = await local_accounts.get_reset_person(db, reset.code)
+        owner_id = await one_time_codes.get_code_person(db, reset.code, CodePurpose.reset)
     await require_second_factor(context.database, owner_id, reset.second_factor, context.actor)
     async with context.database.begin() as db:
         person_id = await local_accounts.reset_password(db, context.actor, reset=reset, password_hash=password_hash)
@@ -172,17 +161,15 @@ async def reset_password(reset: PasswordReset, context: CurrentSignIn, response:
 
 
 @router.post("/bootstrap", operation_id="bootstrap_admin", dependencies=_SAME_ORIGIN)
-async def create_first_admin(bootstrap: AdminBootstrap, context: CurrentSignIn, response: Response) -> BrowserSignedIn:
+async def create_first_admin(request: AdminBootstrap, context: CurrentSignIn, response: Response) -> BrowserSignedIn:
     """Become the first admin of a new server with the code from its log."""
     await context.count_attempt()
     password_hash = None
-    if bootstrap.password is not None:
-        about = (bootstrap.name, bootstrap.email)
-        password_hash = await context.hash_with_code(bootstrap.password, code=bootstrap.code, about=about)
+    if request.password is not None:
+        about = (request.name, request.email)
+        password_hash = await context.hash_with_code(request.password, code=request.code, about=about)
     async with context.database.begin() as db:
-        person_id = await bootstrap_module.bootstrap_admin(
-            db, context.actor, bootstrap=bootstrap, password_hash=password_hash
-        )
+        person_id = await bootstrap.bootstrap_admin(db, context.actor, request=request, password_hash=password_hash)
         return await context.start_session(db, response, person_id=person_id, method="bootstrap")
 
 
@@ -213,7 +200,7 @@ async def begin_provider_reauthentication(
 @router.post("/owner-link", operation_id="create_owner_link")
 async def create_owner_link(db: Transaction, actor: CurrentActor, settings: CurrentSettings) -> OneTimeLink:
     """Create a link with which the owner of `klein up` signs in."""
-    return await bootstrap_module.create_owner_link(db, actor, settings=settings)
+    return await bootstrap.create_owner_link(db, actor, settings=settings)
 
 
 @router.post("/sign-out", operation_id="sign_out", status_code=204, dependencies=_SAME_ORIGIN)
@@ -290,11 +277,10 @@ async def get_me(db: Transaction, actor: CurrentActor) -> MeRead:
 
 @me_router.get("/sessions", operation_id="list_sessions")
 async def list_sessions(
-    query: Annotated[SessionListQuery, Query()], db: Transaction, actor: CurrentActor, settings: CurrentSettings
+    query: Annotated[PageQuery, Query()], db: Transaction, actor: CurrentActor, settings: CurrentSettings
 ) -> Page[SessionRead]:
     """List the browsers you are signed in with, latest first."""
-    page = PageRequest(query.limit, query.cursor)
-    return await sessions.list_sessions(db, actor, settings=settings, page=page)
+    return await sessions.list_sessions(db, actor, settings=settings, page=query.page)
 
 
 @me_router.delete("/sessions", operation_id="end_all_sessions", status_code=204)

@@ -14,7 +14,7 @@ from kleinkram.server.access.actor import Actor, find_person, secret_hash
 from kleinkram.server.access.rights import ensure_active_person
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection
-from kleinkram.server.paging import Order, PageRequest, fetch_page
+from kleinkram.server.pagination import Order, PageRequest, fetch_page
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import session
 

@@ -33,8 +33,8 @@ from kleinkram.server.blobs.summaries import record_read_failure, record_summari
 from kleinkram.server.blobs.verification import ObjectChecksums, Unreadable, read_through
 from kleinkram.server.context import AppContext
 from kleinkram.server.http.rate_limit import delete_expired_counts
-from kleinkram.server.jobs.attempts import ATTEMPTS, PATIENTLY, app_context, courtesy_of, given
-from kleinkram.server.jobs.courtesy import SUMMARY_PATIENCE_S, VERIFY_PATIENCE_S
+from kleinkram.server.jobs.attempts import ATTEMPTS, RETRY_STRATEGY, app_context, back_pressure_of, worker_resource
+from kleinkram.server.jobs.back_pressure import SUMMARY_MAX_WAIT_S, VERIFY_MAX_WAIT_S
 from kleinkram.server.jobs.queue import Job, Urgency, forget_ended, hasten, queue
 from kleinkram.server.recordings.service import regroup_forgotten
 from kleinkram.server.trash.service import empty_trash
@@ -58,7 +58,7 @@ class _ReadResult(NamedTuple):
     scan: RecordingSummary | SummaryFailed | None
 
 
-@queue.task(name=Job.summarise_blob.value, retry=PATIENTLY, pass_context=True)
+@queue.task(name=Job.summarise_blob.value, retry=RETRY_STRATEGY, pass_context=True)
 async def summarise_blob(job_context: JobContext, ref: str) -> None:
     """Read what is in a recording, in a child process without credentials, and keep it."""
     context, blob_id = app_context(job_context), uuid.UUID(ref)
@@ -68,9 +68,9 @@ async def summarise_blob(job_context: JobContext, ref: str) -> None:
     logs = await _sqlite_logs(context, row)
     if row.depth == ReadDepth.scan and not logs:
         return
-    await courtesy_of(job_context).give_way(SUMMARY_PATIENCE_S, since=row.created_at)
+    await back_pressure_of(job_context).wait_for_uploads(SUMMARY_MAX_WAIT_S, since=row.created_at)
     try:
-        summary = await _summary(context, given(job_context, "readers", ReaderProcesses), row, logs)
+        summary = await _summary(context, worker_resource(job_context, "readers", ReaderProcesses), row, logs)
     except SummaryFailed as failure:
         if failure.kind is FailureKind.source and job_context.job.attempts < ATTEMPTS - 1:
             raise  # the store, not the file: worth another try
@@ -129,7 +129,7 @@ async def _summary(
     return await readers.summary(request, owner=row.uploaded_by_id, timeout_s=timeout_s)
 
 
-@queue.task(name=Job.verify_blob.value, retry=PATIENTLY, pass_context=True)
+@queue.task(name=Job.verify_blob.value, retry=RETRY_STRATEGY, pass_context=True)
 async def verify_blob(job_context: JobContext, ref: str) -> None:
     """Read a blob once, at a limited rate, and compare it with what was stated of it when it came.
 
@@ -141,7 +141,7 @@ async def verify_blob(job_context: JobContext, ref: str) -> None:
         return
     # What is only verified again gives way from now on, whenever it came.
     anew = job_context.job.priority < Urgency.whenever
-    await courtesy_of(job_context).give_way(VERIFY_PATIENCE_S, since=None if anew else row.created_at)
+    await back_pressure_of(job_context).wait_for_uploads(VERIFY_MAX_WAIT_S, since=None if anew else row.created_at)
     read = await _read_or_damaged(job_context, context, row)
     if read is None:
         return
@@ -152,14 +152,14 @@ async def verify_blob(job_context: JobContext, ref: str) -> None:
         await service.record_verified(db, {blob_id: checksums.md5})
 
 
-@queue.task(name=Job.examine_blob.value, retry=PATIENTLY, pass_context=True)
+@queue.task(name=Job.examine_blob.value, retry=RETRY_STRATEGY, pass_context=True)
 async def examine_blob(job_context: JobContext, ref: str) -> None:
     """Read a small blob for all that is to be known of it, and with it others of the same person that wait."""
     context, blob_id = app_context(job_context), uuid.UUID(ref)
     row = await _find_in_own_store(context, blob_id)
     if row is None:
         return
-    are_uploads_active = await courtesy_of(job_context).give_way(SUMMARY_PATIENCE_S, since=row.created_at)
+    are_uploads_active = await back_pressure_of(job_context).wait_for_uploads(SUMMARY_MAX_WAIT_S, since=row.created_at)
     until = time.monotonic() + (_BATCH_WITH_UPLOADS_S if are_uploads_active else _BATCH_S)
     read = await _read_or_damaged(job_context, context, row)
     if read is None:
@@ -173,7 +173,7 @@ async def examine_blob(job_context: JobContext, ref: str) -> None:
         if time.monotonic() > until:
             break
         try:
-            read = await _read(context, given(job_context, "readers", ReaderProcesses), other)
+            read = await _read(context, worker_resource(job_context, "readers", ReaderProcesses), other)
         except (FileNotFoundError, Unreadable):
             continue  # its own job will say so, as of those that were altered
         except StoreUnavailable:
@@ -207,7 +207,7 @@ async def _read_or_damaged(job_context: JobContext, context: AppContext, row: Bl
         StoreUnavailable: the store is away, or does not give it now: to be tried again.
     """
     try:
-        checksums, scan = await _read(context, given(job_context, "readers", ReaderProcesses), row)
+        checksums, scan = await _read(context, worker_resource(job_context, "readers", ReaderProcesses), row)
     except FileNotFoundError:
         await _record_damage(context, row.id, BlobState.lost, "the store no longer has the object")
         return None
@@ -305,7 +305,7 @@ async def collect_garbage(context: AppContext) -> None:
             await garbage_collection.delete_row(db, row.id)
 
 
-@queue.task(name=Job.scrub.value, retry=PATIENTLY, pass_context=True)
+@queue.task(name=Job.scrub.value, retry=RETRY_STRATEGY, pass_context=True)
 async def scrub_blobs(job_context: JobContext, ref: str) -> None:
     """Compare what the store lists with what the database knows."""
     context, scrub_id = app_context(job_context), uuid.UUID(ref)

@@ -28,7 +28,7 @@ MAX_PENDING = 500
 # Events that are kept for clients that reconnect.
 _HISTORY_LENGTH = 2000
 _MIN_RECONNECT_S, _MAX_RECONNECT_S = 0.1, 5.0
-# With these keepalives, a dead connection is eventd after 30 s.
+# With these keepalives, a dead connection is noticed after 30 s.
 _CONNECTION: dict[str, str | int] = {
     "application_name": "kleinkram events",
     "connect_timeout": 5,

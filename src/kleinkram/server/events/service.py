@@ -17,10 +17,10 @@ from pydantic import BaseModel
 from kleinkram.contract.audit import Change, Refetch, RefetchReason
 from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import reached_missions, reached_projects, standing
+from kleinkram.server.access.visible import reached_missions, reached_projects, rights_hash
 from kleinkram.server.change_events import ChangeEvent, merge_events
 from kleinkram.server.db import Connection, Database, among
-from kleinkram.server.events.hub import EventSubscription, Hub, PendingEvents
+from kleinkram.server.events.hub import EventSubscription, Hub
 from kleinkram.server.tables import mission, project
 
 Reauthenticate = Callable[[Connection], Awaitable[Actor | None]]
@@ -83,13 +83,16 @@ async def _take_output(stream: EventStream, subscription: EventSubscription, rig
                 actor = await stream.authenticate(db)
                 if actor is None:
                     return None
-                current_rights = f"{actor.is_admin} {(await db.execute(standing(actor))).scalar_one()}"
+                current_rights = f"{actor.is_admin} {(await db.execute(rights_hash(actor))).scalar_one()}"
                 changes = await _visible_changes(db, actor, pending.events)
         except DatabaseUnavailable:  # rights cannot be checked, so nothing is sent
             subscription.mark_missed()
             await stream.hub.sleep(_MIN_INTERVAL_S)
             return _Output(rights, "")
-    reason = _refetch_reason(pending, have_rights_changed=rights not in (None, current_rights))
+    reason = RefetchReason.behind if pending.has_overflowed else None
+    reason = RefetchReason.missed if pending.was_missed else reason
+    if rights not in (None, current_rights):
+        reason = RefetchReason.rights
     messages: list[BaseModel] = [*([Refetch(reason=reason)] if reason else []), *changes]
     text = "".join(
         f"event: {type(message).__name__.lower()}\ndata: {message.model_dump_json()}\n\n" for message in messages
@@ -97,50 +100,33 @@ async def _take_output(stream: EventStream, subscription: EventSubscription, rig
     return _Output(current_rights, f"{text}id: {pending.last_event_id}\n\n" if text else "")
 
 
-def _refetch_reason(pending: PendingEvents, *, have_rights_changed: bool) -> RefetchReason | None:
-    if have_rights_changed:
-        return RefetchReason.rights
-    if pending.was_missed:
-        return RefetchReason.missed
-    return RefetchReason.behind if pending.has_overflowed else None
-
-
 async def _visible_changes(db: Connection, actor: Actor, events: Sequence[ChangeEvent]) -> list[Change]:
-    missions = await _visible_missions(db, actor, {event.mission_id for event in events if event.mission_id})
-    projects = await _visible_projects(db, actor, {event.project_id for event in events if event.project_id})
-    changes = [
-        Change(
-            noun=event.noun,
-            change=event.change,
-            id=event.id,
-            project_id=event.project_id or (missions.get(event.mission_id) if event.mission_id else None),
-            mission_id=event.mission_id,
-        )
-        for event in merge_events(events, max_alike=_MAX_ALIKE)
-        if event.mission_id in missions or event.project_id in projects or _is_visible_outside_projects(actor, event)
-    ]
+    """Return the events in missions and projects that the actor sees.
+
+    Changes outside of projects, such as of groups and sessions, are visible to admins and to the person who made them.
+    """
+    missions: dict[uuid.UUID, uuid.UUID] = {}
+    projects: set[uuid.UUID] = set()
+    if mission_ids := {event.mission_id for event in events if event.mission_id}:
+        columns = (mission.c.id, mission.c.project_id)
+        stmt = reached_missions(actor).with_only_columns(*columns, maintain_column_froms=True)
+        missions = {row.id: row.project_id for row in await db.execute(stmt.where(among(mission.c.id, mission_ids)))}
+    if project_ids := {event.project_id for event in events if event.project_id}:
+        stmt = reached_projects(actor).with_only_columns(project.c.id)
+        projects = set((await db.execute(stmt.where(among(project.c.id, project_ids)))).scalars())
+    changes = []
+    for event in merge_events(events, max_alike=_MAX_ALIKE):
+        is_visible = event.mission_id in missions or event.project_id in projects
+        if event.project_id is None and event.mission_id is None and actor.limits is None:
+            is_visible = actor.is_admin or (event.by_id is not None and event.by_id == actor.person_id)
+        if is_visible:
+            project_id = event.project_id or (missions.get(event.mission_id) if event.mission_id else None)
+            change = Change(
+                noun=event.noun,
+                change=event.change,
+                id=event.id,
+                project_id=project_id,
+                mission_id=event.mission_id,
+            )
+            changes.append(change)
     return list(dict.fromkeys(changes))
-
-
-async def _visible_missions(db: Connection, actor: Actor, mission_ids: set[uuid.UUID]) -> dict[uuid.UUID, uuid.UUID]:
-    """Return the project of each mission that the actor sees."""
-    if not mission_ids:
-        return {}
-    columns = (mission.c.id, mission.c.project_id)
-    stmt = reached_missions(actor).with_only_columns(*columns, maintain_column_froms=True)
-    rows = await db.execute(stmt.where(among(mission.c.id, mission_ids)))
-    return {row.id: row.project_id for row in rows}
-
-
-async def _visible_projects(db: Connection, actor: Actor, project_ids: set[uuid.UUID]) -> set[uuid.UUID]:
-    if not project_ids:
-        return set()
-    stmt = reached_projects(actor).with_only_columns(project.c.id)
-    return set((await db.execute(stmt.where(among(project.c.id, project_ids)))).scalars())
-
-
-def _is_visible_outside_projects(actor: Actor, event: ChangeEvent) -> bool:
-    """Whether a change of e.g. a session or group was made by the actor, or the actor is an admin."""
-    if event.project_id is not None or event.mission_id is not None or actor.limits is not None:
-        return False
-    return actor.is_admin or (event.by_id is not None and event.by_id == actor.person_id)

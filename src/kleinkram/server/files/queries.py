@@ -41,7 +41,7 @@ from kleinkram.server.filters.files import filter_files, filter_files_in_order
 from kleinkram.server.filters.missions import filter_missions
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
 from kleinkram.server.missions.amounts import file_amounts
-from kleinkram.server.paging import Listing, Order
+from kleinkram.server.pagination import Listing, Order
 from kleinkram.server.tables import blob, file, mission, person, project, run, run_artifact, run_input, topic
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)

@@ -20,7 +20,7 @@ from kleinkram.contract.search import FileQuery, FilesLabelled, LabelChange
 from kleinkram.server.files import labels, service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
 from kleinkram.server.http.headers import IfMatch
-from kleinkram.server.paging import PageRequest
+from kleinkram.server.pagination import PageRequest
 
 router = APIRouter(prefix="/api/v1", tags=["files"])
 

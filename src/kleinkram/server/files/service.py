@@ -37,7 +37,7 @@ from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
 from kleinkram.server.filters.prepared import prepare
 from kleinkram.server.http.headers import require_match
 from kleinkram.server.missions import service as missions
-from kleinkram.server.paging import PageRequest, Rows, execute_after, fetch_listing, fetch_page, values_after
+from kleinkram.server.pagination import PageRequest, Rows, execute_after, fetch_listing, fetch_page, values_after
 from kleinkram.server.quotas import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.shares.service import count_downloads
@@ -170,7 +170,7 @@ async def update_file(
         values["labels"] = labels
     if (mission_id, path) != (old.mission_id, old.path):
         if mission_id != old.mission_id and (project_id := await project_of(db, mission_id)) != old.project_id:
-            await require_room(db, actor, project_id=project_id, asked=Amount(1, old.size_bytes))
+            await require_room(db, actor, project_id=project_id, requested=Amount(1, old.size_bytes))
         await _check_move(db, actor, old, mission_id=mission_id, path=path)
         values |= {"mission_id": mission_id, "path": path, "path_key": name_key(path)}
     if not values:

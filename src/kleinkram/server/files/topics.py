@@ -8,7 +8,7 @@ from sqlalchemy import Row, Select
 from kleinkram.contract.files import Density, TopicRead
 from kleinkram.recordings.density import unpack
 from kleinkram.server.db import by_name
-from kleinkram.server.paging import Order
+from kleinkram.server.pagination import Order
 from kleinkram.server.tables import file, topic
 
 

@@ -52,7 +52,7 @@ from kleinkram.server.access.visible import (
     visible_missions,
     visible_projects,
 )
-from kleinkram.server.paging import Order
+from kleinkram.server.pagination import Order
 from kleinkram.server.tables import access_grant, access_group, membership, mission, person, project
 
 _grantee, _granter, _member = person.alias("grantee"), person.alias("giver"), person.alias("member")

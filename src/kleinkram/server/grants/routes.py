@@ -10,7 +10,7 @@ from kleinkram.contract.base import Page
 from kleinkram.server.grants import service
 from kleinkram.server.grants.queries import GrantPlace
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
-from kleinkram.server.paging import PageQuery
+from kleinkram.server.pagination import PageQuery
 
 router = APIRouter(prefix="/api/v1", tags=["access"])
 ListQuery = Annotated[PageQuery, Query()]
@@ -34,18 +34,18 @@ async def list_mission_grants(
 
 @router.post("/projects/{project_id}/grants", operation_id="create_project_grant", status_code=201)
 async def create_project_grant(
-    project_id: uuid.UUID, wanted: GrantCreate, db: Transaction, actor: CurrentActor
+    project_id: uuid.UUID, request: GrantCreate, db: Transaction, actor: CurrentActor
 ) -> GrantRead:
     """Grant a right on a project and all its missions; it replaces the grantee's earlier one."""
-    return await service.create_grant(db, actor, place=GrantPlace(GrantOn.project, project_id), wanted=wanted)
+    return await service.create_grant(db, actor, place=GrantPlace(GrantOn.project, project_id), request=request)
 
 
 @router.post("/missions/{mission_id}/grants", operation_id="create_mission_grant", status_code=201)
 async def create_mission_grant(
-    mission_id: uuid.UUID, wanted: GrantCreate, db: Transaction, actor: CurrentActor
+    mission_id: uuid.UUID, request: GrantCreate, db: Transaction, actor: CurrentActor
 ) -> GrantRead:
     """Grant a right on one mission; of the project, it shows only the name."""
-    return await service.create_grant(db, actor, place=GrantPlace(GrantOn.mission, mission_id), wanted=wanted)
+    return await service.create_grant(db, actor, place=GrantPlace(GrantOn.mission, mission_id), request=request)
 
 
 @router.patch("/projects/{project_id}/grants/{grant_id}", operation_id="update_project_grant")

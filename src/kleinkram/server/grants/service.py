@@ -32,7 +32,7 @@ from kleinkram.server.grants.queries import (
     to_access,
     to_grant,
 )
-from kleinkram.server.paging import PageRequest, read_page
+from kleinkram.server.pagination import PageRequest, read_page
 from kleinkram.server.tables import access_grant, access_group, person
 
 
@@ -63,7 +63,7 @@ async def list_access(db: Connection, actor: Actor, *, place: GrantPlace, page: 
     return await read_page(db, *access_on(actor, place), page, to_access)
 
 
-async def create_grant(db: Connection, actor: Actor, *, place: GrantPlace, wanted: GrantCreate) -> GrantRead:
+async def create_grant(db: Connection, actor: Actor, *, place: GrantPlace, request: GrantCreate) -> GrantRead:
     """Grant a right and return the grant; it replaces the grantee's earlier grant on the place.
 
     A grant to an address has the same effect and response whether or not anybody has the address.
@@ -71,19 +71,19 @@ async def create_grant(db: Connection, actor: Actor, *, place: GrantPlace, wante
     Raises NotFound, Forbidden, RightExceeded, InvalidRequest, LastOwner.
     """
     granter = await _lock_granter(db, actor, f"create_{place.on.value}_grant", place)
-    group_id, name = await _find_group(db, actor, wanted)
+    group_id, name = await _find_group(db, actor, request)
     of_group = grants_on(place).where(access_grant.c.group_id == group_id)
     row = (await db.execute(of_group)).one_or_none()
     old = None if row is None else to_grant(row)
-    if old is not None and _is_same(old, wanted.right, wanted.expires_at):
+    if old is not None and _is_same(old, request.right, request.expires_at):
         return old
-    await _require_may_grant(db, granter, old, wanted.right, wanted.expires_at)
+    await _require_may_grant(db, granter, old, request.right, request.expires_at)
     grant_id = uuid.uuid4() if old is None else old.id
     operation = "grant.give" if old is None else "grant.change"
-    after = _audit_values(wanted.right, wanted.expires_at)
+    after = _audit_values(request.right, request.expires_at)
     before = {} if old is None else _audit_values(old.right, old.expires_at)
     await _record(db, granter, operation, grant_id, name, before, after)
-    values = {"level": wanted.right.level, "expires_at": wanted.expires_at, "granted_by_id": actor.person_id}
+    values = {"level": request.right.level, "expires_at": request.expires_at, "granted_by_id": actor.person_id}
     inserted = upsert(access_grant).values(id=grant_id, group_id=group_id, **{place.key: place.id}, **values)
     changed = {**values, "created_at": func.now()}
     await db.execute(inserted.on_conflict_do_update(index_elements=[place.key, "group_id"], set_=changed))
@@ -138,17 +138,17 @@ async def _require(db: Connection, actor: Actor, operation: str, place: GrantPla
     await require(db, actor, operation, place.id)
 
 
-async def _find_group(db: Connection, actor: Actor, wanted: GrantCreate) -> tuple[uuid.UUID, str]:
-    if wanted.email is not None:
-        return await email_group(db, wanted.email), email_key(wanted.email)
-    if wanted.person_id is not None:
-        stmt = visible_people(actor).where(person.c.id == wanted.person_id, person.c.deactivated_at.is_(None))
+async def _find_group(db: Connection, actor: Actor, request: GrantCreate) -> tuple[uuid.UUID, str]:
+    if request.email is not None:
+        return await email_group(db, request.email), email_key(request.email)
+    if request.person_id is not None:
+        stmt = visible_people(actor).where(person.c.id == request.person_id, person.c.deactivated_at.is_(None))
         if (row := (await db.execute(stmt)).one_or_none()) is None:
-            raise NotFound(noun="person", ref=str(wanted.person_id))
-        return await own_group(db, wanted.person_id), row.name
-    stmt = visible_groups(actor).where(access_group.c.id == wanted.group_id)
+            raise NotFound(noun="person", ref=str(request.person_id))
+        return await own_group(db, request.person_id), row.name
+    stmt = visible_groups(actor).where(access_group.c.id == request.group_id)
     if (row := (await db.execute(stmt)).one_or_none()) is None:
-        raise NotFound(noun="group", ref=str(wanted.group_id))
+        raise NotFound(noun="group", ref=str(request.group_id))
     return row.id, row.name
 
 

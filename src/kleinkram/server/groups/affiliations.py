@@ -36,7 +36,7 @@ async def ensure_affiliations(db: Connection, affiliations: Sequence[Affiliation
     await lock_rights(db)
     # Concurrent verifications of addresses wait, or see the new domains.
     await db.execute(text("LOCK TABLE person_email IN SHARE ROW EXCLUSIVE MODE"))
-    ids = [await _ensure_group(db, each) for each in affiliations]
+    ids = [await _ensure_group(db, configured) for configured in affiliations]
     await db.execute(delete(affiliation).where(affiliation.c.group_id.not_in(ids)))
     groups = select(access_group.c.id).where(access_group.c.kind == GroupKind.affiliation.value)
     owned = (await db.execute(owned_by_groups((await db.execute(groups)).scalars().all()))).scalars().all()
@@ -54,30 +54,30 @@ async def ensure_affiliations(db: Connection, affiliations: Sequence[Affiliation
         events.append(Event("group.member", "group", row.group_id, row.name, None, after=after))
     owner_right: Metadata = {"right": Right.delete.value, "expires_at": None}
     inherited = await give_to_admins(db, owned)
-    events += [Event("grant.give", "grant", None, "admins", each.id, after=owner_right) for each in inherited]
+    events += [Event("grant.give", "grant", None, "admins", project.id, after=owner_right) for project in inherited]
     await record_all(db, None, events)
 
 
-async def _ensure_group(db: Connection, wanted: Affiliation) -> uuid.UUID:
-    key, kind = name_key(wanted.name), GroupKind.affiliation.value
+async def _ensure_group(db: Connection, configured: Affiliation) -> uuid.UUID:
+    key, kind = name_key(configured.name), GroupKind.affiliation.value
     same = (access_group.c.name_key == key) & (access_group.c.kind == kind)
     group_id: uuid.UUID | None = (await db.execute(select(access_group.c.id).where(same))).scalar_one_or_none()
     if group_id is None:
         group_id = uuid.uuid4()
         try:
-            await db.execute(insert(access_group).values(id=group_id, kind=kind, name=wanted.name, name_key=key))
+            await db.execute(insert(access_group).values(id=group_id, kind=kind, name=configured.name, name_key=key))
         except IntegrityError as error:
             raise AffiliationUnusable(
-                f"KLEINKRAM_AFFILIATIONS: there is a group {wanted.name!r} that people made; rename one of the two"
+                f"KLEINKRAM_AFFILIATIONS: there is a group {configured.name!r} that people made; rename one of the two"
             ) from error
-        await record(db, None, Event("group.create", "group", group_id, wanted.name, None))
-    await db.execute(update(access_group).where(access_group.c.id == group_id).values(name=wanted.name))
-    level = {"default_level": wanted.default_right.level if wanted.default_right else None}
+        await record(db, None, Event("group.create", "group", group_id, configured.name, None))
+    await db.execute(update(access_group).where(access_group.c.id == group_id).values(name=configured.name))
+    level = {"default_level": configured.default_right.level if configured.default_right else None}
     row = upsert(affiliation).values(group_id=group_id, **level)
     await db.execute(row.on_conflict_do_update(index_elements=["group_id"], set_=level))
     of_group = affiliation_domain.c.group_id == group_id
-    await db.execute(delete(affiliation_domain).where(of_group, affiliation_domain.c.domain.not_in(wanted.domains)))
-    domains = [{"group_id": group_id, "domain": domain} for domain in wanted.domains]
+    await db.execute(delete(affiliation_domain).where(of_group, affiliation_domain.c.domain.not_in(configured.domains)))
+    domains = [{"group_id": group_id, "domain": domain} for domain in configured.domains]
     await db.execute(upsert(affiliation_domain).values(domains).on_conflict_do_nothing())
     return group_id
 

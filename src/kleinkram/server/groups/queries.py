@@ -9,7 +9,7 @@ from kleinkram.contract.access import GroupKind, GroupRead, MemberRead, Right
 from kleinkram.contract.people import PersonRef
 from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.access.visible import knows_addresses, visible_groups
-from kleinkram.server.paging import Order
+from kleinkram.server.pagination import Order
 from kleinkram.server.tables import access_group, affiliation, affiliation_domain, membership, person, person_email
 
 _creator, _adder, _mine = person.alias("maker"), person.alias("adder"), membership.alias("mine")

@@ -11,7 +11,7 @@ from kleinkram.contract.names import Term
 from kleinkram.server.groups import service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Transaction
 from kleinkram.server.http.headers import IfMatch
-from kleinkram.server.paging import CountedPageQuery
+from kleinkram.server.pagination import CountedPageQuery
 
 router = APIRouter(prefix="/api/v1/groups", tags=["groups"])
 
@@ -32,10 +32,10 @@ async def list_groups(
 
 @router.post("", operation_id="create_group", status_code=201)
 async def create_group(
-    wanted: GroupCreate, db: Transaction, actor: CurrentActor, settings: CurrentSettings
+    request: GroupCreate, db: Transaction, actor: CurrentActor, settings: CurrentSettings
 ) -> GroupRead:
     """Create a group; you become its first member and editor."""
-    return await service.create_group(db, actor, wanted=wanted, creators=settings.creators)
+    return await service.create_group(db, actor, request=request, creators=settings.creators)
 
 
 @router.get("/{group_id}", operation_id="get_group")
@@ -70,13 +70,15 @@ async def list_group_members(
 async def set_group_member(
     group_id: uuid.UUID,
     person_id: uuid.UUID,
-    wanted: MemberSet,
+    request: MemberSet,
     db: Transaction,
     actor: CurrentActor,
     if_match: IfMatch = None,
 ) -> MemberRead:
     """Add a person to a group, or change their membership; with If-Match, only if it still has that ETag."""
-    return await service.set_member(db, actor, group_id=group_id, person_id=person_id, wanted=wanted, if_match=if_match)
+    return await service.set_member(
+        db, actor, group_id=group_id, person_id=person_id, request=request, if_match=if_match
+    )
 
 
 @router.delete("/{group_id}/members/{person_id}", operation_id="remove_group_member", status_code=204)

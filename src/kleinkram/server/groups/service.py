@@ -34,7 +34,7 @@ from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.filters.patterns import matches_key
 from kleinkram.server.groups.queries import GROUP_ORDER, MEMBER_ORDER, groups_seen, members_of, to_group, to_member
 from kleinkram.server.http.headers import require_match
-from kleinkram.server.paging import PageRequest, read_page
+from kleinkram.server.pagination import PageRequest, read_page
 from kleinkram.server.settings import Creators
 from kleinkram.server.tables import access_grant, access_group, membership, mission, person
 
@@ -54,18 +54,20 @@ async def get_group(db: Connection, actor: Actor, group_id: uuid.UUID) -> GroupR
     return to_group(row)
 
 
-async def create_group(db: Connection, actor: Actor, *, wanted: GroupCreate, creators: Creators) -> GroupRead:
+async def create_group(db: Connection, actor: Actor, *, request: GroupCreate, creators: Creators) -> GroupRead:
     """Create a group, with its creator as first member and editor, and return it. Raises Forbidden or NameTaken."""
     by_power = await require_creator(db, actor, creators, noun="group")
     group_id = uuid.uuid4()
-    values = {"name": wanted.name, "name_key": name_key(wanted.name), "created_by_id": actor.person_id}
+    values = {"name": request.name, "name_key": name_key(request.name), "created_by_id": actor.person_id}
     try:
         await db.execute(insert(access_group).values(id=group_id, kind=GroupKind.custom.value, **values))
     except IntegrityError as error:
-        raise _name_taken(error, wanted.name) from error
+        raise _name_taken(error, request.name) from error
     await db.execute(insert(membership).values(group_id=group_id, person_id=actor.person_id, is_editor=True))
-    after: Metadata = {"name": wanted.name, "editor": actor.name}
-    await record(db, actor, Event("group.create", "group", group_id, wanted.name, None, after=after, by_power=by_power))
+    after: Metadata = {"name": request.name, "editor": actor.name}
+    await record(
+        db, actor, Event("group.create", "group", group_id, request.name, None, after=after, by_power=by_power)
+    )
     return await get_group(db, actor, group_id)
 
 
@@ -127,7 +129,7 @@ async def set_member(
     *,
     group_id: uuid.UUID,
     person_id: uuid.UUID,
-    wanted: MemberSet,
+    request: MemberSet,
     if_match: str | None = None,
 ) -> MemberRead:
     """Add a person to a group or change their membership, and return it; the ETag is not checked if nothing changes.
@@ -141,23 +143,23 @@ async def set_member(
     name = old.person.name if old is not None else await _get_name(db, actor, person_id)
     if old is None and if_match is not None:
         raise NotFound(noun="member", ref=str(person_id))
-    if group.kind is GroupKind.affiliation and (old is None or wanted.expires_at is not None):
+    if group.kind is GroupKind.affiliation and (old is None or request.expires_at is not None):
         raise GroupFixed(name=group.name, reason="its members follow from their verified addresses")
-    if wanted.expires_at is not None:
-        has_passed = select(literal(wanted.expires_at) <= func.now())
+    if request.expires_at is not None:
+        has_passed = select(literal(request.expires_at) <= func.now())
         if (await db.execute(has_passed)).scalar_one():
             raise InvalidRequest(problems=[FieldProblem(field="body.expires_at", message="has passed already")])
-    if old is not None and (old.is_editor, old.expires_at) == (wanted.is_editor, wanted.expires_at):
+    if old is not None and (old.is_editor, old.expires_at) == (request.is_editor, request.expires_at):
         return old
     if old is not None:
         require_match(if_match, old.etag, noun="member", name=name)
-    _require_not_longer(actor, group, wanted.expires_at)
-    after: Metadata = {"person": name, **_audit_values(wanted.is_editor, wanted.expires_at)}
+    _require_not_longer(actor, group, request.expires_at)
+    after: Metadata = {"person": name, **_audit_values(request.is_editor, request.expires_at)}
     await record(db, actor, _event(group, "group.member", _before(old), after))
-    values = {"is_editor": wanted.is_editor, "expires_at": wanted.expires_at}
+    values = {"is_editor": request.is_editor, "expires_at": request.expires_at}
     row = upsert(membership).values(group_id=group_id, person_id=person_id, added_by_id=actor.person_id, **values)
     await db.execute(row.on_conflict_do_update(index_elements=["group_id", "person_id"], set_=values))
-    if wanted.expires_at is not None:
+    if request.expires_at is not None:
         await _ensure_owners_remain(db, group)
     new = await _find_member(db, actor, group_id, person_id)
     if new is None:

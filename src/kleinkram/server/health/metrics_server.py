@@ -10,7 +10,6 @@ import logging
 from collections import Counter
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
-from typing import Any
 
 import psycopg
 from aiohttp import web
@@ -18,13 +17,13 @@ from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Metric, ge
 from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.registry import Collector
 from psycopg.conninfo import make_conninfo
-from sqlalchemy import Row, func, select, text
+from sqlalchemy import func, select, text
 from sqlalchemy.exc import SQLAlchemyError
 
 from kleinkram.contract.errors import DatabaseUnavailable
 from kleinkram.contract.files import BlobState
 from kleinkram.server.db import Database
-from kleinkram.server.health.readiness import Recent, Workers, find_workers
+from kleinkram.server.health.readiness import Recent, find_workers
 from kleinkram.server.metrics import REGISTRY
 from kleinkram.server.settings import Settings, plain_dsn
 from kleinkram.server.tables import blob, scrub, upload
@@ -60,7 +59,7 @@ _OLDEST_VERIFICATION = select(func.coalesce(func.extract("epoch", func.now() - f
     blob.c.state == BlobState.verified.value, blob.c.marked_for_deletion_at.is_(None)
 )
 _SCRUB = select(scrub).where(scrub.c.ended_at.is_not(None)).order_by(scrub.c.ended_at.desc()).limit(1)
-_FINDINGS = ("lost", "corrupt", "found", "unknown")
+_FINDINGS = ("lost", "corrupt", "findings", "unknown")
 
 
 class MetricsPortUnusable(Exception):
@@ -166,24 +165,40 @@ async def _site_metrics(database: Database) -> list[Metric]:
         states[row.state] += row.number
         sizes[row.state] += int(row.size_bytes)
         contents[row.content] += row.number
-    return [
+    job_counts = GaugeMetricFamily("kleinkram_jobs", "Jobs by task and status.", labels=["task", "status"])
+    for task, status, count in jobs:
+        job_counts.add_metric([task, status], count)
+    heard_at = workers.last_seen_at.timestamp() if workers.last_seen_at else 0
+    gauges: list[Metric] = [
         _gauge("kleinkram_blobs", "Blobs by state.", "state", states),
         _gauge("kleinkram_stored_bytes", "Bytes by state of their blob.", "state", sizes),
         _gauge("kleinkram_blob_content", "Blobs by what is known of their content.", "content", contents),
         _gauge("kleinkram_uploads", "Uploads by state.", "state", {row.state: row.number for row in uploads}),
-        _jobs(jobs),
+        job_counts,
         _gauge("kleinkram_jobs_retrying", "Jobs that failed and wait for another attempt.", "task", retrying),
         GaugeMetricFamily(
             "kleinkram_queue_oldest_seconds", "Age of the oldest job that waits, or waits for a retry.", value=age_s
         ),
-        *_workers(workers),
+        GaugeMetricFamily("kleinkram_workers", "Worker processes that are alive.", value=len(workers.seen_at)),
+        GaugeMetricFamily(
+            "kleinkram_worker_last_heartbeat_timestamp_seconds", "When a worker was last heard of.", value=heard_at
+        ),
         GaugeMetricFamily(
             "kleinkram_oldest_verification_seconds",
             "Seconds since the oldest verification.",
             value=verification_age_s,
         ),
-        *_scrub(last),
     ]
+    if last is not None:
+        findings = {name: getattr(last, name) for name in _FINDINGS}
+        ended_at, stopped = last.ended_at.timestamp(), int(last.stopped is not None)
+        gauges += [
+            GaugeMetricFamily("kleinkram_scrub_ended_timestamp_seconds", "When the last scrub ended.", value=ended_at),
+            GaugeMetricFamily("kleinkram_scrub_stopped", "Whether it stopped and marked nothing.", value=stopped),
+            GaugeMetricFamily("kleinkram_scrub_compared", "Blobs that it compared.", value=last.compared),
+            _gauge("kleinkram_scrub_findings", "What it found.", "finding", findings),
+        ]
+    return gauges
 
 
 def exposition(gauges: Sequence[Metric]) -> bytes:
@@ -203,40 +218,8 @@ class _GaugeCollector(Collector):
         return self._gauges
 
 
-def _workers(workers: Workers) -> list[Metric]:
-    """Return how many worker processes are alive, and when one was last heard of (0: never)."""
-    last_at = workers.last_seen_at.timestamp() if workers.last_seen_at else 0
-    return [
-        GaugeMetricFamily("kleinkram_workers", "Worker processes that are alive.", value=len(workers.seen_at)),
-        GaugeMetricFamily(
-            "kleinkram_worker_last_heartbeat_timestamp_seconds", "When a worker was last heard of.", value=last_at
-        ),
-    ]
-
-
 def _gauge(name: str, text: str, label: str, values: Mapping[str, int]) -> GaugeMetricFamily:
     family = GaugeMetricFamily(name, text, labels=[label])
     for of, value in values.items():
         family.add_metric([of], value)
-    return family
-
-
-def _scrub(last: Row[Any] | None) -> list[Metric]:
-    """Return what the last comparison of the store with the database found; nothing where there was none."""
-    if last is None:
-        return []
-    at, found = last.ended_at.timestamp(), {name: getattr(last, name) for name in _FINDINGS}
-    stopped = int(last.stopped is not None)
-    return [
-        GaugeMetricFamily("kleinkram_scrub_ended_timestamp_seconds", "When the last scrub ended.", value=at),
-        GaugeMetricFamily("kleinkram_scrub_stopped", "Whether it stopped and marked nothing.", value=stopped),
-        GaugeMetricFamily("kleinkram_scrub_compared", "Blobs that it compared.", value=last.compared),
-        _gauge("kleinkram_scrub_findings", "What it found.", "finding", found),
-    ]
-
-
-def _jobs(rows: Sequence[Row[Any]]) -> GaugeMetricFamily:
-    family = GaugeMetricFamily("kleinkram_jobs", "Jobs by task and status.", labels=["task", "status"])
-    for task, status, count in rows:
-        family.add_metric([task, status], count)
     return family

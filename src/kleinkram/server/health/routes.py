@@ -66,6 +66,6 @@ async def service(actor: CurrentActor, storage: CurrentStorage, settings: Curren
         token_days_default=default_days(TokenKind.personal, settings) or 0,
         token_days_max=settings.token_days_max,
         has_local_accounts=settings.local_accounts,
-        viewers=[ViewerRead(name=each.name, url=each.url) for each in settings.viewers],
+        viewers=[ViewerRead(name=viewer.name, url=viewer.url) for viewer in settings.viewers],
         person=actor.ref,
     )

@@ -148,9 +148,9 @@ async def _attention(db: Connection, actor: Actor) -> list[Attention]:
         count(Need.runs_failed, row)
     for row in await db.execute(_unsatisfied_missions(actor)):
         count(Need.metadata_missing, row)
-    found = [Attention(need=need, count=number, mission=where) for (need, where), number in counts.items()]
+    items = [Attention(need=need, count=number, mission=where) for (need, where), number in counts.items()]
     order = list(Need)
-    return sorted(found, key=lambda attention: order.index(attention.need))
+    return sorted(items, key=lambda attention: order.index(attention.need))
 
 
 async def _server_attention(db: Connection, settings: Settings) -> list[Attention]:

@@ -104,27 +104,23 @@ async def _on_http_exception(request: Request, error: Exception) -> Response:
     if not isinstance(error, HTTPException):
         raise error
     settings: Settings = request.app.state.settings
-    if error.status_code == 404 and wants_page(request) and not _is_sign_in_of_original(request):
+    path = request.url.path
+    # The client of the original Kleinkram opens a browser with such an address to sign in.
+    is_original_sign_in = path.startswith("/auth/") and request.query_params.get("state", "").startswith("cli")
+    if error.status_code == 404 and wants_page(request) and not is_original_sign_in:
         return app_page(settings, status=404)
-    return problem_response(_to_kleinkram_error(request, error, settings), _request_id(request))
-
-
-def _to_kleinkram_error(request: Request, error: HTTPException, settings: Settings) -> KleinkramError:
+    problem: KleinkramError
     if error.status_code == 413:
         size_bytes, limit_bytes = map(int, error.detail.split())
-        return BodyTooLarge(size_bytes=size_bytes, limit_bytes=limit_bytes)
-    if error.status_code == 405:
-        return MethodNotAllowed(method=request.method, path=request.url.path)
-    if error.status_code == 404 and is_original_api_path(request.url.path):
-        return WrongClient(server=settings.public_url)
-    if error.status_code == 404:
-        return NotFound(noun="page", ref=request.url.path)
-    return InvalidRequest(problems=[FieldProblem(field="request", message=str(error.detail))])
-
-
-def _is_sign_in_of_original(request: Request) -> bool:
-    """Whether the client of the original Kleinkram opened a browser with this address to sign in."""
-    return request.url.path.startswith("/auth/") and request.query_params.get("state", "").startswith("cli")
+        problem = BodyTooLarge(size_bytes=size_bytes, limit_bytes=limit_bytes)
+    elif error.status_code == 405:
+        problem = MethodNotAllowed(method=request.method, path=path)
+    elif error.status_code == 404:
+        is_original = is_original_api_path(path)
+        problem = WrongClient(server=settings.public_url) if is_original else NotFound(noun="page", ref=path)
+    else:
+        problem = InvalidRequest(problems=[FieldProblem(field="request", message=str(error.detail))])
+    return problem_response(problem, _request_id(request))
 
 
 async def _on_crash(request: Request, error: Exception) -> JSONResponse:

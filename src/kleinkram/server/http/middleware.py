@@ -111,7 +111,9 @@ class CancelAbandonedReads:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one request."""
-        if not _is_read(scope):
+        path = scope.get("path", "")
+        is_read = scope["type"] == "http" and scope["method"] in {"GET", "HEAD"}
+        if not is_read or not path.startswith(_API_PATH) or path.startswith(_SIGN_IN_PATH):
             await self._app(scope, receive, send)
             return
         request_task, watcher = asyncio.current_task(), None
@@ -149,13 +151,6 @@ class CancelAbandonedReads:
             stop_watching()
 
 
-def _is_read(scope: Scope) -> bool:
-    if scope["type"] != "http" or scope["method"] not in {"GET", "HEAD"}:
-        return False
-    path: str = scope["path"]
-    return path.startswith(_API_PATH) and not path.startswith(_SIGN_IN_PATH)
-
-
 def _log_request(scope: Scope, status: int, seconds: float, request_id: str) -> None:
     path = getattr(scope.get("route"), "path", "unmatched")
     metrics.REQUESTS.labels(scope["method"], path, str(status)).inc()
@@ -163,16 +158,13 @@ def _log_request(scope: Scope, status: int, seconds: float, request_id: str) -> 
         metrics.REQUEST_SECONDS.labels(scope["method"], path).observe(seconds)
     if path.startswith("/health") and status < 500:
         return
+    # Parts that are longer than any id may be tokens, pasted by mistake.
+    parts = (part if len(part) <= _MAX_ID_CHARACTERS else f"{part[:8]}…" for part in scope["path"].split("/"))
     fields = {
         "method": scope["method"],
-        "path": _shorten_parts(scope["path"]),
+        "path": "/".join(parts),
         "status": status,
         "request_id": request_id,
         "duration_ms": round(seconds * 1000, 1),
     }
     _log.info("request", extra={"fields": fields})
-
-
-def _shorten_parts(path: str) -> str:
-    """Cut the parts of a path that are longer than any id: one may be a token, pasted by mistake."""
-    return "/".join(part if len(part) <= _MAX_ID_CHARACTERS else f"{part[:8]}…" for part in path.split("/"))

@@ -1,6 +1,6 @@
-"""What is served of the built app: its one page under every address of a view, and the files that the page asks for.
+"""The built web app: its page, served at the address of every view, and its files.
 
-Reads files that were made with the wheel or by `make setup`, and nothing else. A name never leads out of its folder.
+Serves only files that were built with the wheel or by `make setup`; names cannot leave their folder.
 """
 
 import re
@@ -17,11 +17,11 @@ from kleinkram.server.settings import Settings
 
 BUILT: Final = Path(__file__).parent.parent / "web" / "built"
 STATIC: Final = Path(__file__).parent.parent / "web" / "static"
-# What is built is named after its content, so it never changes under its name.
+# Built files are named after their content, so they never change.
 FOREVER: Final = "public, max-age=31536000, immutable"
 DAY: Final = "public, max-age=86400"
 HOUR: Final = "public, max-age=3600"
-# What the pages that the server makes itself have in common with the app: colours, letters, light or dark, a name.
+# Shared by the server's own pages and the app: colours, fonts, theme, icon.
 PAGE_HEAD: Final = (
     '<meta name="color-scheme" content="light dark"><link rel="icon" href="/static/icon.svg" type="image/svg+xml">'
     '<link rel="stylesheet" href="/static/fonts.css"><link rel="stylesheet" href="/static/tokens.css">'
@@ -38,9 +38,9 @@ _TYPES: Final = {
     ".woff2": "font/woff2",
 }
 _SMALLER: Final = (("br", ".br"), ("gzip", ".gz"))  # the smallest first
-# Under these everything is the API's: what is not there is told as a problem, to programs.
+# Addresses for programs: a missing one is answered with a problem document.
 _OF_PROGRAMS: Final = ("/api/", "/assets/", "/fonts/", "/health/", "/static/", "/s/static/", "/sign-in/static/")
-# Paths of the original's API that are no views of the app, and those under the names of views.
+# Paths of the original Kleinkram's API that are no views of the app, and those below views.
 _ORIGINALS_PATH = re.compile(
     r"/(auth|users?|templates|triggers|metadata-types|action|hooks|tag|queue|topic|worker|access|category|user)(/.*)?"
     r"|/(projects?|missions?|files?|actions)/(many|filtered|one|byName|ofMission|running|script|temporaryAccess|download"
@@ -55,7 +55,7 @@ _NOT_BUILT: Final = (
 
 
 def app_policy(settings: Settings) -> str:
-    """Return what the app may do: run what is ours, and talk to this server and to the store, by its public address."""
+    """Return the content policy of the app: its own scripts, this server, and the store at its public address."""
     return (
         "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; font-src 'self'; "
         f"img-src 'self' blob: data:; connect-src 'self' {settings.store_origin}; worker-src 'self'; "
@@ -64,7 +64,7 @@ def app_policy(settings: Settings) -> str:
 
 
 def app_page(settings: Settings, *, status: int = 200) -> Response:
-    """Return the page that is the app; which view it shows is the address's affair, and the browser's."""
+    """Return the page of the app, which shows the view of its address."""
     page = BUILT / "index.html"
     if not page.is_file():
         return HTMLResponse(_NOT_BUILT, status_code=503, headers={"Content-Security-Policy": PAGE_POLICY})
@@ -73,41 +73,41 @@ def app_page(settings: Settings, *, status: int = 200) -> Response:
 
 
 def brand(settings: Settings) -> str:
-    """Return the line above such a page: whose server it is, and the way to the app."""
+    """Return the header of the server's own pages: the lab's name, with a link to the app."""
     icon = '<img src="/static/icon.svg" alt="" width="28" height="28">'
     return f'<header><a class="brand" href="/">{icon}{escape(settings.lab_name)}</a></header>'
 
 
 def wants_page(request: Request) -> bool:
-    """Say whether a person's browser asks for a page, and not a program for an answer."""
-    is_looking = request.method == "GET" and "text/html" in request.headers.get("accept", "")
-    return is_looking and not request.url.path.startswith(_OF_PROGRAMS)
+    """Whether a browser requests a page, rather than a program an API response."""
+    is_navigation = request.method == "GET" and "text/html" in request.headers.get("accept", "")
+    return is_navigation and not request.url.path.startswith(_OF_PROGRAMS)
 
 
 def asks_for_json(request: Request) -> bool:
-    """Say whether a program asks, which takes JSON and no page."""
+    """Whether a program requests JSON rather than a page."""
     accepted = request.headers.get("accept", "")
     return "json" in accepted and "text/html" not in accepted
 
 
 def is_original_api_path(path: str) -> bool:
-    """Say whether the original's API has this path, and neither ours nor the app."""
+    """Whether only the API of the original Kleinkram has this path."""
     return _ORIGINALS_PATH.fullmatch(path) is not None
 
 
 def built_file(request: Request, settings: Settings, name: str, *, caching: str) -> Response:
-    """Return a file of the app, in the smallest form that the browser takes.
+    """Return a file of the app, in the smallest encoding that the browser accepts.
 
-    A script carries the app's policy too: where it runs as a worker, it is held to its own and not to the page's.
+    Scripts carry the app's policy too, because workers are subject to their own policy instead of the page's.
 
     Raises NotFound.
     """
     headers = {"Content-Security-Policy": app_policy(settings), "Cache-Control": caching}
     path = _within(BUILT, name)
-    taken = {each.split(";")[0].strip() for each in request.headers.get("accept-encoding", "").split(",")}
+    accepted = {part.split(";")[0].strip() for part in request.headers.get("accept-encoding", "").split(",")}
     for coding, ending in _SMALLER:
         smaller = path.with_name(path.name + ending)
-        if coding in taken and smaller.is_file():
+        if coding in accepted and smaller.is_file():
             more = {"Content-Encoding": coding, "Vary": "Accept-Encoding"}
             return FileResponse(smaller, media_type=_TYPES[path.suffix], headers=headers | more)
     return FileResponse(path, media_type=_TYPES[path.suffix], headers=headers | {"Vary": "Accept-Encoding"})

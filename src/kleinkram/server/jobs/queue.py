@@ -67,8 +67,8 @@ async def enqueue(
 ) -> None:
     """Enqueue one job for each id, in their order, as part of the caller's transaction; to begin so much later."""
     if ids:
-        said = {"lane": _LANES.get(job, DEFAULT), "task": job.value, "priority": int(urgency), "ids": [*ids]}
-        await db.execute(_DEFER, {**said, "later": later})
+        parameters = {"lane": _LANES.get(job, DEFAULT), "task": job.value, "priority": int(urgency), "ids": [*ids]}
+        await db.execute(_DEFER, {**parameters, "later": later})
 
 
 async def hasten(db: Connection, job: Job, ref: uuid.UUID) -> None:
@@ -94,13 +94,13 @@ _SETTLED = text(
 
 async def waiting(db: Connection, job: Job, *, most: int) -> list[uuid.UUID]:
     """Return ids for which a job waits that could begin now: some of them."""
-    found = await db.execute(_WAITING, {"task": job.value, "most": most})
-    return [uuid.UUID(ref) for ref in found.scalars()]
+    rows = await db.execute(_WAITING, {"task": job.value, "most": most})
+    return [uuid.UUID(ref) for ref in rows.scalars()]
 
 
 async def settle(db: Connection, job: Job, ids: Iterable[uuid.UUID]) -> None:
     """Drop jobs that wait, since the caller's transaction does what they were for."""
-    await db.execute(_SETTLED, {"task": job.value, "refs": [str(each) for each in ids]})
+    await db.execute(_SETTLED, {"task": job.value, "refs": [str(job_id) for job_id in ids]})
 
 
 _ENQUEUED_AT = text("SELECT min(at) FROM procrastinate_events WHERE job_id = :id")
@@ -108,8 +108,8 @@ _ENQUEUED_AT = text("SELECT min(at) FROM procrastinate_events WHERE job_id = :id
 
 async def enqueued_at(db: Connection, job_id: int | None) -> datetime.datetime | None:
     """Return since when a job waits, from before its first try; None where nothing is known of it."""
-    found: datetime.datetime | None = (await db.execute(_ENQUEUED_AT, {"id": job_id})).scalar()
-    return found
+    rows: datetime.datetime | None = (await db.execute(_ENQUEUED_AT, {"id": job_id})).scalar()
+    return rows
 
 
 _jobs = table("procrastinate_jobs", column("task_name"), column("status"), column("args"))

@@ -40,7 +40,7 @@ from kleinkram.server.filters.metadata import metadata_key
 from kleinkram.server.filters.missions import filter_missions, filter_missions_by_files
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
 from kleinkram.server.missions.amounts import amounts
-from kleinkram.server.paging import Listing, Order
+from kleinkram.server.pagination import Listing, Order
 from kleinkram.server.tables import blob, file, mission, person, project
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)

@@ -20,7 +20,7 @@ from kleinkram.contract.search import QueryText
 from kleinkram.server.http.dependencies import CurrentActor, Reading, Transaction
 from kleinkram.server.http.headers import IfMatch
 from kleinkram.server.missions import service
-from kleinkram.server.paging import PageRequest
+from kleinkram.server.pagination import PageRequest
 
 router = APIRouter(prefix="/api/v1", tags=["missions"])
 

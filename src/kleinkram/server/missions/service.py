@@ -39,7 +39,7 @@ from kleinkram.server.missions import queries
 from kleinkram.server.missions.amounts import NOTHING
 from kleinkram.server.missions.metadata import Judge, read_metadata, satisfying
 from kleinkram.server.missions.template import carried_over, defaults, write_template
-from kleinkram.server.paging import PageRequest, fetch_listing
+from kleinkram.server.pagination import PageRequest, fetch_listing
 from kleinkram.server.quotas import require_room_for_mission
 from kleinkram.server.tables import mission
 from kleinkram.server.yaml_text import Document

@@ -16,7 +16,7 @@ from kleinkram.server.access.visible import (
     visible_files,
     visible_missions,
 )
-from kleinkram.server.paging import Order
+from kleinkram.server.pagination import Order
 from kleinkram.server.tables import blob, file, mission, mission_topic, mission_topics, recording, topic
 
 TIMELINE_ORDER = Order([file.c.path, file.c.id])

@@ -18,7 +18,7 @@ from kleinkram.contract.overviews import (
 )
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
 from kleinkram.server.overviews import service, stats, topics
-from kleinkram.server.paging import PageRequest
+from kleinkram.server.pagination import PageRequest
 
 router = APIRouter(prefix="/api/v1", tags=["overviews"])
 

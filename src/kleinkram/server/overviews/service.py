@@ -7,7 +7,7 @@ from kleinkram.contract.overviews import MissionTimeline
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.db import Connection
 from kleinkram.server.overviews import queries
-from kleinkram.server.paging import PageRequest, fetch_page
+from kleinkram.server.pagination import PageRequest, fetch_page
 
 
 async def get_timeline(db: Connection, actor: Actor, *, mission_id: uuid.UUID, page: PageRequest) -> MissionTimeline:

@@ -21,7 +21,7 @@ from kleinkram.server.db import Connection
 from kleinkram.server.missions import service as missions
 from kleinkram.server.overviews import queries
 from kleinkram.server.overviews.merge import Key, Merged, merge
-from kleinkram.server.paging import PageRequest, fetch_page
+from kleinkram.server.pagination import PageRequest, fetch_page
 from kleinkram.server.tables import MOST_KEPT_TOPICS, mission_topic
 
 _FETCHED_AT_ONCE = 2_000

@@ -9,7 +9,7 @@ from kleinkram.contract.base import Page
 from kleinkram.contract.names import Term
 from kleinkram.contract.people import Departure, PersonRead
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
-from kleinkram.server.paging import CountedPageQuery
+from kleinkram.server.pagination import CountedPageQuery
 from kleinkram.server.people import service
 
 router = APIRouter(prefix="/api/v1/people", tags=["people"])

@@ -24,7 +24,7 @@ from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.auth.one_time_codes import revoke_codes
 from kleinkram.server.db import Connection
 from kleinkram.server.filters.patterns import holds_word
-from kleinkram.server.paging import Order, PageRequest, read_page
+from kleinkram.server.pagination import Order, PageRequest, read_page
 from kleinkram.server.tables import access_grant, membership, mission, person, person_email, session, share, token
 
 _PEOPLE_ORDER = Order([person.c.name.collate("C"), person.c.id])

@@ -13,7 +13,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import level_on_project, sees_whole_missions, visible_projects
 from kleinkram.server.db import by_name
 from kleinkram.server.missions.amounts import duration, file_amounts
-from kleinkram.server.paging import Order
+from kleinkram.server.pagination import Order
 from kleinkram.server.tables import mission, person, project, upload
 from kleinkram.server.tables.blobs import UNDER_WAY
 

@@ -11,7 +11,7 @@ from kleinkram.contract.names import Term
 from kleinkram.contract.projects import Deleted, ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Reading, Transaction
 from kleinkram.server.http.headers import IfMatch
-from kleinkram.server.paging import CountedPageQuery
+from kleinkram.server.pagination import CountedPageQuery
 from kleinkram.server.projects import service
 
 router = APIRouter(prefix="/api/v1/projects", tags=["projects"])
@@ -35,10 +35,10 @@ async def list_projects(
 
 @router.post("", operation_id="create_project", status_code=201)
 async def create_project(
-    wanted: ProjectCreate, db: Transaction, actor: CurrentActor, settings: CurrentSettings
+    request: ProjectCreate, db: Transaction, actor: CurrentActor, settings: CurrentSettings
 ) -> ProjectRead:
     """Create a project."""
-    return await service.create_project(db, actor, wanted=wanted, creators=settings.creators)
+    return await service.create_project(db, actor, request=request, creators=settings.creators)
 
 
 @router.get("/{project_id}", operation_id="get_project")

@@ -26,7 +26,7 @@ from kleinkram.server.filters.missions import filter_projects
 from kleinkram.server.http.headers import require_match
 from kleinkram.server.missions import service as missions
 from kleinkram.server.missions.metadata import Judge, Wrong
-from kleinkram.server.paging import PageRequest, fetch_page
+from kleinkram.server.pagination import PageRequest, fetch_page
 from kleinkram.server.projects.queries import lock_project, project_order, project_rows, to_projects
 from kleinkram.server.settings import Creators
 from kleinkram.server.tables import project
@@ -55,24 +55,24 @@ async def list_projects(
     return Page(items=to_projects(rows.items), next=rows.next, total=rows.total)
 
 
-async def create_project(db: Connection, actor: Actor, *, wanted: ProjectCreate, creators: Creators) -> ProjectRead:
+async def create_project(db: Connection, actor: Actor, *, request: ProjectCreate, creators: Creators) -> ProjectRead:
     """Create a project and return it. Raises Forbidden, YamlInvalid, FieldsInvalid or NameTaken."""
     by_power = await require_creator(db, actor, creators, noun="project")
-    fields = await _read_declaration(wanted) or MetadataFields()
+    fields = await _read_declaration(request) or MetadataFields()
     project_id = uuid.uuid4()
     values: Metadata = {
-        "name": wanted.name,
-        "description": wanted.description,
+        "name": request.name,
+        "description": request.description,
         "metadata_fields": fields.model_dump(mode="json", exclude_none=True),
     }
-    row = {**values, "id": project_id, "name_key": name_key(wanted.name), "created_by_id": actor.person_id}
+    row = {**values, "id": project_id, "name_key": name_key(request.name), "created_by_id": actor.person_id}
     try:
         await db.execute(insert(project).values(**row))
     except IntegrityError as error:
-        raise _name_taken(error, wanted.name) from error
+        raise _name_taken(error, request.name) from error
     if grants := await grant_first_rights(db, actor, project_id):
         values["grants"] = {name: right.value for name, right in grants.items()}
-    event = Event("project.create", "project", project_id, wanted.name, project_id, after=values, by_power=by_power)
+    event = Event("project.create", "project", project_id, request.name, project_id, after=values, by_power=by_power)
     await record(db, actor, event)
     return await get_project(db, actor, project_id)
 

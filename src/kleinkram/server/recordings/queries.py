@@ -13,7 +13,7 @@ from kleinkram.contract.projects import ProjectRef
 from kleinkram.recordings import group
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import shown_recordings, visible_missions
-from kleinkram.server.paging import Order
+from kleinkram.server.pagination import Order
 from kleinkram.server.tables import blob, file, mission, project, recording
 
 

@@ -7,7 +7,7 @@ from fastapi import APIRouter
 from kleinkram.contract.base import Cursor, Page, PageSize
 from kleinkram.contract.files import RecordingRead
 from kleinkram.server.http.dependencies import CurrentActor, Reading
-from kleinkram.server.paging import PageRequest
+from kleinkram.server.pagination import PageRequest
 from kleinkram.server.recordings import service
 
 router = APIRouter(prefix="/api/v1", tags=["recordings"])

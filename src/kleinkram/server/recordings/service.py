@@ -12,7 +12,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.db import Connection
 from kleinkram.server.jobs.queue import Job, Urgency, enqueue, has_job
 from kleinkram.server.missions import service as missions
-from kleinkram.server.paging import PageRequest, fetch_page
+from kleinkram.server.pagination import PageRequest, fetch_page
 from kleinkram.server.recordings import queries
 from kleinkram.server.tables import mission, mission_topics
 

@@ -248,7 +248,7 @@ async def put_back(
     try:
         await missions.lock_mission_to_fill(db, actor, row.mission_id)
         size_bytes = sum(artifacts[entry.path].size_bytes for entry in selected)
-        await require_room(db, actor, project_id=row.project_id, asked=Amount(len(selected), size_bytes))
+        await require_room(db, actor, project_id=row.project_id, requested=Amount(len(selected), size_bytes))
     except KleinkramError as error:
         return [f"What it put back stays among the artifacts: {error}"]
     problems, made = await _create_files(db, row, selected, artifacts)

@@ -10,7 +10,7 @@ from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.runners import Capacity, ClaimRequest, ExecutorAbilities, RunnerRead, RunnerToken
 from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.db import among
-from kleinkram.server.paging import Order
+from kleinkram.server.pagination import Order
 from kleinkram.server.runners.eligibility import is_alive, is_single_person_only, runs_scripts, with_limits
 from kleinkram.server.tables import action, action_version, mission, project, run, runner, token, token_limit
 from kleinkram.server.tables.runs import HELD

@@ -27,7 +27,7 @@ from kleinkram.contract.runs import RunContext
 from kleinkram.contract.uploads import UploadDecisions
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Transaction
 from kleinkram.server.http.middleware import mark_as_stream
-from kleinkram.server.paging import PageRequest
+from kleinkram.server.pagination import PageRequest
 from kleinkram.server.runners import assigned_runs, service
 from kleinkram.server.uploads.artifacts import ArtifactOwner, begin_artifacts
 from kleinkram.server.uploads.completion import finish_interrupted_artifacts

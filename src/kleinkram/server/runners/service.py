@@ -37,7 +37,7 @@ from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from kleinkram.server.events.hub import EventFilter, Hub
-from kleinkram.server.paging import PageRequest, fetch_page
+from kleinkram.server.pagination import PageRequest, fetch_page
 from kleinkram.server.runners import queries
 from kleinkram.server.runners.eligibility import has_single_person, with_limits
 from kleinkram.server.runs.lifecycle import end_run, requeue_lost_runs

@@ -29,7 +29,7 @@ from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.visible import level_on_mission, visible_files, visible_missions
 from kleinkram.server.db import among
 from kleinkram.server.filters.patterns import matches, matches_key
-from kleinkram.server.paging import Order
+from kleinkram.server.pagination import Order
 from kleinkram.server.tables import (
     action,
     action_version,

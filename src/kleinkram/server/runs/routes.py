@@ -24,7 +24,7 @@ from kleinkram.contract.runs import (
     RunsCreated,
 )
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
-from kleinkram.server.paging import PageRequest
+from kleinkram.server.pagination import PageRequest
 from kleinkram.server.runs import launch, lifecycle, logs, service
 
 router = APIRouter(prefix="/api/v1", tags=["runs"])

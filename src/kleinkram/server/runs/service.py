@@ -32,7 +32,7 @@ from kleinkram.server.access.visible import visible_files
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
-from kleinkram.server.paging import PageRequest, fetch_page
+from kleinkram.server.pagination import PageRequest, fetch_page
 from kleinkram.server.runners.eligibility import has_single_person, known_runners, reason_waiting
 from kleinkram.server.runs import queries
 from kleinkram.server.tables import blob, file, run, run_artifact, run_input

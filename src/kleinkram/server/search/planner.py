@@ -20,7 +20,7 @@ from kleinkram.server.filters.plan import ID_COUNT, MatchedFiles, SearchPlan, ro
 from kleinkram.server.filters.prepared import prepare
 from kleinkram.server.filters.text import file_contains, has_index, look_up_words, occur_somewhere, words_of
 from kleinkram.server.missions.service import find_visible_mission_ids
-from kleinkram.server.paging import in_order
+from kleinkram.server.pagination import in_order
 from kleinkram.server.tables import file
 
 # Files sampled, and how many of them make a filter common: with those, an estimate is off by a third.

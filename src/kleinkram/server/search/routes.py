@@ -12,7 +12,7 @@ from kleinkram.contract.overviews import StatsRead
 from kleinkram.contract.query import whole
 from kleinkram.contract.search import FacetsRead, FileQuery, QueryText, SearchRead
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
-from kleinkram.server.paging import PageRequest
+from kleinkram.server.pagination import PageRequest
 from kleinkram.server.search import facets, service
 
 router = APIRouter(prefix="/api/v1", tags=["search"])

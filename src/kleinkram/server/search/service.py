@@ -18,7 +18,7 @@ from kleinkram.server.files.topics import TOPIC_ORDER, to_topics
 from kleinkram.server.filters.plan import SearchPlan
 from kleinkram.server.filters.prepared import prepare
 from kleinkram.server.missions import service as missions
-from kleinkram.server.paging import PageRequest, fetch_page
+from kleinkram.server.pagination import PageRequest, fetch_page
 from kleinkram.server.search import queries
 from kleinkram.server.search.planner import Sample, find_matched, plan_search
 

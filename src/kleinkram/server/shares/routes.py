@@ -14,7 +14,7 @@ from kleinkram.contract.tokens import SHARE_PAGE, ShareCreate, SharedRead, Share
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Transaction
 from kleinkram.server.http.headers import PAGE_POLICY
 from kleinkram.server.http.pages import PAGE_HEAD, brand
-from kleinkram.server.paging import PageQuery
+from kleinkram.server.pagination import PageQuery
 from kleinkram.server.settings import Settings
 from kleinkram.server.shares import service
 
@@ -30,10 +30,10 @@ class ShareListQuery(PageQuery):
 
 @router.post("/missions/{mission_id}/shares", operation_id="create_share", status_code=201)
 async def create_share(
-    mission_id: uuid.UUID, wanted: ShareCreate, db: Transaction, actor: CurrentActor, settings: CurrentSettings
+    mission_id: uuid.UUID, request: ShareCreate, db: Transaction, actor: CurrentActor, settings: CurrentSettings
 ) -> ShareMade:
     """Create a link to a mission or some of its files; its secret is shown only once, in this response."""
-    return await service.create_share(db, actor, settings=settings, mission_id=mission_id, wanted=wanted)
+    return await service.create_share(db, actor, settings=settings, mission_id=mission_id, request=request)
 
 
 @router.get("/shares", operation_id="list_shares")

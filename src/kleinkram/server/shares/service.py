@@ -20,7 +20,7 @@ from kleinkram.server.access.visible import visible_files, visible_missions
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, among
 from kleinkram.server.missions.service import lock_mission
-from kleinkram.server.paging import Order, PageRequest, read_page
+from kleinkram.server.pagination import Order, PageRequest, read_page
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import blob, file, mission, person, project, share, share_file
 
@@ -29,37 +29,37 @@ _PLACE = (mission.c.name.label("mission_name"), project.c.id.label("project_id")
 
 
 async def create_share(
-    db: Connection, actor: Actor, *, settings: Settings, mission_id: uuid.UUID, wanted: ShareCreate
+    db: Connection, actor: Actor, *, settings: Settings, mission_id: uuid.UUID, request: ShareCreate
 ) -> ShareMade:
     """Create a link and return it with its secret. Raises NotFound, Forbidden, InvalidRequest or NotAuthenticated."""
     await ensure_active_person(db, actor.person_id)
     await lock_mission(db, mission_id)
     await require_mission(db, actor, "create_share", mission_id)
-    await _require_valid_expiry(db, wanted.expires_at, max_days=settings.share_days_max)
-    file_ids = None if wanted.file_ids is None else list(dict.fromkeys(wanted.file_ids))
+    await _require_valid_expiry(db, request.expires_at, max_days=settings.share_days_max)
+    file_ids = None if request.file_ids is None else list(dict.fromkeys(request.file_ids))
     files = visible_files(actor).with_only_columns(file.c.id, maintain_column_froms=True)
     files = files.where(file.c.mission_id == mission_id, among(file.c.id, file_ids or []))
     visible = set((await db.execute(files)).scalars())
-    if missing := [each for each in file_ids or [] if each not in visible]:
+    if missing := [file_id for file_id in file_ids or [] if file_id not in visible]:
         raise NotFound(noun="file", ref=str(missing[0]))
     share_id, secret = uuid.uuid4(), new_secret(SecretKind.link)
     await db.execute(
         insert(share).values(
             id=share_id,
             mission_id=mission_id,
-            name=wanted.name,
+            name=request.name,
             is_whole=file_ids is None,
             prefix=secret.prefix,
             secret_sha256=secret.sha256,
             created_by_id=actor.person_id,
-            expires_at=wanted.expires_at,
+            expires_at=request.expires_at,
         )
     )
     if file_ids:
-        await db.execute(insert(share_file), [{"share_id": share_id, "file_id": each} for each in file_ids])
+        await db.execute(insert(share_file), [{"share_id": share_id, "file_id": file_id} for file_id in file_ids])
     created = await _get_share(db, _known_shares(actor, Right.write), share_id)
     after: Metadata = created.model_dump(mode="json", include={"file_count", "expires_at", "prefix"})
-    after["file_ids"] = None if file_ids is None else [str(each) for each in file_ids]
+    after["file_ids"] = None if file_ids is None else [str(file_id) for file_id in file_ids]
     await record(db, actor, _event("share.create", created, after))
     url = f"{settings.public_url.rstrip('/')}{SHARE_PAGE}#{secret.text}"
     return ShareMade(share=created, url=url, secret=secret.text)

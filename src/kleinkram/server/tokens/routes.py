@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query
 from kleinkram.contract.base import Page
 from kleinkram.contract.tokens import TokenCreate, TokenMade, TokenRead
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Transaction
-from kleinkram.server.paging import PageQuery
+from kleinkram.server.pagination import PageQuery
 from kleinkram.server.tokens import service
 from kleinkram.server.tokens.service import DerivedTokens
 
@@ -25,10 +25,10 @@ class TokenListQuery(PageQuery):
 
 @router.post("", operation_id="create_token", status_code=201)
 async def create_token(
-    wanted: TokenCreate, db: Transaction, actor: CurrentActor, settings: CurrentSettings
+    request: TokenCreate, db: Transaction, actor: CurrentActor, settings: CurrentSettings
 ) -> TokenMade:
     """Create a token; its secret is shown only once, in this response."""
-    return await service.create_token(db, actor, wanted=wanted, settings=settings)
+    return await service.create_token(db, actor, request=request, settings=settings)
 
 
 @router.get("", operation_id="list_tokens")

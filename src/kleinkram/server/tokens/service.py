@@ -27,7 +27,7 @@ from kleinkram.server.access.rights import ensure_active_person, lock_person, re
 from kleinkram.server.access.visible import visible_missions, visible_projects
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.db import Connection, among
-from kleinkram.server.paging import Order, PageRequest, fetch_page
+from kleinkram.server.pagination import Order, PageRequest, fetch_page
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import audit_event, mission, person, project, runner, token, token_limit
 
@@ -41,27 +41,27 @@ class DerivedTokens(str, enum.Enum):
     kept = "kept"
 
 
-async def create_token(db: Connection, actor: Actor, *, wanted: TokenCreate, settings: Settings) -> TokenMade:
+async def create_token(db: Connection, actor: Actor, *, request: TokenCreate, settings: Settings) -> TokenMade:
     """Create a token for the actor and return it with its secret.
 
     Raises NotFound, Forbidden, TokenTooWide, InvalidRequest or SignInTooOld.
     """
-    if Scope.admin in wanted.chosen_scopes:
+    if Scope.admin in request.chosen_scopes:
         require_fresh_sign_in(actor, "create_token_with_the_scope_admin", within_s=settings.fresh_sign_in_s)
-    if wanted.kind is TokenKind.runner and not actor.is_admin:
+    if request.kind is TokenKind.runner and not actor.is_admin:
         raise Forbidden(noun="server", operation="create a token for a runner", needs="admin rights")
-    await _require_visible_places(db, actor, wanted)
-    expires_at = await _find_expiry(db, actor, wanted, settings)
+    await _require_visible_places(db, actor, request)
+    expires_at = await _find_expiry(db, actor, request, settings)
     # Its scopes cannot be wider: creating tokens requires the scope that contains all.
-    if actor.limits is not None and not wanted.is_limited:
+    if actor.limits is not None and not request.is_limited:
         raise TokenTooWide(reason="it is limited itself; limit the new token to what it can reach")
     token_id, secret = await issue_token(
-        db, actor.person_id, wanted=wanted, expires_at=expires_at, made_by=actor.token_id
+        db, actor.person_id, request=request, expires_at=expires_at, made_by=actor.token_id
     )
     created = (await _read_tokens(db, actor, [await _get_row(db, actor, token_id)]))[0]
     shown = {"kind", "scopes", "limits", "expires_at", "prefix", "runner", "runner_labels"}
     after = created.model_dump(mode="json", include=shown)
-    by_power = wanted.kind is TokenKind.runner
+    by_power = request.kind is TokenKind.runner
     await record(
         db, actor, Event("token.create", "token", token_id, created.name, None, after=after, by_power=by_power)
     )
@@ -72,7 +72,7 @@ async def issue_token(
     db: Connection,
     person_id: uuid.UUID | None,
     *,
-    wanted: TokenCreate,
+    request: TokenCreate,
     expires_at: datetime.datetime | None,
     made_by: uuid.UUID | None = None,
 ) -> tuple[uuid.UUID, NewSecret]:
@@ -85,25 +85,25 @@ async def issue_token(
     if (await db.execute(revoked)).first() is not None:
         raise NotAuthenticated(reason="the token is not valid here")
     token_id = uuid.uuid4()
-    secret = new_secret(SecretKind[wanted.kind.name])
+    secret = new_secret(SecretKind[request.kind.name])
     await db.execute(
         insert(token).values(
             id=token_id,
             person_id=person_id,
-            kind=wanted.kind.value,
-            name=wanted.name,
+            kind=request.kind.value,
+            name=request.name,
             prefix=secret.prefix,
             secret_sha256=secret.sha256,
-            scopes=[scope.value for scope in wanted.chosen_scopes],
-            is_limited=wanted.is_limited,
+            scopes=[scope.value for scope in request.chosen_scopes],
+            is_limited=request.is_limited,
             expires_at=expires_at,
             made_by_token_id=made_by,
-            runner_id=wanted.runner_id,
-            runner_labels=wanted.runner_labels,
+            runner_id=request.runner_id,
+            runner_labels=request.runner_labels,
         )
     )
-    limits = [{"project_id": each, "mission_id": None} for each in dict.fromkeys(wanted.project_ids)]
-    limits += [{"project_id": None, "mission_id": each} for each in dict.fromkeys(wanted.mission_ids)]
+    limits = [{"project_id": place_id, "mission_id": None} for place_id in dict.fromkeys(request.project_ids)]
+    limits += [{"project_id": None, "mission_id": place_id} for place_id in dict.fromkeys(request.mission_ids)]
     if limits:
         await db.execute(insert(token_limit), [{"id": uuid.uuid4(), "token_id": token_id, **limit} for limit in limits])
     return token_id, secret
@@ -232,25 +232,26 @@ async def _read_tokens(db: Connection, actor: Actor, rows: Sequence[Row[Any]]) -
     ]
 
 
-async def _require_visible_places(db: Connection, actor: Actor, wanted: TokenCreate) -> None:
-    if not wanted.is_limited:
+async def _require_visible_places(db: Connection, actor: Actor, request: TokenCreate) -> None:
+    if not request.is_limited:
         return
     projects = visible_projects(actor).with_only_columns(literal("project").label("noun"), project.c.id)
     missions = visible_missions(actor).with_only_columns(
         literal("mission").label("noun"), mission.c.id, maintain_column_froms=True
     )
     stmt = union_all(
-        projects.where(among(project.c.id, wanted.project_ids)), missions.where(among(mission.c.id, wanted.mission_ids))
+        projects.where(among(project.c.id, request.project_ids)),
+        missions.where(among(mission.c.id, request.mission_ids)),
     )
     visible = {(row.noun, row.id) for row in await db.execute(stmt)}
-    for noun, ids in (("project", wanted.project_ids), ("mission", wanted.mission_ids)):
-        for each in ids:
-            if (noun, each) not in visible:
-                raise NotFound(noun=noun, ref=str(each))
+    for noun, ids in (("project", request.project_ids), ("mission", request.mission_ids)):
+        for place_id in ids:
+            if (noun, place_id) not in visible:
+                raise NotFound(noun=noun, ref=str(place_id))
 
 
 async def _find_expiry(
-    db: Connection, actor: Actor, wanted: TokenCreate, settings: Settings
+    db: Connection, actor: Actor, request: TokenCreate, settings: Settings
 ) -> datetime.datetime | None:
     """Return when a token ends: as requested, else by the settings; never after the token it is created with."""
     own = select(token.c.expires_at).where(token.c.id == actor.token_id).scalar_subquery()
@@ -258,20 +259,20 @@ async def _find_expiry(
     most = settings.token_days_max
     # A minute of tolerance: the client computed the days a little earlier.
     longest = now + datetime.timedelta(days=most, minutes=1)
-    if most and (wanted.no_end or (wanted.expires_at is not None and wanted.expires_at > longest)):
+    if most and (request.no_end or (request.expires_at is not None and request.expires_at > longest)):
         message = f"a token of this server is good for {most} days at most (KLEINKRAM_TOKEN_DAYS_MAX)"
-        field = "no_end" if wanted.no_end else "expires_at"
+        field = "no_end" if request.no_end else "expires_at"
         raise InvalidRequest(problems=[FieldProblem(field=field, message=message)])
-    if wanted.expires_at is not None and wanted.expires_at <= now:
+    if request.expires_at is not None and request.expires_at <= now:
         problem = FieldProblem(field="expires_at", message="is in the past; a token must expire later than now")
         raise InvalidRequest(problems=[problem])
-    if wanted.expires_at is not None and latest is not None and wanted.expires_at > latest:
+    if request.expires_at is not None and latest is not None and request.expires_at > latest:
         raise TokenTooWide(reason=f"the new token would outlive it; it ends at {latest.isoformat(timespec='seconds')}")
-    if wanted.expires_at is not None or wanted.no_end:
-        return wanted.expires_at or latest
-    days = default_days(wanted.kind, settings)
+    if request.expires_at is not None or request.no_end:
+        return request.expires_at or latest
+    days = default_days(request.kind, settings)
     usual = None if days is None else now + datetime.timedelta(days=days)
-    return min((each for each in (usual, latest) if each is not None), default=None)
+    return min((end for end in (usual, latest) if end is not None), default=None)
 
 
 def default_days(kind: TokenKind, settings: Settings) -> int | None:

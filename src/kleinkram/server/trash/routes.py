@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query
 from kleinkram.contract.base import Page
 from kleinkram.contract.projects import TrashNoun, TrashRead
 from kleinkram.server.http.dependencies import CurrentActor, CurrentSettings, Transaction
-from kleinkram.server.paging import PageQuery
+from kleinkram.server.pagination import PageQuery
 from kleinkram.server.trash import service
 
 router = APIRouter(prefix="/api/v1/trash", tags=["trash"])

@@ -1,4 +1,4 @@
-"""The trash: listing it, restoring things from it, and deleting permanently what has been in it for long enough."""
+"""The trash: listing it, restoring trashed from it, and deleting permanently what has been in it for long enough."""
 
 import datetime
 import uuid
@@ -33,7 +33,7 @@ from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.missions.service import lock_mission
-from kleinkram.server.paging import Order, PageRequest, read_page
+from kleinkram.server.pagination import Order, PageRequest, read_page
 from kleinkram.server.quotas import Amount, project_of, require_room, require_room_for_mission
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.tables import blob, file, mission, person, project, upload
@@ -46,10 +46,10 @@ async def list_trash(
 ) -> Page[TrashRead]:
     """Return a page of what was deleted by itself and can still be restored, latest first. Raises InvalidCursor."""
     selects = [*_SELECTS.values()] if noun is None else [_SELECTS[noun]]
-    things = union_all(*(select_trashed(actor, trash_days) for select_trashed in selects)).subquery("thing")
-    stmt = select(things, person.c.name.label("deleted_by_name"))
-    stmt = stmt.join_from(things, person, person.c.id == things.c.deleted_by_id)
-    order = Order([things.c.deleted_at, things.c.noun, things.c.id], descending=True)
+    trashed = union_all(*(select_trashed(actor, trash_days) for select_trashed in selects)).subquery("thing")
+    stmt = select(trashed, person.c.name.label("deleted_by_name"))
+    stmt = stmt.join_from(trashed, person, person.c.id == trashed.c.deleted_by_id)
+    order = Order([trashed.c.deleted_at, trashed.c.noun, trashed.c.id], descending=True)
 
     def read(row: Row[Any]) -> TrashRead:
         return TrashRead(
@@ -112,7 +112,7 @@ async def _restore_file(db: Connection, actor: Actor, file_id: uuid.UUID, trash_
     row = await _get_row(db, stmt, TrashNoun.file, file_id)
     await lock_mission(db, row.mission_id)
     project_id = await project_of(db, row.mission_id)
-    await require_room(db, actor, project_id=project_id, asked=Amount(1, row.size_bytes))
+    await require_room(db, actor, project_id=project_id, requested=Amount(1, row.size_bytes))
     # Again, now that the mission is locked. `empty_trash` locks no mission for single files, so lock the file too.
     row = await _get_row(db, stmt.with_for_update(of=file), TrashNoun.file, file_id)
     _require_parent("project", row.project_name, row.project_deleted_at)

@@ -16,7 +16,7 @@ from kleinkram.contract.errors import (
 from kleinkram.contract.files import ContentState
 from kleinkram.contract.problems import to_problem
 from kleinkram.contract.runners import LOG_PATH
-from kleinkram.contract.uploads import Present, Refused, Send, StoredPart, UploadDecision, UploadFile, UploadState
+from kleinkram.contract.uploads import Present, Send, StoredPart, UploadDecision, UploadFile, UploadRefused, UploadState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
@@ -132,7 +132,7 @@ def _to_wire(
         sent_sha256=requested.sha256 or "",
         existing_file_id=None,
     )
-    return Refused(path=requested.path, problem=to_problem(error, actor.request_id))
+    return UploadRefused(path=requested.path, problem=to_problem(error, actor.request_id))
 
 
 async def make_artifacts(db: Connection, run_id: uuid.UUID, uploads: Sequence[UploadRow]) -> Failures:

@@ -16,7 +16,7 @@ from kleinkram.contract.uploads import (
     UploadsComplete,
 )
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Transaction
-from kleinkram.server.paging import PageRequest
+from kleinkram.server.pagination import PageRequest
 from kleinkram.server.uploads import completion, parts, service
 
 router = APIRouter(prefix="/api/v1", tags=["uploads"])

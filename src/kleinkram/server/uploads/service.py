@@ -28,12 +28,12 @@ from kleinkram.contract.uploads import (
     HashFirst,
     Linked,
     Present,
-    Refused,
     Send,
     StoredPart,
     UploadDecision,
     UploadFile,
     UploadRead,
+    UploadRefused,
     UploadState,
     part_size_bytes,
 )
@@ -46,7 +46,7 @@ from kleinkram.server.db import Connection, among, upsert_rows
 from kleinkram.server.files import service as files
 from kleinkram.server.files.paths import path_conflicts
 from kleinkram.server.missions import service as missions
-from kleinkram.server.paging import Order, PageRequest, fetch_page
+from kleinkram.server.pagination import Order, PageRequest, fetch_page
 from kleinkram.server.quotas import Amount, project_of, require_room
 from kleinkram.server.recordings.service import regroup
 from kleinkram.server.tables import blob, file, upload
@@ -91,7 +91,7 @@ async def begin_uploads(
         decisions = _decide_all(requested, facts)
         await _steal_leases(db, decisions)
         project_id = await project_of(db, mission_id)
-        await require_room(db, actor, project_id=project_id, asked=_new_amount(decisions, facts))
+        await require_room(db, actor, project_id=project_id, requested=_new_amount(decisions, facts))
         await _renew_resumed(db, context, decisions)
         decisions = await _reserve_names(db, context, actor, mission_id, decisions)
         decisions = await _link_duplicates(db, actor, mission_id, decisions)
@@ -329,7 +329,7 @@ async def free_names(context: AppContext, upload_ids: Sequence[uuid.UUID]) -> No
 def _to_wire(context: AppContext, actor: Actor, decision: Decision, begun: _BegunUploads) -> UploadDecision:
     requested = decision.requested
     if decision.error is not None:
-        return Refused(path=requested.path, problem=to_problem(decision.error, actor.request_id))
+        return UploadRefused(path=requested.path, problem=to_problem(decision.error, actor.request_id))
     if decision.upload_id is not None:
         row = begun.uploads[decision.upload_id]
         parts = begun.parts.get(row.id, [])

@@ -298,7 +298,7 @@ def test_a_layout_depends_on_fields_only() -> None:
     assert one.layout == same.layout != other.layout
 
 
-def test_a_bag_without_definitions_says_that_they_are_missing(make_case: Callable[[str], Path]) -> None:
+def test_a_bag_without_definitions_reports_them_as_missing(make_case: Callable[[str], Path]) -> None:
     with Recording.open(next(make_case("09A").glob("**/*.bag"))) as recording:
         reasons = {topic.name: topic.undecodable for topic in recording.topics}
         assert reasons.pop("/e") is None

@@ -56,7 +56,7 @@ def mcap_with(encoding: str, schema: tuple[str, str, bytes], *data: bytes) -> Me
     return MemorySource(out.getvalue(), "run_0.mcap")
 
 
-def test_a_schema_that_cannot_be_decoded_yields_bytes_and_says_why() -> None:
+def test_a_schema_that_cannot_be_decoded_yields_bytes_and_a_reason() -> None:
     recording = Recording.open(mcap_with("flatbuffer", ("a.B", "flatbuffer", b"\0"), b"one", b"two"))
     assert "flatbuffer" in (recording.topic("/t").undecodable or "")
     assert [message.value for message in recording.messages()] == [b"one", b"two"]

@@ -213,7 +213,7 @@ def test_a_file_without_index_is_read_over_a_network_only_if_that_is_allowed(
     kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cut = Watched(MemorySource(FILES[kind][:-60], f"far.{kind}"))
-    monkeypatch.setattr("kleinkram.recordings.formats.base.MAX_UNASKED_BYTES", cut.size_bytes - 1)
+    monkeypatch.setattr("kleinkram.recordings.formats.base.MAX_REMOTE_SCAN_BYTES", cut.size_bytes - 1)
     with pytest.raises(TooCostly, match=f"far.{kind}: .* most_bytes={cut.size_bytes}") as refused:
         Recording.open(cut)
     assert refused.value.size_bytes == cut.size_bytes
@@ -226,7 +226,7 @@ def test_a_file_without_index_is_read_over_a_network_only_if_that_is_allowed(
 def test_a_local_file_is_read_whatever_its_size_unless_that_is_bounded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("kleinkram.recordings.formats.base.MAX_UNASKED_BYTES", 10)
+    monkeypatch.setattr("kleinkram.recordings.formats.base.MAX_REMOTE_SCAN_BYTES", 10)
     path = tmp_path / "cut.mcap"
     path.write_bytes(FILES["mcap"][:-60])
     with Recording.open(path) as recording:

@@ -77,7 +77,7 @@ def summarise_scan(scan: McapScan, name: str, problems: Sequence[Problem] = ()) 
     if not scan.losses.damage:
         all_problems += _wrong_statistics(scan.facts, timeline)
     all_problems += scan.facts.index_faults.problems()
-    all_problems = all_problems or [*problems]  # a scan says more exactly what is wrong with an index
+    all_problems = all_problems or [*problems]  # a scan describes a wrong index more exactly
     all_problems += publish_time_problems(scan.counter.lateness)
     summary = _summary(scan.facts, timeline, scan.losses, all_problems, closed=scan.closed)
     return replace(summary, depth=Depth.scan)

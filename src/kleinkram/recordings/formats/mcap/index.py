@@ -175,7 +175,7 @@ def _check_compressions(source: Source, facts: McapFacts) -> None:
         try:
             compression = open_chunk(open_range(source, row.start, row.end, window=_HEAD_BYTES)).compression
         except Malformed:
-            continue  # there is no chunk that could say otherwise
+            continue  # there is no chunk with another compression
         if is_known_compression(compression):
             facts.index_faults.note(row.start, wrong_compression(named))
             del facts.unknown_compression[row.start]

@@ -26,7 +26,7 @@ _U64 = struct.Struct("<Q")
 _MESSAGE_BYTES = 22
 _LONGEST_COMPRESSION = 64
 _FIRST_PRIVATE = 0x80
-_FOLLOWERS, _FOLLOWERS_OF_STRANGER = 1, 4
+_FOLLOWERS, _FOLLOWERS_OF_UNKNOWN_CHANNEL = 1, 4
 _ONE_BIT_AWAY = (Opcode.HEADER, Opcode.CHANNEL, Opcode.METADATA_INDEX)
 _CANDIDATE = re.compile(rb"[\x01-\x0f](?=.{5}\0{3})", re.DOTALL)  # an opcode, and the length of a record below 1 TB
 _CHUNK = re.compile(rb"\x06(?=.{5}\0{3})", re.DOTALL)
@@ -35,7 +35,7 @@ _CHUNK = re.compile(rb"\x06(?=.{5}\0{3})", re.DOTALL)
 def record_end(data: Buffer, at: int, left: int) -> int | None:
     """Return where the record at `at` ends if all its lengths agree; `left`: bytes to the end of the file.
 
-    For records that are found by chance: fields behind those that the specification knows are not allowed.
+    For records that are found by chance: fields behind those of the specification are not allowed.
     """
     if at + RECORD_HEAD.size > len(data):
         return None
@@ -60,7 +60,7 @@ def no_record(head: Buffer) -> str:
 def fault(data: Buffer, at: int, left: int) -> str | None:
     """Return what is wrong with the record that should begin here; None: it can be read.
 
-    `left`: bytes from `at` to the end of the file. A record of a kind that we do not know must be followed by one that
+    `left`: bytes from `at` to the end of the file. A record of an unknown kind must be followed by one that
     we do, or by another of a private kind; and unless it is of a private kind itself, no chunk may begin near its head.
     """
     opcode, length = RECORD_HEAD.unpack_from(data, at)
@@ -148,7 +148,7 @@ def find_record(data: Buffer, start: int, end: int, left: int, channels: Contain
         if data[at] != Opcode.MESSAGE:
             return at
         (channel_id,) = _U16.unpack_from(data, at + RECORD_HEAD.size)
-        needed = _FOLLOWERS if channel_id in channels else _FOLLOWERS_OF_STRANGER
+        needed = _FOLLOWERS if channel_id in channels else _FOLLOWERS_OF_UNKNOWN_CHANNEL
         for _ in range(needed):
             if after is not None and left - (after - start) > 0:
                 after = record_end(data, after, left - (after - start))

@@ -35,7 +35,7 @@ _READERS: dict[int, Callable[[McapFacts, bytes, str], None]] = {
 
 @dataclass
 class McapScan(ChunkScan[McapFacts]):
-    """The result of a scan. `closed`: the file ends as its writer meant it to."""
+    """The result of a scan. `closed`: the file has its footer."""
 
     facts: McapFacts = field(default_factory=McapFacts)
     counter: MessageCounter = field(default_factory=MessageCounter)
@@ -202,7 +202,7 @@ class _McapScanner(ChunkScanner[McapFacts]):
         if stream.window[stream.at] == Opcode.STATISTICS:
             scan.facts.statistics = None  # bytes of it are missing
         scan.losses.wasted_bytes += total if total > LOOK else 0
-        self._resync(Malformed(f"byte {stream.position + total}", wrong), believed=total)
+        self._resync(Malformed(f"byte {stream.position + total}", wrong), valid_bytes=total)
 
     def _pass_attachment(self, length: int, where: str) -> None:
         stream = self._stream

@@ -100,7 +100,7 @@ def _chunk_indexes(source: Source, facts: BagFacts, index_start: int) -> Iterato
     """Yield the index data of each chunk.
 
     The size of the index data of a chunk follows from its chunk info. So one read fetches them together with the next
-    chunk's header; where a writer does otherwise, the header says where they are.
+    chunk's header; where a writer does otherwise, the place of the index data follows from the header.
     """
     rows = facts.table.rows
     if not len(rows):

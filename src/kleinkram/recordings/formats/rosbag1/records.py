@@ -116,7 +116,7 @@ class Connection(NamedTuple):
 
 
 class ChunkInfo(NamedTuple):
-    """What the index says of a chunk. `counts`: messages by connection."""
+    """A chunk in the index. `counts`: messages by connection."""
 
     position: int
     first_ns: int

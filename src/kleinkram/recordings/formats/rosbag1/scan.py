@@ -1,6 +1,6 @@
 """Scans a ROS 1 bag from the first byte to the last, with or without its index.
 
-The chunk infos at the end of the file and the index data behind each chunk say how many messages there should be.
+The chunk infos at the end of the file and the index data behind each chunk list how many messages there should be.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class BagScan(ChunkScan[BagFacts]):
 
     Attributes:
         index_start: by the bag's header; 0: it was never closed; None: no header.
-        listed: messages that the chunk infos say the bag has; None: not all chunk infos were found.
+        listed: messages of the bag by its chunk infos; None: not all chunk infos were found.
         refused: why nothing of the bag can be read though it may be whole.
     """
 
@@ -146,7 +146,7 @@ class _BagScanner(ChunkScanner[BagFacts]):
                 self._claimed_messages -= self._claims[len(self._claims) - 1].messages
                 self._claims.pop()
             damage = Malformed(f"byte {stream.position + total}", "no record where one should begin")
-            self._resync(damage, believed=total)
+            self._resync(damage, valid_bytes=total)
         else:
             stream.advance(total)
 

@@ -19,7 +19,7 @@ _NULL = frozenset(("~", "null", "Null", "NULL"))
 
 @dataclass(frozen=True)
 class StatedTopic:
-    """A topic in metadata.yaml; empty or None where it says nothing."""
+    """A topic in metadata.yaml; empty or None where nothing is stated."""
 
     name: str
     message_type: str
@@ -45,7 +45,7 @@ class Rosbag2Metadata:
         files: data files, relative to the folder, in the order of recording.
         storage: "sqlite3" or "mcap".
         compression_mode: "file", "message" or "". With "message", the data of each message is compressed by itself, in
-            a db3 as well as in an MCAP, and nothing in these files says so.
+            a db3 as well as in an MCAP, without a trace in these files.
         version: of the metadata's own format, 1 to 9.
         file_entries: single files; empty before version 5.
         ros_distro: such as "jazzy"; empty before version 8.

@@ -2,7 +2,7 @@
 
 Rows are whole in leaf pages, whatever became of the tree above them. Every page is read once; leaf pages that hold rows
 of the shape of messages are sorted by row id (8 bytes a page). A row counts if all its overflow pages are there.
-rosbag2 numbers messages without gaps and deletes none, so row ids tell how many are missing. A flipped byte inside of
+rosbag2 numbers messages without gaps and deletes none, so row ids show how many are missing. A flipped byte inside of
 a message's data cannot be seen: SQLite keeps no checksums.
 """
 
@@ -47,7 +47,7 @@ class Recovered:
     """The result of a recovery, complete once `Recovery.messages` is exhausted.
 
     Attributes:
-        claimed_bytes: the file's size by its header; its real size where that says nothing.
+        claimed_bytes: the file's size by its header; its real size without one.
         damaged_pages: pages that are invalid, or of which rows cannot be read.
         damaged_bytes: of these pages, and of messages that are cut.
         lost_messages: missing for sure, by the gaps in the row ids; no more if `is_exact`, as the last row is there.
