@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from kleinkram.client import connect
+from kleinkram.client.files import Uploads
 from kleinkram.client.transfer import Outcome, plan_upload, upload
 from kleinkram.client.transfer.journal import journals_dir
-from kleinkram.client.uploads import Uploads
 from kleinkram.contract.uploads import UploadFinish
 from tests.integration.api_server import Api
 from tests.integration.upload_client import begin, complete, send, wait_until

@@ -32,7 +32,7 @@ from kleinkram.contract.missions import MissionFilter
 from kleinkram.recordings.density import unpack
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import joined_files, visible_files, visible_missions
-from kleinkram.server.db import among, among_given, by_name
+from kleinkram.server.db import among, among_parameter, by_name
 from kleinkram.server.filters.files import filter_files, filter_files_in_order
 from kleinkram.server.filters.missions import filter_missions
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
@@ -180,7 +180,7 @@ def file_listing(actor: Actor, matching: FileFilter, *, plan: SearchPlan, sort: 
     """Return the visible files that match, in an order."""
     matched = matching_files(actor, matching, plan)
     if plan.matched is not None:
-        matched = matched.where(among_given(file.c.id, "matched_first_ids"))
+        matched = matched.where(among_parameter(file.c.id, "matched_first_ids"))
     return Listing(matched, file_order(sort, by_index=not plan.is_selective), rows_of_found)
 
 
