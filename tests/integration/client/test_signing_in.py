@@ -139,7 +139,7 @@ def test_ending_a_token_revokes_that_very_one() -> None:
         assert end_token(server.url, "mine") is True
     assert [(asked.method, asked.path) for asked in server.requests] == [
         ("GET", "/api/v1/me"),
-        ("DELETE", f"/api/v1/tokens/{ME.credential.id}?made=kept"),
+        ("DELETE", f"/api/v1/tokens/{ME.credential.id}?made=valid"),
     ]
     assert {asked.authorization for asked in server.requests} == {"Bearer mine"}
 
