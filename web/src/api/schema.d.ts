@@ -5826,7 +5826,7 @@ export interface components {
          * ScrubRead
          * @description A comparison of the objects in the store with the database.
          *
-         *     `lost` and `corrupt`: newly detected blobs; `found`: lost ones whose objects are back and are being verified;
+         *     `lost` and `corrupt`: newly detected blobs; `recovered`: lost ones whose objects are back and are being verified;
          *     `unknown`: objects that the database does not have. `stopped`: why it marked nothing, or not all. Until `ended_at`,
          *     the numbers cover what was compared so far.
          */
@@ -5844,8 +5844,6 @@ export interface components {
             created_at: string;
             /** Ended At */
             ended_at: string | null;
-            /** Found */
-            found: number;
             /**
              * Id
              * Format: uuid
@@ -5853,6 +5851,8 @@ export interface components {
             id: string;
             /** Lost */
             lost: number;
+            /** Recovered */
+            recovered: number;
             /**
              * Seen At
              * Format: date-time
