@@ -61,7 +61,7 @@ _FAILURE = Reply(500, "InternalError")
 def _fails_at(key: str, first: Reply | Cut, then: Reply | Cut) -> Rule:
     """Answer the first request for an object, and those that follow."""
     answers: Iterator[Reply | Cut] = chain([first], repeat(then))
-    return lambda asked: next(answers) if asked.method == "GET" and asked.key == key else None
+    return lambda requested: next(answers) if requested.method == "GET" and requested.key == key else None
 
 
 @pytest.mark.parametrize("answer", [_FAILURE, Cut()], ids=["not opened", "broken off"])
@@ -74,7 +74,7 @@ def test_an_object_that_the_store_cannot_return_is_damaged_at_once(
     try:
         run_jobs(troubled)
     finally:
-        middleman.rule = lambda _asked: None
+        middleman.rule = lambda _requests: None
     seen = troubled.get(f"/files/{file['id']}").ok()
     assert seen["state"] == "corrupt"
     assert "serves others" in seen["state_reason"]
@@ -89,12 +89,12 @@ def test_connections_that_break_off_damage_no_object(troubled: Api, middleman: M
     try:
         run_jobs(troubled)
     finally:
-        middleman.rule = lambda _asked: None
+        middleman.rule = lambda _requests: None
     assert troubled.get(f"/files/{file['id']}").ok()["state"] == "stored"
 
 
-def _all_fail(asked: ProxiedRequest) -> Reply | None:
-    return _FAILURE if asked.method == "GET" and "list-type" not in asked.query else None
+def _all_fail(requested: ProxiedRequest) -> Reply | None:
+    return _FAILURE if requested.method == "GET" and "list-type" not in requested.query else None
 
 
 def test_a_store_that_returns_nothing_damages_no_object(troubled: Api, middleman: Middleman) -> None:
@@ -103,7 +103,7 @@ def test_a_store_that_returns_nothing_damages_no_object(troubled: Api, middleman
     try:
         run_jobs(troubled)
     finally:
-        middleman.rule = lambda _asked: None
+        middleman.rule = lambda _requests: None
     assert troubled.get(f"/files/{file['id']}").ok()["state"] == "stored"
     [(attempts,)] = troubled.sql(
         "SELECT max(attempts) FROM procrastinate_jobs JOIN file f ON f.blob_id::text = args ->> 'ref' WHERE f.id = %s",

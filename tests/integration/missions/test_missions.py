@@ -99,8 +99,8 @@ def test_moves_to_another_project_and_is_judged_there(api: Api, sample: Sample) 
         {},
         {"project": target["name"]},
     )
-    mended = api.patch(f"/missions/{made['id']}", {"metadata_yaml": "robot: spot\n"}).ok()
-    assert (mended["metadata"], mended["metadata_problems"]) == ({"robot": "spot"}, [])
+    repaired = api.patch(f"/missions/{made['id']}", {"metadata_yaml": "robot: spot\n"}).ok()
+    assert (repaired["metadata"], repaired["metadata_problems"]) == ({"robot": "spot"}, [])
 
 
 def test_does_not_move_onto_a_name_or_into_nothing(api: Api) -> None:
@@ -120,7 +120,7 @@ def test_stored_totals_are_valid_until_files_change(api: Api) -> None:
     for change in ("file_count = 9", "notes = 'rain'", "files_revision = files_revision + 1"):
         api.sql(f"UPDATE mission SET {change} WHERE id = %s", mission["id"])
         place = f"/missions/{mission['id']}", f"/projects/{mission['project']['id']}"
-        seen.append({api.get(each).ok()["file_count"] for each in place})
+        seen.append({api.get(item).ok()["file_count"] for item in place})
     assert seen == [{9}, {9}, {0}]
 
 

@@ -33,10 +33,10 @@ def documented(heading: str) -> set[tuple[str, str]]:
 
 def _reached(edges: set[tuple[str, str]]) -> set[tuple[str, str]]:
     """Several changes may lie between two looks."""
-    found = set(edges)
-    while more := {(a, d) for a, b in found for c, d in found if b == c} - found:
-        found |= more
-    return found
+    result = set(edges)
+    while more := {(a, d) for a, b in result for c, d in result if b == c} - result:
+        result |= more
+    return result
 
 
 class Machine(RuleBasedStateMachine):
@@ -141,29 +141,29 @@ class Machine(RuleBasedStateMachine):
     # What time and jobs do.
 
     @rule()
-    def lapse(self) -> None:
+    def expire_lease(self) -> None:
         """Let all names go that are held for uploads; these can go on until another takes the name."""
         self.api.sql("UPDATE upload SET lease_ends_at = now() - interval '1 hour' WHERE state = 'open'")
 
     @rule()
     def expire(self) -> None:
-        """Let all that is under way lapse, and clean up after it; then nothing is reserved."""
-        self.lapse()
+        """Let all that is under way expire, and clean up after it; then nothing is reserved."""
+        self.expire_lease()
         self.api.sql("UPDATE upload SET expires_at = now() WHERE state = 'open'")
         self.context.run(lambda context: maintain_uploads(context, stale_after_s=0))
-        told = self.api.get(f"/projects/{self.project_id}").ok()
-        assert (told["used_files"], told["used_bytes"]) == (told["file_count"], told["size_bytes"])
+        reply = self.api.get(f"/projects/{self.project_id}").ok()
+        assert (reply["used_files"], reply["used_bytes"]) == (reply["file_count"], reply["size_bytes"])
 
     @rule()
     def empty_trash(self) -> None:
-        """Let what is in the trash be old enough, and sweep."""
+        """Let what is in the trash be old enough, and collect garbage."""
         self.api.sql("UPDATE file SET deleted_at = now() - interval '31 days' WHERE deleted_at IS NOT NULL")
         self.trashed.clear()
-        self.sweep()
+        self.collect_garbage()
 
     @rule()
-    def sweep(self) -> None:
-        """Doom what nothing refers to, then delete it."""
+    def collect_garbage(self) -> None:
+        """Mark what nothing refers to, then delete it."""
         for _ in range(2):
             self.context.run(jobs.collect_garbage)
 
@@ -171,14 +171,14 @@ class Machine(RuleBasedStateMachine):
     def verify(self) -> None:
         """Read every blob; afterwards each says what was done to it."""
         self.context.run(verify_all)
-        self._see_what_is_told({"whole": "verified", "gone": "lost", "cut": "corrupt", "altered": "corrupt"})
+        self._check_answer({"whole": "verified", "gone": "lost", "cut": "corrupt", "altered": "corrupt"})
 
     @rule()
     def scrub(self) -> None:
         """Compare the store's list; afterwards each blob says whether its object is there, and of its size."""
         scrub_id = uuid.UUID(self.api.post("/admin/scrub", {"believe": True}).ok(202)["id"])
         self.context.run(lambda context: scrub_store(context, scrub_id))
-        self._see_what_is_told({"gone": "lost", "cut": "corrupt"})
+        self._check_answer({"gone": "lost", "cut": "corrupt"})
 
     # What a store does that lies.
 
@@ -217,7 +217,7 @@ class Machine(RuleBasedStateMachine):
         if len(rows) <= place:
             return
         key, digest = rows[place][1], rows[place][3]
-        body = next(each for each in _BODIES if sha256(each) == digest)
+        body = next(item for item in _BODIES if sha256(item) == digest)
         if what == "gone":
             self.context.run(lambda context: context.storage.delete(key))
         else:
@@ -248,17 +248,17 @@ class Machine(RuleBasedStateMachine):
     @invariant()
     def what_is_used_adds_up(self) -> None:
         """Files and uploads under way, each once."""
-        told = self.api.get(f"/projects/{self.project_id}").ok()
+        reply = self.api.get(f"/projects/{self.project_id}").ok()
         sizes = [file["size_bytes"] for file in self._files()]
         under_way = "SELECT size_bytes FROM upload WHERE mission_id = %s AND state IN ('open', 'completing')"
         coming = [row[0] for row in self.api.sql(under_way, self.mission_id)]
         assert len(coming) <= len(_PATHS), "a name is held twice"
-        assert (told["file_count"], told["size_bytes"]) == (len(sizes), sum(sizes))
-        assert (told["used_files"], told["used_bytes"]) == (len(sizes + coming), sum(sizes + coming))
+        assert (reply["file_count"], reply["size_bytes"]) == (len(sizes), sum(sizes))
+        assert (reply["used_files"], reply["used_bytes"]) == (len(sizes + coming), sum(sizes + coming))
 
     @invariant()
     def states_move_along_documented_edges(self) -> None:
-        """As `docs/states.md` has them; and a blob that is doomed stays so."""
+        """As `docs/states.md` has them; and a marked blob stays marked."""
         now = {("upload", row[0]): row[1] for row in self.api.sql("SELECT id::text, state FROM upload")}
         now |= {("blob", row[0]): row[1] for row in self.api.sql("SELECT id::text, state FROM blob")}
         for what, state in now.items():
@@ -305,21 +305,21 @@ class Machine(RuleBasedStateMachine):
         return str(rows[0][0]) if rows else ""
 
     def _holds(self, path: str) -> bool:
-        held = (
+        locked = (
             "SELECT 1 FROM upload WHERE mission_id = %s AND path = %s"
             " AND (state = 'completing' OR state = 'open' AND lease_ends_at > now())"
         )
-        return bool(self.api.sql(held, self.mission_id, path)) or path in {file["path"] for file in self._files()}
+        return bool(self.api.sql(locked, self.mission_id, path)) or path in {file["path"] for file in self._files()}
 
     def _see_that_it_can_be_read(self, path: str, body: bytes) -> None:
         """As far as is known: nobody is told that a file is there which is known to be lost or corrupt."""
-        [file] = [each for each in self._files() if each["path"] == path]
+        [file] = [item for item in self._files() if item["path"] == path]
         assert (file["sha256"], file["state"] in {"stored", "verified"}) == (sha256(body), True)
 
-    def _see_what_is_told(self, said: dict[str, str]) -> None:
+    def _check_answer(self, shown: dict[str, str]) -> None:
         for state, key, *_ in self._blobs():
             done = self.done_to.get(key, "whole")
-            assert state == said.get(done, state), (done, state)
+            assert state == shown.get(done, state), (done, state)
 
 
 async def _delete(context: AppContext, key: str) -> None:
