@@ -34,9 +34,9 @@ def whole_world(start_api: StartApi) -> World:
 
 def _wrong(world: World, operation: str, caller: Caller, by: Asker) -> str | None:
     """Make one request, and return what is wrong with its answer."""
-    asked = caller.request(by)
-    answer = world.api.as_(None).call(asked.method, asked.path, asked.body, asked.query, by.headers)
-    verdict, expected = caller.verdict(answer), _expected(operation, caller, by, asked)
+    requested = caller.request(by)
+    answer = world.api.as_(None).call(requested.method, requested.path, requested.body, requested.query, by.headers)
+    verdict, expected = caller.verdict(answer), _expected(operation, caller, by, requested)
     if answer.status < 300 and caller.undo is not None:
         caller.undo(by)
     if verdict is not expected:
@@ -48,28 +48,28 @@ def _wrong(world: World, operation: str, caller: Caller, by: Asker) -> str | Non
     return None
 
 
-def _expected(operation: str, caller: Caller, by: Asker, asked: Request) -> Verdict:
-    for each in filter(None, (caller.via, operation)):
-        verdict = _expected_of(each, caller, by, asked)
+def _expected(operation: str, caller: Caller, by: Asker, requested: Request) -> Verdict:
+    for item in filter(None, (caller.via, operation)):
+        verdict = _expected_of(item, caller, by, requested)
         if verdict is not Verdict.done:
             return verdict
     return Verdict.done
 
 
-def _expected_of(operation: str, caller: Caller, by: Asker, asked: Request) -> Verdict:
-    at_the_door = admitted(OPERATIONS[operation], by.carrier, is_change=asked.method != "GET")
+def _expected_of(operation: str, caller: Caller, by: Asker, requested: Request) -> Verdict:
+    at_the_door = admitted(OPERATIONS[operation], by.carrier, is_change=requested.method != "GET")
     if at_the_door is not Verdict.done:
         return at_the_door
     if (caller.is_boundless and by.carrier.is_limited) or not caller.scopes & by.carrier.scopes:
         return Verdict.refused
     if caller.about is About.server or caller.shows is not None:
         return Verdict.done
-    held = level(by.carrier, by.place, caller.about)
-    if held >= _needed(operation, caller):
+    locked = level(by.carrier, by.place, caller.about)
+    if locked >= _needed(operation, caller):
         return Verdict.done
     if caller.about is About.owner:
         return Verdict.refused
-    return Verdict.unseen if held == 0 or caller.hides else Verdict.refused
+    return Verdict.unseen if locked == 0 or caller.hides else Verdict.refused
 
 
 def _needed(operation: str, caller: Caller) -> int:
@@ -82,15 +82,15 @@ def _some(world: World, operation: str) -> Sequence[Asker]:
     members = [by for by in world.askers if by.carrier is MEMBER]
     unplaced = [by for by in world.askers if by.carrier in UNPLACED]
     others = [[by for by in world.askers if by.carrier is carrier] for carrier in PLACED if carrier is not MEMBER]
-    chosen = [rng.choice(each) for each in rng.sample(others, _PLACED)]
+    chosen = [rng.choice(item) for item in rng.sample(others, _PLACED)]
     return [*rng.sample(members, _MEMBERS), *chosen, *rng.sample(unplaced, _UNPLACED)]
 
 
 @pytest.mark.parametrize("operation", sorted(CALLERS))
 def test_operation(world: World, operation: str) -> None:
     """Each operation answers some of all who ask as the rule says."""
-    found = [_wrong(world, operation, caller, by) for caller in CALLERS[operation] for by in _some(world, operation)]
-    assert [each for each in found if each] == []
+    actual = [_wrong(world, operation, caller, by) for caller in CALLERS[operation] for by in _some(world, operation)]
+    assert [item for item in actual if item] == []
 
 
 def _many(world: World, operation: str) -> Sequence[Asker]:
@@ -98,8 +98,8 @@ def _many(world: World, operation: str) -> Sequence[Asker]:
     rng = random.Random(operation)
     chosen = []
     for carrier in (*PLACED, *UNPLACED):
-        those = [by for by in world.askers if by.carrier is carrier]
-        chosen += those if carrier is MEMBER else rng.sample(those, min(len(those), _LONG_PLACES_EACH))
+        others = [by for by in world.askers if by.carrier is carrier]
+        chosen += others if carrier is MEMBER else rng.sample(others, min(len(others), _LONG_PLACES_EACH))
     return chosen
 
 
@@ -115,8 +115,8 @@ def _many(world: World, operation: str) -> Sequence[Asker]:
 def test_operation_in_full(whole_world: World, operation: str, chosen: Callable[[World, str], Sequence[Asker]]) -> None:
     """Each operation answers everybody as the rule says, wherever they are."""
     askers = chosen(whole_world, operation)
-    found = [_wrong(whole_world, operation, caller, by) for caller in CALLERS[operation] for by in askers]
-    assert [each for each in found if each] == []
+    actual = [_wrong(whole_world, operation, caller, by) for caller in CALLERS[operation] for by in askers]
+    assert [item for item in actual if item] == []
 
 
 def test_every_operation_is_called() -> None:
@@ -129,5 +129,5 @@ def test_every_operation_is_called() -> None:
     assert sorted(OPERATIONS.keys() - called) == [], how
     assert sorted(called - OPERATIONS.keys()) == [], "these are no operations any more; drop their callers:"
     assert sorted(CALLERS.keys() & DOORS) == []
-    doors = {name for name, need in OPERATIONS.items() if need.guests and need.on is ResourceKind.nothing}
-    assert doors == DOORS, "whatever is for whoever comes, and about nothing that is there, is a door, and only that"
+    ports = {name for name, need in OPERATIONS.items() if need.guests and need.on is ResourceKind.nothing}
+    assert ports == DOORS, "whatever is for whoever comes, and about nothing that is there, is a door, and only that"

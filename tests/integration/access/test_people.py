@@ -21,12 +21,12 @@ def bob(api: Api) -> Person:
     return person(api, email=f"bob-{uuid.uuid4().hex}@lab.example")
 
 
-def knows(api: Api, who: Person, whom: Person) -> bool:
+def knows(api: Api, who: Person, people: Person) -> bool:
     """Whether the API tells somebody of somebody, in the one way as in the other."""
-    asked = api.as_(who.token)
-    status = asked.get(f"/people/{whom.id}").status
-    listed = whom.id in [row["id"] for row in asked.all("/people", {"text": whom.name})]
-    counted = asked.get("/people", {"text": whom.name, "count": "true"}).ok()["total"]
+    requested = api.as_(who.token)
+    status = requested.get(f"/people/{people.id}").status
+    listed = people.id in [row["id"] for row in requested.all("/people", {"text": people.name})]
+    counted = requested.get("/people", {"text": people.name, "count": "true"}).ok()["total"]
     assert (status, counted) == ((200, 1) if listed else (404, 0))
     return listed
 

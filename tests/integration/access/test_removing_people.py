@@ -45,8 +45,10 @@ def test_sessions_tokens_and_links_end_at_once(api: Api, ada: Person) -> None:
     guest.get(f"/missions/{mission['id']}").refused(401, "not_authenticated")
     cookie = {"Cookie": f"kleinkram={browser}"}
     api.as_(None).call("GET", "/projects", headers=cookie).refused(401, "not_authenticated")
-    told = api.all("/audit", {"noun_id": second.id}) + api.all("/audit", {"noun": "share", "mission_id": mission["id"]})
-    assert [event["operation"] for event in told] == ["token.revoke", "share.revoke"]
+    message = api.all("/audit", {"noun_id": second.id}) + api.all(
+        "/audit", {"noun": "share", "mission_id": mission["id"]}
+    )
+    assert [event["operation"] for event in message] == ["token.revoke", "share.revoke"]
     (left,) = api.all("/audit", {"noun_id": ada.id, "operation": "person.deactivate"})
     assert (left["after"]["tokens"], left["after"]["projects"], left["as_admin"]) == (2, [project["name"]], True)
 
@@ -54,17 +56,17 @@ def test_sessions_tokens_and_links_end_at_once(api: Api, ada: Person) -> None:
 def test_projects_without_another_owner_pass_to_the_admins(api: Api, ada: Person) -> None:
     bob, hers = person(api), api.as_(ada.token)
     alone, shared, ending, trashed, by_address = (hers.project() for _ in range(5))
-    for each, until in ((shared, None), (ending, 3600)):
-        grant(api, bob, Right.delete, project_id=each["id"], expires_s=until)
+    for item, until in ((shared, None), (ending, 3600)):
+        grant(api, bob, Right.delete, project_id=item["id"], expires_s=until)
     hers.delete(f"/projects/{trashed['id']}").ok()
     hers.post(f"/projects/{by_address['id']}/grants", {"email": "zoe@lab.example", "right": "DELETE"}).ok(201)
-    assert leave(api, ada)["projects"] == sorted(each["name"] for each in (alone, ending, trashed, by_address))
+    assert leave(api, ada)["projects"] == sorted(item["name"] for item in (alone, ending, trashed, by_address))
     owners = [(row["to"]["name"], row["right"]) for row in api.all(f"/projects/{alone['id']}/grants")]
     assert sorted(owners) == sorted([(ada.name, "DELETE"), ("admins", "DELETE")])
     assert "admins" not in [row["to"]["name"] for row in api.all(f"/projects/{shared['id']}/grants")]
     api.post(f"/trash/project/{trashed['id']}/restore").ok(204)
-    told = api.all("/audit", {"project_id": alone["id"], "operation": "grant.give"})
-    assert [(event["noun_name"], event["after"]["right"]) for event in told] == [("admins", "DELETE")]
+    message = api.all("/audit", {"project_id": alone["id"], "operation": "grant.give"})
+    assert [(event["noun_name"], event["after"]["right"]) for event in message] == [("admins", "DELETE")]
     # Her name stays in the record, and beside what she made.
     assert api.get(f"/projects/{alone['id']}").ok()["created_by"] == {"id": ada.id, "name": ada.name}
 

@@ -136,9 +136,9 @@ def test_every_operation_that_changes_something_is_listed(world: World) -> None:
 def test_an_operation_writes_what_it_did(world: World, admin: Asker, operation: str) -> None:
     written = set()
     for caller in CALLERS[operation]:
-        asked, request_id = caller.request(admin), uuid.uuid4().hex
+        requested, request_id = caller.request(admin), uuid.uuid4().hex
         headers = {**admin.headers, "X-Request-Id": request_id}
-        answer = world.api.as_(None).call(asked.method, asked.path, asked.body, asked.query, headers)
+        answer = world.api.as_(None).call(requested.method, requested.path, requested.body, requested.query, headers)
         assert answer.status < 300, answer
         rows = world.api.sql(
             "SELECT operation, actor_id, token_id, session_id, address FROM audit_event WHERE request_id = %s",
@@ -151,4 +151,4 @@ def test_an_operation_writes_what_it_did(world: World, admin: Asker, operation: 
             assert actor_id is not None
             assert token_id is not None or session_id is not None
             assert address == "127.0.0.1"
-    assert written == {each for each in WRITES[operation] if "[" not in each}
+    assert written == {item for item in WRITES[operation] if "[" not in item}

@@ -129,9 +129,9 @@ def test_one_switches_it_off_by_oneself(api: Api, ada: Account) -> None:
 def test_the_secret_of_the_second_factor_is_shown_once(api: Api, ada: Account) -> None:
     begun = ada.browser.post("/me/totp").ok(201)
     ada.browser.post("/me/totp/confirm", {"code": pyotp.TOTP(begun["secret"]).now()}).ok()
-    told = [ada.browser.get(path).body for path in ("/api/v1/me/account", "/api/v1/me")]
-    told += [api.events(ada.id), api.get("/audit").body]
-    assert begun["secret"] not in str(told)
+    message = [ada.browser.get(path).body for path in ("/api/v1/me/account", "/api/v1/me")]
+    message += [api.events(ada.id), api.get("/audit").body]
+    assert begun["secret"] not in str(message)
 
 
 def test_an_account_without_a_password_has_none(api: Api) -> None:

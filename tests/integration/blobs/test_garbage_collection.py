@@ -29,7 +29,7 @@ def test_all_blobs_are_checked_in_turn_when_there_are_many(
     api = start_api()
     sample = Sample(api)
     mission_id = api.mission(api.project()["id"])["id"]
-    kept = [sample.file(mission_id, f"{number}.bin") for number in range(5)]
+    remaining = [sample.file(mission_id, f"{number}.bin") for number in range(5)]
     orphans = {sample.blob() for _ in range(_ORPHANS)}
     # The first and the last ids there are, and those on both sides of where one turn ends.
     edge = 2**128 // garbage_collection._SHARES
@@ -42,7 +42,7 @@ def test_all_blobs_are_checked_in_turn_when_there_are_many(
     assert _doomed(api) == orphans
     assert sum(counts) == len(orphans)
     assert max(counts) < len(orphans) / 3
-    assert len(api.all("/files", {"mission_id": mission_id})) == len(kept)
+    assert len(api.all("/files", {"mission_id": mission_id})) == len(remaining)
 
 
 def test_all_blobs_are_checked_when_there_are_few(start_api: StartApi) -> None:

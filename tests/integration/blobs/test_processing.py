@@ -49,7 +49,7 @@ def test_a_recording_is_summarised_and_verified(
     assert (mission["start_ns"], mission["end_ns"]) == (read["start_ns"], read["end_ns"])
     assert mission["recordings_current"] is True
     recordings = api.all(f"/missions/{mission_id}/recordings")
-    assert [(each["name"], each["kind"]) for each in recordings] == [(name, "single")]
+    assert [(item["name"], item["kind"]) for item in recordings] == [(name, "single")]
 
 
 def test_many_small_files_are_summarised_in_one_job(start_api: Any, tmp_path: Any) -> None:
@@ -68,14 +68,14 @@ def test_many_small_files_are_summarised_in_one_job(start_api: Any, tmp_path: An
     ran = run_jobs(api)
     assert 3 <= ran.count("examine_blob") <= 12, "what is damaged is told by a job of its own, as far as it is one"
     assert "verify_blob" not in ran
-    found = {each["path"]: each for each in api.all("/files", {"mission_id": mission_id})}
-    states = {path: (each["state"], each["content"]) for path, each in found.items()}
+    actual = {item["path"]: item for item in api.all("/files", {"mission_id": mission_id})}
+    states = {path: (item["state"], item["content"]) for path, item in actual.items()}
     damaged = {"bad.bin": ("corrupt", "error"), "gone.bin": ("lost", "error"), "run.mcap": ("verified", "indexed")}
     assert states == dict.fromkeys(bodies, ("verified", "opaque")) | damaged
-    assert found["run.mcap"]["depth"] == "scan"
+    assert actual["run.mcap"]["depth"] == "scan"
     topics = api.all(f"/files/{files['run.mcap']['id']}/topics")
-    assert sum(topic["count"] for topic in topics) == found["run.mcap"]["message_count"] > 0
-    assert found["0.bin"]["md5"] == upload_client.checksum("md5", bodies["0.bin"])
+    assert sum(topic["count"] for topic in topics) == actual["run.mcap"]["message_count"] > 0
+    assert actual["0.bin"]["md5"] == upload_client.checksum("md5", bodies["0.bin"])
 
 
 def test_two_recordings_of_one_stem_are_two(api: Api, mission_id: str, tmp_path: Any) -> None:
@@ -84,7 +84,7 @@ def test_two_recordings_of_one_stem_are_two(api: Api, mission_id: str, tmp_path:
     for name in ("run.mcap", "run.bag"):
         upload(api, mission_id, name, (tmp_path / name).read_bytes())
     run_jobs(api)
-    assert [each["name"] for each in api.all(f"/missions/{mission_id}/recordings")] == ["run.bag", "run.mcap"]
+    assert [item["name"] for item in api.all(f"/missions/{mission_id}/recordings")] == ["run.bag", "run.mcap"]
 
 
 def test_a_member_that_is_missing_is_named(api: Api, mission_id: str) -> None:
@@ -102,7 +102,7 @@ def test_a_member_that_is_missing_is_named(api: Api, mission_id: str) -> None:
         ["run_1.mcap"],
         ["run_7.mcap"],
     )
-    assert ("member-missing", "run_1.mcap") in {(each["code"], each["where"]) for each in recording["problems"]}
+    assert ("member-missing", "run_1.mcap") in {(item["code"], item["where"]) for item in recording["problems"]}
     assert (recording["content"], recording["lost"]["messages"]) == ("broken", 9)
 
 
@@ -187,10 +187,10 @@ def test_a_blob_marked_for_deletion_is_not_linked(api: Api, mission_id: str) -> 
 
 
 @pytest.mark.parametrize(
-    ("size_bytes", "wanted"), [(30, {"examine_blob"}), (SMALL_BYTES, {"verify_blob", "summarise_blob"})]
+    ("size_bytes", "expected"), [(30, {"examine_blob"}), (SMALL_BYTES, {"verify_blob", "summarise_blob"})]
 )
 def test_blobs_and_missions_of_failed_jobs_are_processed_again(
-    api: Api, mission_id: str, size_bytes: int, wanted: set[str]
+    api: Api, mission_id: str, size_bytes: int, expected: set[str]
 ) -> None:
     file = upload(api, mission_id, "run.bag", b"#ROSBAG V2.0\n" + os.urandom(size_bytes))
     api.sql("DELETE FROM procrastinate_jobs")
@@ -202,7 +202,7 @@ def test_blobs_and_missions_of_failed_jobs_are_processed_again(
     on_site(api, collect_garbage)
     on_site(api, collect_garbage)  # a second round asks for nothing twice
     jobs = api.sql("SELECT task_name, args ->> 'ref' FROM procrastinate_jobs WHERE status = 'todo'")
-    assert {job for job, _ in jobs} == {"group_recordings", *wanted}
+    assert {job for job, _ in jobs} == {"group_recordings", *expected}
     assert len(jobs) == len(set(jobs))
     run_jobs(api)
     assert api.get(f"/files/{file['id']}").ok()["state"] == "verified"

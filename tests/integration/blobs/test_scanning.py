@@ -131,10 +131,10 @@ def test_a_store_that_breaks_off_gives_no_summary_of_half_a_file(api: Api, missi
     settings: Settings = api.app.state.settings
     cut: list[str] = []
 
-    def break_off(asked: ProxiedRequest) -> Cut | None:
-        if asked.method != "GET" or not asked.key.endswith(key):
+    def break_off(requested: ProxiedRequest) -> Cut | None:
+        if requested.method != "GET" or not requested.key.endswith(key):
             return None
-        cut.append(asked.key)
+        cut.append(requested.key)
         return Cut()
 
     with standing_before(settings.s3_internal_url) as middleman:
@@ -169,7 +169,7 @@ def test_bytes_of_another_number_are_no_recording_to_read(
 @pytest.mark.slow
 def test_every_real_recording_says_the_same_on_the_server(corpus: Corpus) -> None:
     api = corpus.api
-    listed = {each["path"]: each for each in api.all("/files", {"mission_id": corpus.mission_id})}
+    listed = {item["path"]: item for item in api.all("/files", {"mission_id": corpus.mission_id})}
     topics: dict[str, set[tuple[str, str, int]]] = {}
     for topic in api.all("/topics", {"mission_id": corpus.mission_id, "limit": "500"}):
         topics.setdefault(topic["file_id"], set()).add((topic["name"], topic["message_type"], topic["count"]))

@@ -30,8 +30,8 @@ def _key(api: Api, file_id: str) -> str:
     return str(api.sql("SELECT b.key FROM blob b JOIN file f ON f.blob_id = b.id WHERE f.id = %s", file_id)[0][0])
 
 
-def _scrub(api: Api, **wanted: Any) -> Any:
-    scrub_id = uuid.UUID(api.post("/admin/scrub", wanted).ok(202)["id"])
+def _scrub(api: Api, **expected: Any) -> Any:
+    scrub_id = uuid.UUID(api.post("/admin/scrub", expected).ok(202)["id"])
     on_site(api, lambda context: scrub.scrub_store(context, scrub_id))
     return api.get("/admin/scrub").ok()["last"]
 
@@ -122,10 +122,10 @@ def test_the_next_verification_finds_altered_bytes(api: Api, mission_id: str) ->
     before = _read(api, other)["verified_at"]
     on_site(api, collect_garbage)
     assert api.sql(_AT_LEISURE) == [], "nothing is old enough"
-    old = [api.sql("SELECT blob_id FROM file WHERE id = %s", each["id"])[0][0] for each in (file, other)]
+    old = [api.sql("SELECT blob_id FROM file WHERE id = %s", item["id"])[0][0] for item in (file, other)]
     api.sql("UPDATE blob SET verified_at = now() - interval '91 days' WHERE id = ANY(%s)", old)
     on_site(api, collect_garbage)
-    assert {row[0] for row in api.sql(_AT_LEISURE)} == {str(each) for each in old}
+    assert {row[0] for row in api.sql(_AT_LEISURE)} == {str(item) for item in old}
     run_jobs(api)
     assert _read(api, file)["state"] == "corrupt"
     assert _read(api, other)["verified_at"] > before
@@ -165,7 +165,7 @@ def test_another_store_marks_nothing_until_somebody_says_so(start_api: StartApi,
     assert "KLEINKRAM_S3_BUCKET" in last["stopped"]
     assert f"{12 if how == 'empty' else 11} are not in the list" in last["stopped"]
     assert {_read(api, file)["state"] for file, _ in files} == {"verified"}
-    assert "scrub_stopped" in {each["need"] for each in api.get("/home").ok()["attention"]}
+    assert "scrub_stopped" in {item["need"] for item in api.get("/home").ok()["attention"]}
     wait_until(lambda: "kleinkram_scrub_stopped 1.0" in api.metrics())
     last = _scrub(api, believe=True)
     assert _counts(last) == (12 if how == "empty" else 11, 0, 0)

@@ -61,7 +61,7 @@ _FAILURE = Reply(500, "InternalError")
 def _fails_at(key: str, first: Reply | Cut, then: Reply | Cut) -> Rule:
     """Answer the first request for an object, and those that follow."""
     answers: Iterator[Reply | Cut] = chain([first], repeat(then))
-    return lambda asked: next(answers) if asked.method == "GET" and asked.key == key else None
+    return lambda requested: next(answers) if requested.method == "GET" and requested.key == key else None
 
 
 @pytest.mark.parametrize("answer", [_FAILURE, Cut()], ids=["not opened", "broken off"])
@@ -93,8 +93,8 @@ def test_connections_that_break_off_damage_no_object(troubled: Api, middleman: M
     assert troubled.get(f"/files/{file['id']}").ok()["state"] == "stored"
 
 
-def _all_fail(asked: ProxiedRequest) -> Reply | None:
-    return _FAILURE if asked.method == "GET" and "list-type" not in asked.query else None
+def _all_fail(requested: ProxiedRequest) -> Reply | None:
+    return _FAILURE if requested.method == "GET" and "list-type" not in requested.query else None
 
 
 def test_a_store_that_returns_nothing_damages_no_object(troubled: Api, middleman: Middleman) -> None:

@@ -87,12 +87,12 @@ def test_a_recording_whose_reader_died_half_way_is_read_by_the_next(api: Api, re
     settings: Settings = api.app.state.settings
     reading, may_go_on = threading.Event(), threading.Event()
 
-    def hold(asked: ProxiedRequest) -> None:
-        if asked.method != "GET":
+    def hold(requested: ProxiedRequest) -> None:
+        if requested.method != "GET":
             return
-        if "range" not in asked.headers:  # verifying reads the content too: it does not come to that
+        if "range" not in requested.headers:  # verifying reads the content too: it does not come to that
             may_go_on.wait(60)
-        elif not asked.headers["range"].startswith("bytes=0-"):
+        elif not requested.headers["range"].startswith("bytes=0-"):
             reading.set()
             may_go_on.wait(60)
 

@@ -57,9 +57,9 @@ def test_a_missing_path_is_a_wrong_use(
     drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(monkeypatch, drive, "/no/such/file.bag") == 2
-    told = capsys.readouterr()
-    assert "/no/such/file.bag" in told.err
-    assert told.out == ""
+    message = capsys.readouterr()
+    assert "/no/such/file.bag" in message.err
+    assert message.out == ""
 
 
 def test_a_folder_without_recordings_says_so(
@@ -97,9 +97,9 @@ def test_a_file_that_cannot_be_read_is_named_and_the_others_are_shown(
 ) -> None:
     (drive.parent / "gone.mcap").symlink_to(drive.parent / "nowhere")
     assert run(monkeypatch, drive.parent) == 8
-    told = capsys.readouterr()
-    assert "indexed (whole)" in told.out
-    assert "gone.mcap: cannot be read" in told.err
+    message = capsys.readouterr()
+    assert "indexed (whole)" in message.out
+    assert "gone.mcap: cannot be read" in message.err
     assert run(monkeypatch, "--json", drive.parent) == 8
-    shown = {Path(each["path"]).name: each["content"] for each in json.loads(capsys.readouterr().out)["items"]}
+    shown = {Path(item["path"]).name: item["content"] for item in json.loads(capsys.readouterr().out)["items"]}
     assert shown == {"drive.mcap": "indexed", "gone.mcap": "error"}

@@ -21,7 +21,7 @@ def shown(script: Scripted, *arguments: object) -> str:
 
 
 @pytest.mark.parametrize(
-    ("state", "more", "said"),
+    ("state", "more", "text"),
     [
         (RunState.queued, {"waits_for": "No runner is there."}, "queued: No runner is there."),
         (RunState.running, {"progress": Progress(fraction=0.5, message="half")}, "running 50% half"),
@@ -33,8 +33,8 @@ def shown(script: Scripted, *arguments: object) -> str:
         (RunState.done, {"reuses_id": uuid.uuid4()}, "done: reused"),
     ],
 )
-def test_the_state_of_a_run_is_described_briefly(state: RunState, more: dict[str, object], said: str) -> None:
-    assert status_text(run_detail(state, **more)) == said
+def test_the_state_of_a_run_is_described_briefly(state: RunState, more: dict[str, object], text: str) -> None:
+    assert status_text(run_detail(state, **more)) == text
 
 
 def test_all_fields_of_a_run_are_shown_and_names_are_escaped() -> None:
@@ -47,7 +47,7 @@ def test_all_fields_of_a_run_are_shown_and_names_are_escaped() -> None:
         finding_counts={Severity.warning: 2},
     )
     with scripted(run) as script:
-        said = shown(script, "run", "info", run.id)
+        text = shown(script, "run", "info", run.id)
     for part in (
         "failed: time",
         "It took longer than 60 s.",
@@ -55,8 +55,8 @@ def test_all_fields_of_a_run_are_shown_and_names_are_escaped() -> None:
         "proposed sensors: imu",
         "alps/day",
     ):
-        assert part in said
-    assert "\x1b" not in said
+        assert part in text
+    assert "\x1b" not in text
 
 
 def test_lineage_reads_both_ways() -> None:
@@ -71,11 +71,11 @@ def test_lineage_reads_both_ways() -> None:
     own = LineageFile(id=file.id, path=file.path, sha256=sha256)
     whole = LineageRead(file=own, made_by=made_by, read_by=[read_by], truncated=True)
     with scripted(Page(items=[file], next=None), whole) as script:
-        said = shown(script, "lineage", "derived/slam.bag")
-    assert str(maker.id) in said
-    assert "drive.bag (not there any more, or not yours to see)" in said
-    assert "plot.svg" in said
-    assert "More runs read it" in said
+        text = shown(script, "lineage", "derived/slam.bag")
+    assert str(maker.id) in text
+    assert "drive.bag (not there any more, or not yours to see)" in text
+    assert "plot.svg" in text
+    assert "More runs read it" in text
 
     uploaded = LineageRead(file=own, made_by=None, read_by=[], truncated=False)
     with scripted(Page(items=[file], next=None), uploaded) as script:
@@ -85,7 +85,7 @@ def test_lineage_reads_both_ways() -> None:
 def test_an_action_shows_its_parameters() -> None:
     action = action_read("look", project="alps")
     with scripted(Page(items=[action], next=None)) as script:
-        said = shown(script, "action", "info", "look")
-    assert "look@1" in said
-    assert "a script" in said
-    assert "all files" in said
+        text = shown(script, "action", "info", "look")
+    assert "look@1" in text
+    assert "a script" in text
+    assert "all files" in text

@@ -149,8 +149,8 @@ def test_a_part_with_trouble_of_its_own_lets_others_go_first() -> None:
 
 
 def _watch(clock: Clock) -> tuple[LinkMonitor, list[str]]:
-    said: list[str] = []
-    return LinkMonitor(said.append, clock=clock), said
+    text: list[str] = []
+    return LinkMonitor(text.append, clock=clock), text
 
 
 def _backoff() -> Backoff:
@@ -158,22 +158,22 @@ def _backoff() -> Backoff:
 
 
 def test_a_silent_network_is_reported_once_for_all_connections(clock: Clock) -> None:
-    watch, said = _watch(clock)
+    watch, text = _watch(clock)
     for _ in range(4):
         watch.lost("http://store:9000/b/k?signature=x", _backoff(), TimeoutError(), "it took too long")
-    assert said == ["no answer for 15 s from store:9000, reconnecting"]
+    assert text == ["no answer for 15 s from store:9000, reconnecting"]
     clock.now += 20
     watch.arrived()
-    assert said[1:] == ["connected again after 35 s"]
+    assert text[1:] == ["connected again after 35 s"]
     assert watch.report() == LinkReport(connections_lost=4, longest_outage_s=35.0)
 
 
 def test_a_changed_address_is_reported_and_reconnected_from_at_once(clock: Clock) -> None:
-    watch, said = _watch(clock)
+    watch, text = _watch(clock)
     watch.moved("10.0.0.7")
     assert watch.has_moved()
     watch.lost("http://store", _backoff(), ConnectionResetError(), "reset", resent_bytes=1_500_000)
-    assert said == ["this machine no longer has the address 10.0.0.7 (another network?), reconnecting"]
+    assert text == ["this machine no longer has the address 10.0.0.7 (another network?), reconnecting"]
     clock.now += 2
     assert not watch.has_moved()
     advice = watch.report().advice()
@@ -183,10 +183,10 @@ def test_a_changed_address_is_reported_and_reconnected_from_at_once(clock: Clock
 
 
 def test_a_connection_that_is_replaced_at_once_is_not_worth_a_word_while_it_lasts(clock: Clock) -> None:
-    watch, said = _watch(clock)
+    watch, text = _watch(clock)
     watch.lost("http://store", _backoff(), ConnectionResetError(), "reset")
     watch.arrived()
-    assert said == []
+    assert text == []
 
 
 def test_a_good_link_needs_no_advice() -> None:
@@ -223,9 +223,9 @@ def _unconnected(cause: OSError) -> BaseException:
 
 
 def test_a_store_that_refuses_connections_is_not_silent(clock: Clock) -> None:
-    watch, said = _watch(clock)
+    watch, text = _watch(clock)
     watch.lost("http://store:9000/b/k", _backoff(), _refused(), "Connection refused")
-    assert said == []
+    assert text == []
     clock.now += 20
     watch.arrived()
     assert watch.report().longest_outage_s == 20
@@ -240,14 +240,14 @@ def test_a_store_that_refuses_connections_is_not_silent(clock: Clock) -> None:
     ],
 )
 def test_a_missing_network_is_reported(clock: Clock, cause: OSError, monkeypatch: pytest.MonkeyPatch) -> None:
-    watch, said = _watch(clock)
+    watch, text = _watch(clock)
     backoff = _backoff()
     error = _unconnected(cause)
     watch.lost("http://store:9000/b/k", backoff, error, str(cause.strerror))
-    assert said == [], "this may pass in a moment"
+    assert text == [], "this may pass in a moment"
     monkeypatch.setattr(backoff, "lasting_s", lambda: 6.0)
     watch.lost("http://store:9000/b/k", backoff, error, str(cause.strerror))
-    assert said == [f"this machine cannot reach store:9000 ({cause.strerror}): it may have no network; trying again"]
+    assert text == [f"this machine cannot reach store:9000 ({cause.strerror}): it may have no network; trying again"]
 
 
 def test_an_error_that_wraps_silence_is_silence() -> None:
@@ -327,8 +327,8 @@ def listening() -> Iterator[Callable[[], str]]:
         return f"http://127.0.0.1:{sockets[-1].getsockname()[1]}/bucket"
 
     yield listen
-    for each in sockets:
-        each.close()
+    for item in sockets:
+        item.close()
 
 
 def test_the_diagnosis_names_what_does_not_answer(listening: Callable[[], str]) -> None:
@@ -346,11 +346,11 @@ def test_a_transfer_that_ends_before_its_first_byte_says_what_does_not_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server = f"http://127.0.0.1:{choose_port()}"
-    said: list[str] = []
+    message: list[str] = []
 
     class Heard(Watcher):
         def notify(self, text: str) -> None:
-            said.append(text)
+            message.append(text)
 
     def links(_: object) -> Sequence[DownloadLink]:
         raise ServerUnreachable(url=server, reason="Connection refused")
@@ -358,4 +358,4 @@ def test_a_transfer_that_ends_before_its_first_byte_says_what_does_not_answer(
     monkeypatch.setattr(sys.modules["kleinkram.client.transfer.download"], "PATIENCE_S", 0.0)
     with pytest.raises(ServerUnreachable):
         fetch(links, server, plan_download([file_read("a")], tmp_path), watcher=Heard())
-    assert "cannot be reached: Connection refused" in said[-1]
+    assert "cannot be reached: Connection refused" in message[-1]

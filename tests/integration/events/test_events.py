@@ -39,13 +39,13 @@ def test_events_follow_a_file_from_announcement_to_summary_and_verification(lab:
     people.grant(lab, member, Right.read, mission_id=mission["id"])
     with listening(lab.as_(member.token)) as ears:
         begun = begin(lab, mission["id"], {"seen.txt": b"some words"})[0]["upload"]
-        told = ears.hear(noun="upload", id=begun["id"], change="created")
-        assert (told["mission_id"], told["project_id"]) == (mission["id"], project["id"])
+        message = ears.hear(noun="upload", id=begun["id"], change="created")
+        assert (message["mission_id"], message["project_id"]) == (mission["id"], project["id"])
         send(lab, begun, b"some words")
         file_id = complete(lab, begun, b"some words")["file"]["id"]
         ears.hear(noun="upload", id=begun["id"], change="removed")
-        told = ears.hear(noun="file", id=file_id, change="created")
-        assert set(told) == {"noun", "change", "id", "project_id", "mission_id"}, "no contents"
+        message = ears.hear(noun="file", id=file_id, change="created")
+        assert set(message) == {"noun", "change", "id", "project_id", "mission_id"}, "no contents"
         run_jobs(lab)
         ears.hear(noun="file", id=file_id, change="changed")
         ears.hear(noun="recording", change="changed", mission_id=mission["id"])
@@ -90,10 +90,10 @@ def test_many_changes_at_once_are_one_event(lab: Api) -> None:
         upload_all(lab, mission["id"], {f"{number}.txt": f"file {number}".encode() for number in range(30)})
         ears.hear(noun="file", id=None, change="created", mission_id=mission["id"])
         _marked(lab, ears, mission["id"])
-    told = [event for event in ears.events if event[1]["noun"] == "file"]
-    assert len(told) == 1, "not one event a file"
+    message = [event for event in ears.events if event[1]["noun"] == "file"]
+    assert len(message) == 1, "not one event a file"
     announced, finished, marks = 1, 2, 2
-    assert sum("pg_notify" in each for each in statements) <= announced + finished + marks
+    assert sum("pg_notify" in item for item in statements) <= announced + finished + marks
 
 
 def _ended_token(lab: Api, member: people.Person) -> None:
@@ -193,7 +193,7 @@ def test_a_stream_occupies_no_database_connection(lab: Api, postgres: RunningPos
         streams = [stack.enter_context(listening(lab)) for _ in range(12)]
         wait_until(lambda: pool.checkedout() == 0)
         lab.get("/projects").ok()
-        assert not any(each.is_over for each in streams)
+        assert not any(item.is_over for item in streams)
     name = lab.sql("SELECT current_database()")[0][0]
     listeners = "SELECT count(*) FROM pg_stat_activity WHERE datname = '{}' AND query LIKE 'LISTEN%'"
     assert postgres.sql(listeners.format(name)).strip() == "1"

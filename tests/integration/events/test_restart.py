@@ -41,16 +41,16 @@ def test_a_program_that_follows_goes_on_after_a_restart(
         client = connect(api.url, api.post("/tokens", {"name": "follower", "scopes": ["read"]}).ok(201)["secret"])
 
         def follow() -> None:
-            for each in client.events.follow(for_s=100):
-                heard.append(each)
-                if isinstance(each, Change) and str(each.id) == last["id"]:
+            for item in client.events.follow(for_s=100):
+                heard.append(item)
+                if isinstance(item, Change) and str(item.id) == last["id"]:
                     return
 
         follower = threading.Thread(target=follow, name="follower")
         follower.start()
         wait_until(lambda: len(api.app.state.hub._streams) == 1)
         made = api.mission(project["id"])
-        wait_until(lambda: any(isinstance(each, Change) and str(each.id) == made["id"] for each in heard))
+        wait_until(lambda: any(isinstance(item, Change) and str(item.id) == made["id"] for item in heard))
         port = urlsplit(api.url).port or 0
         stopped_at = time.monotonic()
     assert time.monotonic() - stopped_at < 8, "open streams hold up the end of the server"

@@ -82,7 +82,7 @@ def test_each_file_fetched_is_one_audit_row(api: Api, sample: Sample, mission: s
     with api.statements() as statements:
         api.post("/files/download", {"file_ids": ids}).ok()
     assert len(statements) == 3  # who, which, record
-    assert [[event["operation"] for event in api.events(each)] for each in ids] == [["file.download"]] * 3
+    assert [[event["operation"] for event in api.events(item)] for item in ids] == [["file.download"]] * 3
 
 
 def test_a_look_into_a_file_is_recorded_as_one(api: Api, sample: Sample, mission: str) -> None:

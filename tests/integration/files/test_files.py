@@ -72,7 +72,7 @@ def test_renaming_to_itself_or_another_case_works(api: Api, sample: Sample, miss
 
 
 @pytest.mark.parametrize(
-    ("there", "wanted", "code"),
+    ("there", "expected", "code"),
     [
         ("a.mcap", "a.mcap", "name_taken"),
         ("Straße.mcap", "STRASSE.mcap", "name_taken"),
@@ -84,21 +84,23 @@ def test_renaming_to_itself_or_another_case_works(api: Api, sample: Sample, miss
     ],
 )
 def test_a_path_that_is_taken_is_refused(
-    api: Api, sample: Sample, mission: str, there: str, wanted: str, code: str
+    api: Api, sample: Sample, mission: str, there: str, expected: str, code: str
 ) -> None:
     sample.file(mission, there)
     file_id = sample.file(mission, "mine.mcap")
-    problem = api.patch(f"/files/{file_id}", {"path": wanted}).refused(409, code)
+    problem = api.patch(f"/files/{file_id}", {"path": expected}).refused(409, code)
     assert problem.get("other", there) == there
     assert api.get(f"/files/{file_id}").ok()["path"] == "mine.mcap"
     assert api.events(file_id) == []
 
 
-@pytest.mark.parametrize(("there", "wanted"), [("a.b", "a"), ("a", "a.b"), ("a-/x", "a"), ("a0", "a/b"), ("b/a", "a")])
-def test_a_path_beside_a_similar_one_is_fine(api: Api, sample: Sample, mission: str, there: str, wanted: str) -> None:
+@pytest.mark.parametrize(
+    ("there", "expected"), [("a.b", "a"), ("a", "a.b"), ("a-/x", "a"), ("a0", "a/b"), ("b/a", "a")]
+)
+def test_a_path_beside_a_similar_one_is_fine(api: Api, sample: Sample, mission: str, there: str, expected: str) -> None:
     sample.file(mission, there)
     file_id = sample.file(mission, "mine.mcap")
-    assert api.patch(f"/files/{file_id}", {"path": wanted}).ok()["path"] == wanted
+    assert api.patch(f"/files/{file_id}", {"path": expected}).ok()["path"] == expected
 
 
 @pytest.mark.parametrize(
@@ -180,10 +182,10 @@ def test_two_deletions_at_once_are_one(api: Api, sample: Sample, noun: str) -> N
     project = api.project()["id"]
     mission = api.mission(project)["id"]
     noun_id = {"project": project, "mission": mission, "file": sample.file(mission, "a.mcap")}[noun]
-    held, held_id = ("project", project) if noun == "project" else ("mission", mission)
-    with racing(api, f"SELECT 1 FROM {held} WHERE id = %s FOR UPDATE", held_id) as send:
+    locked, held_id = ("project", project) if noun == "project" else ("mission", mission)
+    with racing(api, f"SELECT 1 FROM {locked} WHERE id = %s FOR UPDATE", held_id) as send:
         both = [send(api.delete, f"/{noun}s/{noun_id}") for _ in range(2)]
-    assert sorted(each.result().status for each in both) == [200, 404]
+    assert sorted(item.result().status for item in both) == [200, 404]
     assert [event["operation"] for event in api.events(noun_id)].count(f"{noun}.delete") == 1
 
 
@@ -209,8 +211,8 @@ def test_requesting_a_verification_enqueues_it(api: Api, sample: Sample, mission
     blob_id = sample.blob()
     file_id = sample.link(mission, "a.mcap", blob_id)
     assert api.post(f"/files/{file_id}/verify").ok(202)["id"] == file_id
-    found = api.sql("SELECT count(*) FROM procrastinate_jobs WHERE args ->> 'ref' = %s", blob_id)
-    assert found == [(1,)]
+    actual = api.sql("SELECT count(*) FROM procrastinate_jobs WHERE args ->> 'ref' = %s", blob_id)
+    assert actual == [(1,)]
 
 
 def test_two_who_want_paths_that_exclude_each_other_cannot_both_have_them(
@@ -221,7 +223,7 @@ def test_two_who_want_paths_that_exclude_each_other_cannot_both_have_them(
         bodies = [{"path": f"{round_} x"}, {"path": f"{round_} X/y"}]
         with ThreadPoolExecutor(2) as pool:
             answers = list(
-                pool.map(lambda each: api.patch(f"/files/{each[0]}", each[1]), zip(ids, bodies, strict=True))
+                pool.map(lambda item: api.patch(f"/files/{item[0]}", item[1]), zip(ids, bodies, strict=True))
             )
         assert sorted(answer.status for answer in answers) == [200, 409]
 

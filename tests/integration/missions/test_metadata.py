@@ -73,8 +73,8 @@ def test_all_problems_are_reported_at_once_with_their_place(api: Api, project_id
     )
     body = {"name": "never", "metadata_yaml": text}
     problem = api.post(f"/projects/{project_id}/missions", body).refused(422, "metadata_invalid")
-    told = [(one["field"], one.get("line"), one.get("column")) for one in problem["problems"]]
-    assert told == [
+    message = [(one["field"], one.get("line"), one.get("column")) for one in problem["problems"]]
+    assert message == [
         ("robt", 1, 1),
         ("operator", 2, 1),
         ("temperature", 3, 1),
@@ -113,14 +113,14 @@ def test_all_problems_are_reported_at_once_with_their_place(api: Api, project_id
 )
 def test_a_wrong_value_is_named(api: Api, project_id: str, line: str, field: str, word: str) -> None:
     good = {"robot": "robot: spot", "operator": "operator: ada"}
-    given = [text for name, text in good.items() if name != line.split(":")[0].lower()]
+    values = [text for name, text in good.items() if name != line.split(":")[0].lower()]
     problem = api.post(
-        f"/projects/{project_id}/missions", {"name": "never", "metadata_yaml": "\n".join([*given, line])}
+        f"/projects/{project_id}/missions", {"name": "never", "metadata_yaml": "\n".join([*values, line])}
     ).refused(422, "metadata_invalid")
     first = problem["problems"][0]
     assert first["field"] == field
     assert word in first["message"]
-    assert first["line"] == len(given) + 1
+    assert first["line"] == len(values) + 1
 
 
 @pytest.mark.parametrize(
@@ -209,7 +209,7 @@ def test_the_template_suggests_values_of_the_last_mission_as_comments(api: Api) 
     assert ": ada" not in template["yaml"]
     body = {"name": "unread", "metadata_yaml": template["yaml"]}
     problem = api.post(f"/projects/{project['id']}/missions", body).refused(422, "metadata_invalid")
-    assert {each["field"] for each in problem["problems"]} == {"robot", "operator"}
+    assert {item["field"] for item in problem["problems"]} == {"robot", "operator"}
 
 
 def test_the_template_leaves_out_what_no_longer_fits_and_suggests_what_was_not_declared(api: Api) -> None:

@@ -120,7 +120,7 @@ def test_stored_totals_are_valid_until_files_change(api: Api) -> None:
     for change in ("file_count = 9", "notes = 'rain'", "files_revision = files_revision + 1"):
         api.sql(f"UPDATE mission SET {change} WHERE id = %s", mission["id"])
         place = f"/missions/{mission['id']}", f"/projects/{mission['project']['id']}"
-        seen.append({api.get(each).ok()["file_count"] for each in place})
+        seen.append({api.get(item).ok()["file_count"] for item in place})
     assert seen == [{9}, {9}, {0}]
 
 

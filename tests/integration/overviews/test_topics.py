@@ -23,11 +23,11 @@ T0 = 1_700_000_000_000_000_000
 S = 1_000_000_000
 
 
-def _times(name: str, stamps: list[int], kind: str = "a/msg/B", **given: Any) -> dict[str, Any]:
+def _times(name: str, stamps: list[int], kind: str = "a/msg/B", **values: Any) -> dict[str, Any]:
     gap = max((b - a for a, b in pairwise(stamps)), default=None)
     span = {"first_ns": stamps[0], "last_ns": stamps[-1], "longest_gap_ns": gap, "stored_bytes": 10}
     density = pack(count_stamps(stamps))
-    return {"name": name, "message_type": kind, "count": len(stamps), **span, "density": density, **given}
+    return {"name": name, "message_type": kind, "count": len(stamps), **span, "density": density, **values}
 
 
 def _put(sample: Sample, mission_id: str, path: str, *topics: dict[str, Any]) -> str:
@@ -44,8 +44,8 @@ def _span(api: Api, mission_id: str, start_ns: int, end_ns: int) -> None:
     api.sql("UPDATE mission SET start_ns = %s, end_ns = %s WHERE id = %s", start_ns, end_ns, mission_id)
 
 
-def _by_key(found: Any) -> dict[tuple[str, str], Any]:
-    return {(each["name"], each["message_type"]): each for each in found["items"]}
+def _by_key(actual: Any) -> dict[tuple[str, str], Any]:
+    return {(item["name"], item["message_type"]): item for item in actual["items"]}
 
 
 def test_topics_of_several_recordings_are_one(api: Api, sample: Sample, mission_id: str) -> None:
@@ -56,17 +56,17 @@ def test_topics_of_several_recordings_are_one(api: Api, sample: Sample, mission_
     silent = {"name": "/imu", "message_type": "a/msg/B", "count": 0, "first_ns": None, "last_ns": None}
     _put(sample, mission_id, "c.mcap", {**silent, "stored_bytes": 0})
     _span(api, mission_id, first[0], later[-1])
-    found = api.get(f"/missions/{mission_id}/topics").ok()
-    assert [each["name"] for each in found["recordings"]] == ["b.mcap", "a.mcap", "c.mcap"]
-    assert found["is_current"]
-    topics = _by_key(found)
+    actual = api.get(f"/missions/{mission_id}/topics").ok()
+    assert [item["name"] for item in actual["recordings"]] == ["b.mcap", "a.mcap", "c.mcap"]
+    assert actual["is_current"]
+    topics = _by_key(actual)
     assert topics.keys() == {("/imu", "a/msg/B"), ("/odd", "a/msg/B"), ("/odd", "c/msg/D")}
     imu = topics["/imu", "a/msg/B"]
     assert (imu["count"], imu["file_count"], imu["recording_count"]) == (1500, 3, 2)
     assert (imu["recordings"], imu["other_types"]) == ([[0, 1]], [])
     assert (imu["first_ns"], imu["last_ns"], imu["longest_gap_ns"]) == (first[0], later[-1], S // 10)
     assert imu["rate_hz"] == pytest.approx(10)
-    axis = found["axis"]
+    axis = actual["axis"]
     assert 128 <= axis["bins"] <= 256
     counted = Counter((stamp - axis["start_ns"]) // axis["bin_ns"] for stamp in [*first, *later])
     assert imu["counts"] == [counted[number] for number in range(axis["bins"])]
@@ -86,23 +86,23 @@ def test_the_worker_derives_the_same_topics(api: Api, sample: Sample, mission_id
     path = f"/missions/{mission_id}/topics"
     added_up = api.get(path).ok()
     run_jobs(api)
-    kept = api.get(path).ok()
+    remaining = api.get(path).ok()
     assert api.sql("SELECT count(*) FROM mission_topic WHERE mission_id = %s", mission_id) == [(5,)]
     # The recording of the deleted file was still there.
-    assert [{**each, "recordings": None} for each in added_up["items"]] == [
-        {**each, "recordings": None} for each in kept["items"]
+    assert [{**item, "recordings": None} for item in added_up["items"]] == [
+        {**item, "recordings": None} for item in remaining["items"]
     ]
-    assert _by_key(kept)["/imu", "a/msg/B"]["recordings"] == [[0, 0], [2, 3]]
-    assert (kept["axis"], kept["is_current"], kept["next"]) == (added_up["axis"], True, None)
-    assert [each["name"] for each in kept["recordings"]] == ["0.mcap", "3.mcap", "1.mcap", "2.mcap"]
-    assert {each["name"] for each in kept["items"]} == {"/imu", "/only0", "/only1", "/only2"}
-    assert _by_key(kept)["/imu", "other/msg/T"]["other_types"] == ["a/msg/B"]
+    assert _by_key(remaining)["/imu", "a/msg/B"]["recordings"] == [[0, 0], [2, 3]]
+    assert (remaining["axis"], remaining["is_current"], remaining["next"]) == (added_up["axis"], True, None)
+    assert [item["name"] for item in remaining["recordings"]] == ["0.mcap", "3.mcap", "1.mcap", "2.mcap"]
+    assert {item["name"] for item in remaining["items"]} == {"/imu", "/only0", "/only1", "/only2"}
+    assert _by_key(remaining)["/imu", "other/msg/T"]["other_types"] == ["a/msg/B"]
     pages = [api.get(path, {"limit": "2"}).ok()]
     while pages[-1]["next"]:
         pages.append(api.get(path, {"limit": "2", "cursor": pages[-1]["next"]}).ok())
-    assert [each for page in pages for each in page["items"]] == kept["items"]
+    assert [item for page in pages for item in page["items"]] == remaining["items"]
     with connect(api.url, api.token) as client:
-        assert client.missions.topics(uuid.UUID(mission_id)).model_dump(mode="json") == kept
+        assert client.missions.topics(uuid.UUID(mission_id)).model_dump(mode="json") == remaining
     api.sql("UPDATE mission SET files_revision = files_revision + 1 WHERE id = %s", mission_id)
     assert api.get(path).ok()["is_current"] is False
 
@@ -113,9 +113,9 @@ def test_fewer_bins_are_sums(api: Api, sample: Sample, mission_id: str) -> None:
     _span(api, mission_id, stamps[0], stamps[-1])
     path = f"/missions/{mission_id}/topics"
     for bins in (1, 2, 40, 512):
-        found = api.get(path, {"bins": str(bins)}).ok()
-        assert found["axis"]["bins"] == len(found["items"][0]["counts"]) <= bins
-        assert sum(found["items"][0]["counts"]) == 5000
+        actual = api.get(path, {"bins": str(bins)}).ok()
+        assert actual["axis"]["bins"] == len(actual["items"][0]["counts"]) <= bins
+        assert sum(actual["items"][0]["counts"]) == 5000
     bare = api.get(path, {"bins": "0"}).ok()
     assert (bare["axis"], bare["items"][0]["counts"]) == (None, None)
     api.get(path, {"bins": "513"}).refused(422, "invalid_request")
@@ -130,18 +130,18 @@ def test_unknown_values_are_null_and_unset_clocks_do_not_widen_the_span(
     _put(sample, mission_id, "new.mcap", _times("/both", [stamp + 200 * S for stamp in stamps]))
     _put(sample, mission_id, "1970.mcap", _times("/both", [5, 6, 7]))
     _span(api, mission_id, T0, T0 + 299 * S)
-    found = api.get(f"/missions/{mission_id}/topics").ok()
-    topics = _by_key(found)
+    actual = api.get(f"/missions/{mission_id}/topics").ok()
+    topics = _by_key(actual)
     assert topics["/old", "a/msg/B"]["counts"] is None
     both = topics["/both", "a/msg/B"]
     assert (both["count"], sum(both["counts"]), both["first_ns"]) == (203, 100, T0)
     assert both["recordings"] == [[0, 2]]
-    assert found["axis"]["start_ns"] > T0 - 10 * S
+    assert actual["axis"]["start_ns"] > T0 - 10 * S
 
 
 def test_a_mission_without_anything_has_no_topics(api: Api, mission_id: str) -> None:
-    found = api.get(f"/missions/{mission_id}/topics").ok()
-    assert (found["items"], found["axis"], found["recordings"]) == ([], None, [])
+    actual = api.get(f"/missions/{mission_id}/topics").ok()
+    assert (actual["items"], actual["axis"], actual["recordings"]) == ([], None, [])
     api.get(f"/missions/{uuid.uuid4()}/topics").refused(404, "not_found")
 
 
@@ -151,11 +151,11 @@ def test_a_link_to_some_files_shows_topics_of_these(api: Api, sample: Sample, mi
     _put(sample, mission_id, "b.mcap", _times("/imu", stamps), _times("/b", stamps))
     _span(api, mission_id, stamps[0], stamps[-1])
     until = (datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(hours=1)).isoformat()
-    wanted = {"name": "one", "expires_at": until, "file_ids": [shown]}
-    link = api.post(f"/missions/{mission_id}/shares", wanted).ok(201)
-    found = api.as_(link["secret"]).get(f"/missions/{mission_id}/topics").ok()
-    assert {(each["name"], each["count"]) for each in found["items"]} == {("/imu", 10), ("/a", 10)}
-    assert [each["name"] for each in found["recordings"]] == ["a.mcap"]
+    expected = {"name": "one", "expires_at": until, "file_ids": [shown]}
+    link = api.post(f"/missions/{mission_id}/shares", expected).ok(201)
+    actual = api.as_(link["secret"]).get(f"/missions/{mission_id}/topics").ok()
+    assert {(item["name"], item["count"]) for item in actual["items"]} == {("/imu", 10), ("/a", 10)}
+    assert [item["name"] for item in actual["recordings"]] == ["a.mcap"]
 
 
 def test_a_file_says_how_densely_its_messages_lie(api: Api, sample: Sample, mission_id: str) -> None:
@@ -172,10 +172,10 @@ def test_a_recording_that_is_uploaded_gets_its_density(api: Api, mission_id: str
     generate_mcap(tmp_path / "a.mcap", size_bytes=1_000_000, seed=1)
     upload_all(api, mission_id, {"a.mcap": (tmp_path / "a.mcap").read_bytes()})
     run_jobs(api)
-    found = api.get(f"/missions/{mission_id}/topics").ok()
-    assert found["is_current"]
-    assert all(sum(each["counts"]) == each["count"] > 0 for each in found["items"])
-    assert len(found["items"]) > 1
+    actual = api.get(f"/missions/{mission_id}/topics").ok()
+    assert actual["is_current"]
+    assert all(sum(item["counts"]) == item["count"] > 0 for item in actual["items"])
+    assert len(actual["items"]) > 1
 
 
 def test_topics_that_were_never_derived_are_caught_up_with(api: Api, sample: Sample, mission_id: str) -> None:

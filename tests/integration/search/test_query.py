@@ -139,7 +139,7 @@ def test_a_query_finds_missions_by_what_they_say_and_by_their_files(lab: Api, te
 
 def test_a_query_finds_topics_once_each(lab: Api) -> None:
     topics = _found(lab, "")["topics"]
-    assert [(each["name"], each["file_count"], each["message_count"]) for each in topics["items"]] == [
+    assert [(item["name"], item["file_count"], item["message_count"]) for item in topics["items"]] == [
         ("/imu", 2, 400),
         ("/cam/front", 1, 10),
         ("/cam/rear", 1, 10),
@@ -148,22 +148,22 @@ def test_a_query_finds_topics_once_each(lab: Api) -> None:
     assert topics["total"] == 4
     assert _names(_found(lab, "topic:/cam/*")["topics"]) == ["/cam/front", "/cam/rear"]
     of_type = _found(lab, "image")["topics"]["items"]
-    assert [each["name"] for each in of_type][:2] == ["/cam/front", "/cam/rear"], "those of that type come first"
+    assert [item["name"] for item in of_type][:2] == ["/cam/front", "/cam/rear"], "those of that type come first"
     assert _found(lab, "rear")["topics"]["items"][0]["name"] == "/cam/rear", "what holds the word comes first"
     assert _found(lab, "no such thing")["topics"] == {"items": [], "next": None, "total": 0}
 
 
 def test_the_text_comes_back_in_its_own_spelling_and_with_what_it_means(lab: Api) -> None:
-    found = _found(lab, " -label:wet   label:night size>=1000MB alps ")
-    assert found["query"] == "alps label:night size>=1GB -label:wet"
-    assert found["filter"]["min_size_bytes"] == 10**9
-    assert _found(lab, found["query"])["files"] == found["files"]
+    actual = _found(lab, " -label:wet   label:night size>=1000MB alps ")
+    assert actual["query"] == "alps label:night size>=1GB -label:wet"
+    assert actual["filter"]["min_size_bytes"] == 10**9
+    assert _found(lab, actual["query"])["files"] == actual["files"]
 
 
 def test_a_query_and_filters_are_combined(lab: Api) -> None:
-    assert [each["path"] for each in lab.all("/files", {"query": "label:night", "content": "opaque"})] == [LOG]
+    assert [item["path"] for item in lab.all("/files", {"query": "label:night", "content": "opaque"})] == [LOG]
     assert lab.get("/stats", {"query": "label:night", "text": "rained"}).ok()["total"]["files"] == 2
-    assert {each["name"] for each in lab.all("/topics", {"query": "alps", "topic": "/i*"})} == {"/imu"}
+    assert {item["name"] for item in lab.all("/topics", {"query": "alps", "topic": "/i*"})} == {"/imu"}
     problem = lab.get("/files", {"query": "project:Town", "project": "Alps"}).refused(422, "invalid_query")
     assert "said at column 1 already" in problem["detail"]
 
@@ -177,17 +177,19 @@ def test_errors_of_a_query_name_the_column(lab: Api, path: str) -> None:
 
 @pytest.mark.parametrize("path", ["/search", "/search/facets", "/files", "/missions", "/projects", "/topics", "/stats"])
 def test_a_search_has_so_many_words_and_no_more(lab: Api, path: str) -> None:
-    asked = "text" if path == "/projects" else "query"
+    requested = "text" if path == "/projects" else "query"
     words = [f"word{number}" for number in range(MAX_WORDS + 1)]
-    lab.get(path, {asked: " ".join(words[1:])}).ok()
-    problem = lab.get(path, {asked: " ".join(words)}).refused(422, "invalid_query")
+    lab.get(path, {requested: " ".join(words[1:])}).ok()
+    problem = lab.get(path, {requested: " ".join(words)}).refused(422, "invalid_query")
     assert problem["expression"] == f"word{MAX_WORDS}"
     assert "put words that belong together in quotes" in problem["detail"]
 
 
 def _facets(api: Api, text: str) -> dict[str, dict[str, int]]:
-    found = api.get("/search/facets", {"query": text}).ok()
-    return {each["name"]: {value["value"]: value["file_count"] for value in each["values"]} for each in found["facets"]}
+    actual = api.get("/search/facets", {"query": text}).ok()
+    return {
+        item["name"]: {value["value"]: value["file_count"] for value in item["values"]} for item in actual["facets"]
+    }
 
 
 def test_facets_count_what_is_found(lab: Api) -> None:
@@ -222,14 +224,14 @@ def test_choosing_a_value_finds_as_many_files_as_it_says(lab: Api) -> None:
 
 
 def test_a_facet_of_which_something_is_chosen_still_shows_the_others(lab: Api) -> None:
-    found = lab.get("/search/facets", {"query": "meta.robot:spot label:night"}).ok()
-    facets = {each["name"]: each["values"] for each in found["facets"]}
-    robots = [(each["value"], each["file_count"], each["is_chosen"], each["query"]) for each in facets["meta.robot"]]
+    actual = lab.get("/search/facets", {"query": "meta.robot:spot label:night"}).ok()
+    facets = {item["name"]: item["values"] for item in actual["facets"]}
+    robots = [(item["value"], item["file_count"], item["is_chosen"], item["query"]) for item in facets["meta.robot"]]
     assert robots == [
         ("anymal", 2, False, "meta.robot:anymal label:night"),
         ("spot", 0, True, "label:night"),
     ]
-    assert (found["file_count"], found["is_whole"]) == (0, True)
+    assert (actual["file_count"], actual["is_whole"]) == (0, True)
 
 
 def test_hidden_files_are_in_no_count(lab: Api) -> None:
@@ -239,13 +241,13 @@ def test_hidden_files_are_in_no_count(lab: Api) -> None:
     assert _found(theirs, "imu")["files"]["total"] == 0
     town = lab.get("/projects", {"name": "Town"}).ok()["items"][0]["id"]
     people.grant(lab, member, Right.read, project_id=town)
-    found = _found(theirs, "")
-    assert [found[each]["total"] for each in ("missions", "files", "topics")] == [1, 1, 3]
+    actual = _found(theirs, "")
+    assert [actual[item]["total"] for item in ("missions", "files", "topics")] == [1, 1, 3]
     facets = _facets(theirs, "")
     assert (facets["project"], facets["topic"]["/imu"]) == ({"Town": 1}, 1)
     assert "meta.site" not in facets
     lake = lab.get("/missions", {"name": "Lake"}).ok()["items"][0]["id"]
-    (file_id,) = (each["id"] for each in lab.all("/files", {"query": "lake"}))
+    (file_id,) = (item["id"] for item in lab.all("/files", {"query": "lake"}))
     guest = lab.as_(people.share(lab, lake, file_ids=[file_id]).secret)
     assert not any(name.startswith("meta.") for name in _facets(guest, "")), "a link to files shows no metadata"
     guest.get("/search/facets", {"query": "meta.robot:spot"}).refused(422, "invalid_query")
@@ -262,16 +264,16 @@ def test_labels_are_put_on_many_files_each_by_its_own_right(lab: Api) -> None:
     people.grant(lab, member, Right.write, mission_id=mine)
     people.grant(lab, member, Right.read, mission_id=other)
     theirs = lab.as_(member.token)
-    asked = [*files, seen, unseen, nobodys]
-    answer = theirs.post("/files/labels", {"file_ids": asked, "add": ["new", "new"], "remove": ["old", "new"]}).ok()
-    told = [(each["file_id"], each["labels"], (each["problem"] or {}).get("code")) for each in answer["items"]]
-    assert told == [
+    requested = [*files, seen, unseen, nobodys]
+    answer = theirs.post("/files/labels", {"file_ids": requested, "add": ["new", "new"], "remove": ["old", "new"]}).ok()
+    message = [(item["file_id"], item["labels"], (item["problem"] or {}).get("code")) for item in answer["items"]]
+    assert message == [
         *((file_id, ["kept", "new"], None) for file_id in files),
         (seen, None, "forbidden"),
         (unseen, None, "not_found"),
         (nobodys, None, "not_found"),
     ]
-    assert [lab.get(f"/files/{each}").ok()["labels"] for each in files] == [["kept", "new"]] * 3
+    assert [lab.get(f"/files/{item}").ok()["labels"] for item in files] == [["kept", "new"]] * 3
     rows = lab.sql(
         "SELECT noun_id::text, before, after FROM audit_event WHERE actor_id = %s AND operation = 'file.update'",
         member.id,

@@ -56,29 +56,29 @@ def _sampled(monkeypatch: pytest.MonkeyPatch) -> int:
 
 
 def test_a_small_number_of_files_is_counted_exactly(full: Api) -> None:
-    found = full.get("/search", {"query": "drive"}).ok()
-    assert (found["is_whole"], found["files"]["total"], found["missions"]["total"]) == (True, _FILES - _RARE, 1)
-    assert found["topics"]["items"][0]["file_count"] == _FILES - _RARE
+    actual = full.get("/search", {"query": "drive"}).ok()
+    assert (actual["is_whole"], actual["files"]["total"], actual["missions"]["total"]) == (True, _FILES - _RARE, 1)
+    assert actual["topics"]["items"][0]["file_count"] == _FILES - _RARE
 
 
 def test_an_estimated_total_of_very_many_files_is_declared_as_one(full: Api, sampled: int) -> None:
-    found = full.get("/search", {"query": "drive", "limit": "5"}).ok()
-    assert not found["is_whole"]
+    actual = full.get("/search", {"query": "drive", "limit": "5"}).ok()
+    assert not actual["is_whole"]
     # Ids are random: of 120 files, the 60th id lies near the middle, and seldom beyond these.
-    assert _FILES / 2 < found["files"]["total"] < _FILES * 2
-    assert [each["start_ns"] for each in found["files"]["items"]] == [*range(_FILES, _FILES - 5, -1)]
-    assert [each["name"] for each in found["topics"]["items"]] == ["/imu"]
+    assert _FILES / 2 < actual["files"]["total"] < _FILES * 2
+    assert [item["start_ns"] for item in actual["files"]["items"]] == [*range(_FILES, _FILES - 5, -1)]
+    assert [item["name"] for item in actual["topics"]["items"]] == ["/imu"]
     for query in ("drive", "", "drive topic:/imu", "project:many*"):
         facets = full.get("/search/facets", {"query": query}).ok()
         assert not facets["is_whole"]
         assert 0 < facets["file_count"] <= sampled
-        (topics,) = (each["values"] for each in facets["facets"] if each["name"] == "topic")
-        assert [(each["value"], each["file_count"]) for each in topics] == [("/imu", facets["file_count"])]
+        (topics,) = (item["values"] for item in facets["facets"] if item["name"] == "topic")
+        assert [(item["value"], item["file_count"]) for item in topics] == [("/imu", facets["file_count"])]
 
 
 def test_a_rare_word_among_very_many_files_finds_all_its_files(full: Api, sampled: int) -> None:
-    found = full.get("/search", {"query": "rarely"}).ok()
-    assert (found["is_whole"], found["files"]["total"]) == (True, _RARE)
+    actual = full.get("/search", {"query": "rarely"}).ok()
+    assert (actual["is_whole"], actual["files"]["total"]) == (True, _RARE)
     assert full.get("/search", {"query": "zzyzx"}).ok()["files"] == {"items": [], "next": None, "total": 0}
     facets = full.get("/search/facets", {"query": "rarely"}).ok()
     assert (facets["is_whole"], facets["file_count"]) == (True, _RARE)
@@ -87,20 +87,20 @@ def test_a_rare_word_among_very_many_files_finds_all_its_files(full: Api, sample
 @pytest.mark.parametrize("timed_by", ["nothing", "path", "label", "topic", "mission", "project"])
 @pytest.mark.usefixtures("sampled")
 def test_files_without_a_time_come_last_among_very_many(start_api: StartApi, timed_by: str) -> None:
-    api, said = (
+    api, text = (
         start_api(),
         dict.fromkeys(["path", "label", "topic", "mission", "project"], "plain") | {timed_by: "sheet"},
     )
     sample, mission = Sample(api), api.mission(api.project(name="of many")["id"], name="of many")["id"]
     ids = [sample.file(mission, f"a/sheet_{number}.yaml") for number in range(_FILES)]
-    project = api.project(name=f"{said['project']} project")["id"]
+    project = api.project(name=f"{text['project']} project")["id"]
     timed = sample.file(
-        api.mission(project, name=f"{said['mission']} mission")["id"],
-        f"a/{said['path']}.mcap",
+        api.mission(project, name=f"{text['mission']} mission")["id"],
+        f"a/{text['path']}.mcap",
         start_ns=5,
         end_ns=6,
-        labels=(f"of {said['label']}",),
-        topics=[{"name": f"/{said['topic']}"}],
+        labels=(f"of {text['label']}",),
+        topics=[{"name": f"/{text['topic']}"}],
     )
     in_order = ([] if timed_by == "nothing" else [timed]) + sorted(ids, reverse=True)
     for query, shown in (
@@ -108,11 +108,11 @@ def test_files_without_a_time_come_last_among_very_many(start_api: StartApi, tim
         ("sheet sheet_1", _holding(api, "sheet_1")),
         ("a sheet", set(in_order)),
     ):
-        found = api.get("/search", {"query": query, "limit": "5"}).ok()
-        assert [each["id"] for each in found["files"]["items"]] == [each for each in in_order if each in shown][:5], (
+        actual = api.get("/search", {"query": query, "limit": "5"}).ok()
+        assert [item["id"] for item in actual["files"]["items"]] == [item for item in in_order if item in shown][:5], (
             query
         )
-        assert query == "sheet sheet_1" or found["is_whole"] == (timed_by != "nothing")
+        assert query == "sheet sheet_1" or actual["is_whole"] == (timed_by != "nothing")
     assert api.get("/search", {"query": "sheet", "sort": "size", "limit": "1"}).ok()["files"]["items"]
 
 
@@ -129,26 +129,26 @@ def test_very_many_files_in_one_mission_find_that_mission(start_api: StartApi, m
         sample.file(full, f"sheet_{number}.mcap", start_ns=number + 1, end_ns=number + 2)
     sampled_first = str(api.sql("SELECT id FROM mission ORDER BY id LIMIT 1")[0][0])
     _set_limit(monkeypatch, missions_service, "SAMPLED_MISSIONS", 1)
-    found = api.get("/search", {"query": "sheet"}).ok()
-    assert not found["is_whole"]
-    assert [each["id"] for each in found["missions"]["items"]] == [full]
-    assert found["missions"]["total"] == 1 or sampled_first == full
+    actual = api.get("/search", {"query": "sheet"}).ok()
+    assert not actual["is_whole"]
+    assert [item["id"] for item in actual["missions"]["items"]] == [full]
+    assert actual["missions"]["total"] == 1 or sampled_first == full
 
 
 @pytest.mark.parametrize("globs", [["*sheet*"], ["*sheet*", "*notes*"]])
 def test_globs_of_paths_use_both_trigram_indexes(start_api: StartApi, globs: list[str]) -> None:
     api = start_api()
     Sample(api).file(api.mission(api.project(name="of paths")["id"])["id"], "sheet.mcap")
-    asked = [("sort", "size"), *(("path", glob) for glob in globs)]
+    requested = [("sort", "size"), *(("path", glob) for glob in globs)]
     with api.statements() as statements:
-        (found,) = api.get(f"/files?{urlencode(asked)}").ok()["items"]
-    assert found["path"] == "sheet.mcap"
-    (listed,) = (each for each in statements if "path_key LIKE" in each)
+        (actual,) = api.get(f"/files?{urlencode(requested)}").ok()["items"]
+    assert actual["path"] == "sheet.mcap"
+    (listed,) = (item for item in statements if "path_key LIKE" in item)
     assert listed.count("start_ns IS NULL AND") == listed.count("start_ns IS NOT NULL AND") == len(globs)
 
 
 def _holding(api: Api, word: str) -> set[str]:
-    return {str(found) for (found,) in api.sql("SELECT id FROM file WHERE path_key LIKE %s", f"%{word}%")}
+    return {str(actual) for (actual,) in api.sql("SELECT id FROM file WHERE path_key LIKE %s", f"%{word}%")}
 
 
 @pytest.mark.parametrize("query", ["imu", "topic:/imu", "type:Imu", "imu drive"])
@@ -161,10 +161,10 @@ def test_stored_topics_exclude_a_mission_only_where_current_and_complete(
     full.sql("UPDATE topic SET message_type = 'Imu' WHERE name = '/imu'")
 
     def is_found() -> bool:
-        found = full.get("/search", {"query": query}).ok()
-        assert not found["is_whole"]
-        in_missions = {each["id"] for each in found["missions"]["items"]}
-        in_files = {each["mission"]["id"] for each in found["files"]["items"]}
+        actual = full.get("/search", {"query": query}).ok()
+        assert not actual["is_whole"]
+        in_missions = {item["id"] for item in actual["missions"]["items"]}
+        in_files = {item["mission"]["id"] for item in actual["files"]["items"]}
         assert (str(mission_id) in in_missions) == (str(mission_id) in in_files)
         return str(mission_id) in in_missions
 
@@ -193,9 +193,9 @@ def test_a_page_of_many_rows_takes_as_many_statements_as_a_page_of_one(
     full.get(path, query).ok()  # so that an admin's access is recorded already
     counts = []
     for limit in ("1", "100"):
-        asked = query if path == "/search/facets" else {**query, "limit": limit}
+        requested = query if path == "/search/facets" else {**query, "limit": limit}
         with full.statements() as statements:
-            full.get(path, asked).ok()
+            full.get(path, requested).ok()
         counts.append(len(statements))
     assert counts[0] == counts[1] <= 10
 
@@ -239,10 +239,10 @@ def test_a_search_finds_the_same_whichever_plan_it_follows(
     _set_limit(monkeypatch, module, name, value)
     queries = ((word, 21, 13), (f"{word} imu", 9, 9), (f"{word} {word}_1", 1, 1), (f"-{word}", 3, 3))
     for query, files, missions in queries:
-        found = api.get("/search", {"query": query, "limit": "50"}).ok()
-        assert (found["files"]["total"], found["missions"]["total"]) == (files, missions), query
-        assert len(found["files"]["items"]) == files
-        assert len(found["missions"]["items"]) == missions
+        actual = api.get("/search", {"query": query, "limit": "50"}).ok()
+        assert (actual["files"]["total"], actual["missions"]["total"]) == (files, missions), query
+        assert len(actual["files"]["items"]) == files
+        assert len(actual["missions"]["items"]) == missions
 
 
 def test_a_common_word_lists_what_a_rare_one_does(spread: tuple[Api, str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -256,4 +256,4 @@ def test_a_common_word_lists_what_a_rare_one_does(spread: tuple[Api, str], monke
     common = api.get("/search", {"query": word, "limit": "50"}).ok()
     assert (rare["is_whole"], common["is_whole"]) == (True, False)
     for kind in ("files", "missions"):
-        assert [each["id"] for each in common[kind]["items"]] == [each["id"] for each in rare[kind]["items"]]
+        assert [item["id"] for item in common[kind]["items"]] == [item["id"] for item in rare[kind]["items"]]

@@ -33,10 +33,10 @@ def documented(heading: str) -> set[tuple[str, str]]:
 
 def _reached(edges: set[tuple[str, str]]) -> set[tuple[str, str]]:
     """Several changes may lie between two looks."""
-    found = set(edges)
-    while more := {(a, d) for a, b in found for c, d in found if b == c} - found:
-        found |= more
-    return found
+    actual = set(edges)
+    while more := {(a, d) for a, b in actual for c, d in actual if b == c} - actual:
+        actual |= more
+    return actual
 
 
 class Machine(RuleBasedStateMachine):
@@ -151,8 +151,8 @@ class Machine(RuleBasedStateMachine):
         self.lapse()
         self.api.sql("UPDATE upload SET expires_at = now() WHERE state = 'open'")
         self.context.run(lambda context: maintain_uploads(context, stale_after_s=0))
-        told = self.api.get(f"/projects/{self.project_id}").ok()
-        assert (told["used_files"], told["used_bytes"]) == (told["file_count"], told["size_bytes"])
+        message = self.api.get(f"/projects/{self.project_id}").ok()
+        assert (message["used_files"], message["used_bytes"]) == (message["file_count"], message["size_bytes"])
 
     @rule()
     def empty_trash(self) -> None:
@@ -217,7 +217,7 @@ class Machine(RuleBasedStateMachine):
         if len(rows) <= place:
             return
         key, digest = rows[place][1], rows[place][3]
-        body = next(each for each in _BODIES if sha256(each) == digest)
+        body = next(item for item in _BODIES if sha256(item) == digest)
         if what == "gone":
             self.context.run(lambda context: context.storage.delete(key))
         else:
@@ -248,13 +248,13 @@ class Machine(RuleBasedStateMachine):
     @invariant()
     def what_is_used_adds_up(self) -> None:
         """Files and uploads under way, each once."""
-        told = self.api.get(f"/projects/{self.project_id}").ok()
+        message = self.api.get(f"/projects/{self.project_id}").ok()
         sizes = [file["size_bytes"] for file in self._files()]
         under_way = "SELECT size_bytes FROM upload WHERE mission_id = %s AND state IN ('open', 'completing')"
         coming = [row[0] for row in self.api.sql(under_way, self.mission_id)]
         assert len(coming) <= len(_PATHS), "a name is held twice"
-        assert (told["file_count"], told["size_bytes"]) == (len(sizes), sum(sizes))
-        assert (told["used_files"], told["used_bytes"]) == (len(sizes + coming), sum(sizes + coming))
+        assert (message["file_count"], message["size_bytes"]) == (len(sizes), sum(sizes))
+        assert (message["used_files"], message["used_bytes"]) == (len(sizes + coming), sum(sizes + coming))
 
     @invariant()
     def states_move_along_documented_edges(self) -> None:
@@ -305,21 +305,21 @@ class Machine(RuleBasedStateMachine):
         return str(rows[0][0]) if rows else ""
 
     def _holds(self, path: str) -> bool:
-        held = (
+        locked = (
             "SELECT 1 FROM upload WHERE mission_id = %s AND path = %s"
             " AND (state = 'completing' OR state = 'open' AND lease_ends_at > now())"
         )
-        return bool(self.api.sql(held, self.mission_id, path)) or path in {file["path"] for file in self._files()}
+        return bool(self.api.sql(locked, self.mission_id, path)) or path in {file["path"] for file in self._files()}
 
     def _see_that_it_can_be_read(self, path: str, body: bytes) -> None:
         """As far as is known: nobody is told that a file is there which is known to be lost or corrupt."""
-        [file] = [each for each in self._files() if each["path"] == path]
+        [file] = [item for item in self._files() if item["path"] == path]
         assert (file["sha256"], file["state"] in {"stored", "verified"}) == (sha256(body), True)
 
-    def _see_what_is_told(self, said: dict[str, str]) -> None:
+    def _see_what_is_told(self, text: dict[str, str]) -> None:
         for state, key, *_ in self._blobs():
             done = self.done_to.get(key, "whole")
-            assert state == said.get(done, state), (done, state)
+            assert state == text.get(done, state), (done, state)
 
 
 async def _delete(context: AppContext, key: str) -> None:

@@ -52,12 +52,12 @@ def test_a_file_moved_to_where_an_upload_is_completed(api: Api, mission_id: str,
             completed = send_one(complete, api, started, body)
             moved = send_one(api.patch, f"/files/{other['id']}", {"path": "run.bin"})
     outcome = completed.result(30)
-    found = {file["path"]: file["sha256"] for file in api.all("/files", {"mission_id": mission_id})}
+    actual = {file["path"]: file["sha256"] for file in api.all("/files", {"mission_id": mission_id})}
     if move_first:
         moved.result(30).ok()
         assert (outcome["outcome"], outcome["problem"]["code"]) == ("refused", "file_exists")
-        assert found == {"run.bin": other["sha256"]}
+        assert actual == {"run.bin": other["sha256"]}
     else:
         moved.result(30).refused(409, "name_taken")
         assert outcome["outcome"] == "completed"
-        assert found == {"run.bin": sha256(body), "other.bin": other["sha256"]}
+        assert actual == {"run.bin": sha256(body), "other.bin": other["sha256"]}

@@ -30,15 +30,15 @@ def lab(start_api: StartApi) -> Api:
 
 def _preflight(url: str, origin: str, method: str, headers: str = "") -> Mapping[str, str] | None:
     """Ask as a browser does; returns what it is told, in small letters, or None where it would go no further."""
-    asked = {"Origin": origin, "Access-Control-Request-Method": method}
-    asked |= {"Access-Control-Request-Headers": headers} if headers else {}
-    answer = urllib3.request("OPTIONS", url, headers=asked, retries=False)
-    told = {name.lower(): value.lower() for name, value in answer.headers.items()}
-    names = {name.strip() for name in told.get("access-control-allow-headers", "").split(",")}
-    allowed = told.get("access-control-allow-origin") == origin and method.lower() in {
-        name.strip() for name in told.get("access-control-allow-methods", "").split(",")
+    requested = {"Origin": origin, "Access-Control-Request-Method": method}
+    requested |= {"Access-Control-Request-Headers": headers} if headers else {}
+    answer = urllib3.request("OPTIONS", url, headers=requested, retries=False)
+    message = {name.lower(): value.lower() for name, value in answer.headers.items()}
+    names = {name.strip() for name in message.get("access-control-allow-headers", "").split(",")}
+    allowed = message.get("access-control-allow-origin") == origin and method.lower() in {
+        name.strip() for name in message.get("access-control-allow-methods", "").split(",")
     }
-    return told if answer.status < 300 and allowed and names >= set(filter(None, headers.split(","))) else None
+    return message if answer.status < 300 and allowed and names >= set(filter(None, headers.split(","))) else None
 
 
 def _shown(answer: "urllib3.BaseHTTPResponse") -> set[str]:
@@ -97,8 +97,8 @@ def test_rules_of_somebody_else_are_left(start_api: StartApi, store: RunningStor
 def test_a_store_that_knows_no_such_rules_is_used_all_the_same(
     start_api: StartApi, store: RunningStore, caplog: pytest.LogCaptureFixture
 ) -> None:
-    def rule(asked: ProxiedRequest) -> Reply | None:
-        return Reply(501, "NotImplemented") if "cors" in asked.query else None
+    def rule(requested: ProxiedRequest) -> Reply | None:
+        return Reply(501, "NotImplemented") if "cors" in requested.query else None
 
     with standing_before(store.endpoint) as middleman:
         middleman.rule = rule
@@ -110,10 +110,10 @@ def test_a_store_that_knows_no_such_rules_is_used_all_the_same(
 
 
 def test_pages_receive_the_address_of_the_store(lab: Api, store: RunningStore) -> None:
-    said = lab.as_(None).get("/service").ok()
-    assert said["store_origin"] == store.endpoint
-    assert said["name"] == "Kleinkram"
-    assert said["has_local_accounts"] is True
-    assert said["viewers"] == [{"name": "Viewer", "url": f"{_VIEWER}/?ds=remote-file&ds.url={{url}}"}]
-    assert said["person"] is None
+    text = lab.as_(None).get("/service").ok()
+    assert text["store_origin"] == store.endpoint
+    assert text["name"] == "Kleinkram"
+    assert text["has_local_accounts"] is True
+    assert text["viewers"] == [{"name": "Viewer", "url": f"{_VIEWER}/?ds=remote-file&ds.url={{url}}"}]
+    assert text["person"] is None
     assert lab.get("/service").ok()["person"]["name"] == "owner"

@@ -118,7 +118,7 @@ def test_an_abandoned_upload_expires_and_leaves_nothing_in_the_store(start_api: 
     api = start_api()
     mission_id = api.mission(api.project()["id"])["id"]
     large, small = os.urandom(_PART + 100), os.urandom(100)
-    uploads = [each["upload"] for each in begin(api, mission_id, {"large": large, "small": small})]
+    uploads = [item["upload"] for item in begin(api, mission_id, {"large": large, "small": small})]
     send(api, uploads[0], large, only=[1])
     send(api, uploads[1], small)
     api.sql("UPDATE upload SET expires_at = now(), lease_ends_at = now() - interval '1 hour'")

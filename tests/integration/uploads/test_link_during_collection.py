@@ -83,19 +83,19 @@ def _see_that_all_have_bytes(api: Api, mission_id: str, bodies: dict[str, bytes]
 
 
 def test_a_blob_being_linked_is_not_collected(api: Api, mission_id: str, other: _Twin) -> None:
-    twin = _Twin(api)
+    duplicate = _Twin(api)
     with racing(api, _HOLD_NAME, mission_id, other.file["id"]) as send_one:
-        linked = send_one(begin, api, mission_id, {"run.bin": twin.body})
-        twin.leave()
-        assert twin.key in _sweep(api)
+        linked = send_one(begin, api, mission_id, {"run.bin": duplicate.body})
+        duplicate.leave()
+        assert duplicate.key in _sweep(api)
     assert linked.result(30)[0]["decision"] == "linked"
-    _see_that_all_have_bytes(api, mission_id, {"run.bin": twin.body})
+    _see_that_all_have_bytes(api, mission_id, {"run.bin": duplicate.body})
 
 
 def test_a_blob_linked_during_garbage_collection_is_not_collected(
     api: Api, mission_id: str, other: _Twin, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    twin = _Twin(api)
+    duplicate = _Twin(api)
     referred = queries.is_referenced
 
     def looks_until_the_gate_opens() -> ColumnElement[bool]:
@@ -107,8 +107,8 @@ def test_a_blob_linked_during_garbage_collection_is_not_collected(
     with psycopg.connect(info.dsn, password=info.password) as gate, ThreadPoolExecutor() as pool:
         gate.execute("SELECT pg_advisory_xact_lock(%s)", [_GATE])
         with racing(api, _HOLD_NAME, mission_id, other.file["id"]) as send_one:
-            linked = send_one(begin, api, mission_id, {"run.bin": twin.body})
-            twin.leave()
+            linked = send_one(begin, api, mission_id, {"run.bin": duplicate.body})
+            duplicate.leave()
             swept = pool.submit(_sweep, api, 1)
             at_gate = "SELECT count(*) FROM pg_locks WHERE locktype = 'advisory' AND objid = %s AND NOT granted"
             wait_until(lambda: swept.done() or api.sql(at_gate, _GATE) == [(1,)])
@@ -117,7 +117,7 @@ def test_a_blob_linked_during_garbage_collection_is_not_collected(
         gate.rollback()
         swept.result(30)
     monkeypatch.undo()
-    _see_that_all_have_bytes(api, mission_id, {"run.bin": twin.body})
+    _see_that_all_have_bytes(api, mission_id, {"run.bin": duplicate.body})
 
 
 @pytest.mark.parametrize("is_gone", [pytest.param(False, marks=pytest.mark.slow), True])
@@ -125,7 +125,7 @@ def test_linking_a_collected_blob_requires_an_upload(
     api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch, is_gone: bool
 ) -> None:
     # Blobs are locked by their ids: at the first, which is held, it is known already that the second is there.
-    first, second = sorted((_Twin(api), _Twin(api)), key=lambda twin: twin.blob_id.bytes)
+    first, second = sorted((_Twin(api), _Twin(api)), key=lambda duplicate: duplicate.blob_id.bytes)
     doomed = threading.Event()
     doom = garbage_collection.mark_unreferenced
 
@@ -146,8 +146,8 @@ def test_linking_a_collected_blob_requires_an_upload(
             assert second.key not in swept.result(30)
     swept.result(30)
     monkeypatch.undo()
-    linked, told = began.result(30)
-    assert (linked["decision"], told["decision"]) == ("linked", "send")
-    send(api, told["upload"], second.body)
-    assert complete(api, told["upload"], second.body)["outcome"] == "completed"
+    linked, message = began.result(30)
+    assert (linked["decision"], message["decision"]) == ("linked", "send")
+    send(api, message["upload"], second.body)
+    assert complete(api, message["upload"], second.body)["outcome"] == "completed"
     _see_that_all_have_bytes(api, mission_id, {"first.bin": first.body, "run.bin": second.body})

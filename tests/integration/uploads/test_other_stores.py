@@ -31,22 +31,22 @@ class _Sha256Alone:
     def __init__(self) -> None:
         self._parts: dict[tuple[str, str], str] = {}
 
-    def rule(self, asked: ProxiedRequest) -> Reply | None:
+    def rule(self, requested: ProxiedRequest) -> Reply | None:
         """Refuse what such a store does not know."""
-        if "uploadId" in asked.query and (checksum := asked.headers.get("x-amz-checksum-sha256")):
-            self._parts[asked.query["uploadId"], asked.query["partNumber"]] = checksum
-        algorithm = asked.headers.get("x-amz-checksum-algorithm", "").lower()
-        named = "crc64nvme" in algorithm or any("crc64nvme" in name for name in asked.headers)
+        if "uploadId" in requested.query and (checksum := requested.headers.get("x-amz-checksum-sha256")):
+            self._parts[requested.query["uploadId"], requested.query["partNumber"]] = checksum
+        algorithm = requested.headers.get("x-amz-checksum-algorithm", "").lower()
+        named = "crc64nvme" in algorithm or any("crc64nvme" in name for name in requested.headers)
         return Reply(501, "NotImplemented") if named else None
 
-    def edit(self, asked: ProxiedRequest, body: bytes) -> bytes:
+    def edit(self, requested: ProxiedRequest, body: bytes) -> bytes:
         """List the checksums of parts."""
-        if asked.method != "GET" or "uploadId" not in asked.query:
+        if requested.method != "GET" or "uploadId" not in requested.query:
             return body
 
-        def listed(found: "re.Match[str]") -> str:
-            checksum = self._parts[asked.query["uploadId"], found[1]]
-            return f"{found[0]}<ChecksumSHA256>{checksum}</ChecksumSHA256>"
+        def listed(actual: "re.Match[str]") -> str:
+            checksum = self._parts[requested.query["uploadId"], actual[1]]
+            return f"{actual[0]}<ChecksumSHA256>{checksum}</ChecksumSHA256>"
 
         return re.sub(r"<PartNumber>(\d+)</PartNumber>", listed, body.decode()).encode()
 

@@ -37,12 +37,12 @@ def test_many_small_files_take_three_requests(api: Api, mission_id: str) -> None
     bodies = {f"small/{number:03}": os.urandom(100 + number) for number in range(50)}
     decisions = begin(api, mission_id, bodies)
     uploads = [decision["upload"] for decision in decisions]
-    wanted = [{"upload_id": each["id"], "number": 1, "checksum": crc64(bodies[each["path"]])} for each in uploads]
-    for each, signed in zip(uploads, api.post("/uploads/parts", {"parts": wanted}).ok()["items"], strict=True):
-        assert put(signed, bodies[each["path"]]) == 200
+    expected = [{"upload_id": item["id"], "number": 1, "checksum": crc64(bodies[item["path"]])} for item in uploads]
+    for item, signed in zip(uploads, api.post("/uploads/parts", {"parts": expected}).ok()["items"], strict=True):
+        assert put(signed, bodies[item["path"]]) == 200
     finishes = [
-        {"upload_id": each["id"], "sha256": sha256(bodies[each["path"]]), "crc64nvme": crc64(bodies[each["path"]])}
-        for each in uploads
+        {"upload_id": item["id"], "sha256": sha256(bodies[item["path"]]), "crc64nvme": crc64(bodies[item["path"]])}
+        for item in uploads
     ]
     with api.statements() as statements:
         outcomes = api.post("/uploads/complete", {"uploads": finishes}).ok()["items"]
@@ -191,8 +191,8 @@ def test_a_client_resumes_by_its_upload_and_learns_what_the_store_holds(api: Api
 
 def test_a_repeated_begin_returns_the_same_upload(api: Api, mission_id: str, one: bytes) -> None:
     wished = str(uuid.uuid4())
-    said = [begin(api, mission_id, {"run.bin": one}, upload_id=wished)[0] for _ in range(2)]
-    assert [each["upload"]["id"] for each in said] == [wished, wished], "the first answer may have been lost"
+    text = [begin(api, mission_id, {"run.bin": one}, upload_id=wished)[0] for _ in range(2)]
+    assert [item["upload"]["id"] for item in text] == [wished, wished], "the first answer may have been lost"
     other = begin(api, mission_id, {"other.bin": one}, upload_id=wished)[0]["upload"]
     assert other["id"] != wished, "an id is used once"
     assert begin(api, mission_id, {"run.bin": one})[0]["problem"]["code"] == "name_leased"
@@ -227,7 +227,7 @@ def test_a_name_whose_client_died_is_free_after_the_lease(api: Api, mission_id: 
 
 def test_an_upload_can_be_cancelled(api: Api, mission_id: str, one: bytes) -> None:
     started = begin(api, mission_id, {"run.bin": one})[0]["upload"]
-    assert [each["id"] for each in api.all(f"/missions/{mission_id}/uploads")] == [started["id"]]
+    assert [item["id"] for item in api.all(f"/missions/{mission_id}/uploads")] == [started["id"]]
     api.delete(f"/uploads/{started['id']}").ok(204)
     assert api.all(f"/missions/{mission_id}/uploads") == []
     assert begin(api, mission_id, {"run.bin": one})[0]["decision"] == "send"
@@ -279,11 +279,11 @@ def test_one_part_is_signed_for_one_checksum_only(api: Api, mission_id: str, one
 def test_a_small_file_announced_by_both_hashes_is_signed_for_at_once(
     api: Api, mission_id: str, one: bytes, two: bytes
 ) -> None:
-    [said] = begin(api, mission_id, {"run.bin": one}, crc64nvme=crc64(one))
-    started = said["upload"]
+    [text] = begin(api, mission_id, {"run.bin": one}, crc64nvme=crc64(one))
+    started = text["upload"]
     sign(api, started, [(1, two)]).refused(410, "upload_gone")
     again = begin(api, mission_id, {"run.bin": one}, crc64nvme=crc64(one), upload_id=started["id"])[0]
-    assert again["part"]["headers"] == said["part"]["headers"]
+    assert again["part"]["headers"] == text["part"]["headers"]
     assert put(again["part"], two) >= 400
     assert put(again["part"], one) == 200
     assert complete(api, started, one)["outcome"] == "completed"
@@ -323,14 +323,14 @@ def test_a_checksum_of_the_wrong_kind_is_refused_and_spoils_nothing(api: Api, mi
 
 
 def test_a_file_and_a_folder_of_one_name_do_not_both_come_in(api: Api, mission_id: str, one: bytes, two: bytes) -> None:
-    assert [each["decision"] for each in begin(api, mission_id, {"day": one, "day/run": two})] == ["send", "refused"]
+    assert [item["decision"] for item in begin(api, mission_id, {"day": one, "day/run": two})] == ["send", "refused"]
     other = begin(api, mission_id, {"day/run": two})[0]["upload"]
     first = api.all(f"/missions/{mission_id}/uploads")[0]
     for upload_read, body in ((first, one), (other, two)):
         send(api, upload_read, body)
     finishes = [
-        {"upload_id": each["id"], "sha256": sha256(body), "crc64nvme": crc64(body)}
-        for each, body in ((first, one), (other, two))
+        {"upload_id": item["id"], "sha256": sha256(body), "crc64nvme": crc64(body)}
+        for item, body in ((first, one), (other, two))
     ]
     outcomes = api.post("/uploads/complete", {"uploads": finishes}).ok()["items"]
     assert [outcome["outcome"] for outcome in outcomes] == ["completed", "refused"]
@@ -338,12 +338,12 @@ def test_a_file_and_a_folder_of_one_name_do_not_both_come_in(api: Api, mission_i
 
 
 def test_a_batch_completed_again_misses_only_deleted_files(api: Api, mission_id: str, one: bytes, two: bytes) -> None:
-    uploads = [each["upload"] for each in begin(api, mission_id, {"one": one, "two": two})]
-    for each, body in zip(uploads, (one, two), strict=True):
-        send(api, each, body)
+    uploads = [item["upload"] for item in begin(api, mission_id, {"one": one, "two": two})]
+    for item, body in zip(uploads, (one, two), strict=True):
+        send(api, item, body)
     finishes = [
-        {"upload_id": each["id"], "sha256": sha256(body), "crc64nvme": crc64(body)}
-        for each, body in zip(uploads, (one, two), strict=True)
+        {"upload_id": item["id"], "sha256": sha256(body), "crc64nvme": crc64(body)}
+        for item, body in zip(uploads, (one, two), strict=True)
     ]
     made = api.post("/uploads/complete", {"uploads": finishes}).ok()["items"]
     api.delete(f"/files/{made[0]['file']['id']}").ok()

@@ -38,7 +38,7 @@ def _race(api: Api, mission_id: str, works: "list[Callable[[], Any]]") -> list[A
 
 @pytest.mark.parametrize("link_first", [True, False])
 def test_a_link_never_takes_the_place_of_what_was_completed(
-    api: Api, mission_id: str, twin: bytes, link_first: bool
+    api: Api, mission_id: str, duplicate: bytes, link_first: bool
 ) -> None:
     body = os.urandom(1000)
     started = begin(api, mission_id, {"run.bin": body})[0]["upload"]
@@ -46,7 +46,7 @@ def test_a_link_never_takes_the_place_of_what_was_completed(
     api.sql("UPDATE upload SET lease_ends_at = now() - interval '1 s' WHERE id = %s", started["id"])
 
     def link() -> Any:
-        return begin(api, mission_id, {"run.bin": twin})[0]
+        return begin(api, mission_id, {"run.bin": duplicate})[0]
 
     def finish() -> Any:
         return complete(api, started, body)
@@ -60,11 +60,11 @@ def test_a_link_never_takes_the_place_of_what_was_completed(
     assert _read(api, mission_id) == [("run.bin", body)]
 
 
-def test_the_first_of_a_link_and_an_upload_for_one_name_gets_it(api: Api, mission_id: str, twin: bytes) -> None:
+def test_the_first_of_a_link_and_an_upload_for_one_name_gets_it(api: Api, mission_id: str, duplicate: bytes) -> None:
     body = os.urandom(1000)
 
     def link() -> Any:
-        return begin(api, mission_id, {"run.bin": twin})[0]
+        return begin(api, mission_id, {"run.bin": duplicate})[0]
 
     def announce() -> Any:
         return begin(api, mission_id, {"run.bin": body})[0]
@@ -72,49 +72,49 @@ def test_the_first_of_a_link_and_an_upload_for_one_name_gets_it(api: Api, missio
     linked, announced = _race(api, mission_id, [link, announce])
     assert (linked["decision"], announced["decision"]) == ("linked", "refused")
     assert announced["problem"]["code"] == "file_exists"
-    assert _read(api, mission_id) == [("run.bin", twin)]
+    assert _read(api, mission_id) == [("run.bin", duplicate)]
 
 
 @pytest.mark.parametrize("link_first", [True, False])
 def test_a_missing_file_is_repaired_once_by_the_first_upload(
-    api: Api, mission_id: str, twin: bytes, link_first: bool
+    api: Api, mission_id: str, duplicate: bytes, link_first: bool
 ) -> None:
-    linked = begin(api, mission_id, {"run.bin": twin})[0]["file"]
+    linked = begin(api, mission_id, {"run.bin": duplicate})[0]["file"]
     api.sql("UPDATE blob SET state = 'lost' WHERE id = (SELECT blob_id FROM file WHERE id = %s)", linked["id"])
-    started = begin(api, mission_id, {"run.bin": twin})[0]["upload"]
-    send(api, started, twin)
+    started = begin(api, mission_id, {"run.bin": duplicate})[0]["upload"]
+    send(api, started, duplicate)
     other = api.mission(api.project()["id"])["id"]
-    upload(api, other, "good.bin", twin)
+    upload(api, other, "good.bin", duplicate)
 
     def link() -> Any:
-        return begin(api, mission_id, {"run.bin": twin})[0]
+        return begin(api, mission_id, {"run.bin": duplicate})[0]
 
     def finish() -> Any:
-        return complete(api, started, twin)
+        return complete(api, started, duplicate)
 
     works = [link, finish] if link_first else [finish, link]
     answers = dict(zip(works, _race(api, mission_id, works), strict=True))
     assert answers[finish]["outcome"] == "completed"
     assert answers[link]["decision"] in {"present", "refused"}
-    assert _read(api, mission_id) == [("run.bin", twin)]
+    assert _read(api, mission_id) == [("run.bin", duplicate)]
     assert [file["id"] for file in api.all("/files", {"mission_id": mission_id})] == [linked["id"]]
 
 
 def test_a_lost_file_that_is_found_again_while_it_is_to_be_linked_is_present(
-    api: Api, mission_id: str, twin: bytes, monkeypatch: pytest.MonkeyPatch
+    api: Api, mission_id: str, duplicate: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    mine = begin(api, mission_id, {"run.bin": twin})[0]["file"]["id"]
+    mine = begin(api, mission_id, {"run.bin": duplicate})[0]["file"]["id"]
     (blob_id,) = api.sql(
         "UPDATE blob SET state = 'lost' FROM file WHERE blob_id = blob.id AND file.id = %s RETURNING blob.id", mine
     )[0]
-    upload(api, api.mission(api.project()["id"])["id"], "good.bin", twin)
+    upload(api, api.mission(api.project()["id"])["id"], "good.bin", duplicate)
     real = queries.lock_duplicates
 
     async def lock_and_heal(*of: Any) -> Any:
-        found = await real(*of)
+        actual = await real(*of)
         api.sql("UPDATE blob SET state = 'verified', md5 = %s, verified_at = now() WHERE id = %s", bytes(16), blob_id)
-        return found
+        return actual
 
     monkeypatch.setattr(queries, "lock_duplicates", lock_and_heal)
-    (decision,) = begin(api, mission_id, {"run.bin": twin})
+    (decision,) = begin(api, mission_id, {"run.bin": duplicate})
     assert (decision["decision"], decision["file"]["id"]) == ("present", mine)

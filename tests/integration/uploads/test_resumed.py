@@ -20,19 +20,19 @@ from tests.integration.upload_client import begin, complete, send, wait_until
 @pytest.mark.parametrize("count", [1, 9])
 def test_resuming_lists_small_files_already_uploaded(api: Api, mission_id: str, count: int) -> None:
     bodies = {f"{number}.txt": os.urandom(10 + number) for number in range(count)}
-    first = {each["upload"]["path"]: each["upload"] for each in begin(api, mission_id, bodies)}
+    first = {item["upload"]["path"]: item["upload"] for item in begin(api, mission_id, bodies)}
     sent = [path for number, path in enumerate(bodies) if number % 3 == 0]
     for path in sent:
         send(api, first[path], bodies[path])
     again = [{"path": path, "size_bytes": len(body), "upload_id": first[path]["id"]} for path, body in bodies.items()]
     for decision in api.post(f"/missions/{mission_id}/uploads", {"files": again}).ok()["items"]:
-        told = decision["upload"]
+        message = decision["upload"]
         assert decision["decision"] == "send"
-        assert told["id"] == first[told["path"]]["id"]
-        size_bytes = len(bodies[told["path"]])
-        held = [(part["number"], part["size_bytes"]) for part in told["parts"]]
-        assert held == ([(1, size_bytes)] if told["path"] in sent else [])
-        assert api.get(f"/uploads/{told['id']}").ok()["parts"] == told["parts"]
+        assert message["id"] == first[message["path"]]["id"]
+        size_bytes = len(bodies[message["path"]])
+        locked = [(part["number"], part["size_bytes"]) for part in message["parts"]]
+        assert locked == ([(1, size_bytes)] if message["path"] in sent else [])
+        assert api.get(f"/uploads/{message['id']}").ok()["parts"] == message["parts"]
     for path in sent:
         assert complete(api, first[path], bodies[path])["outcome"] == "completed"
 

@@ -30,7 +30,7 @@ def _machine(start_api: StartApi) -> Iterator[type[Machine]]:
 
 def test_the_page_names_every_state() -> None:
     for heading, states in (("An upload", UploadState), ("A blob", BlobState)):
-        assert {state for edge in documented(heading) for state in edge} == {each.value for each in states}
+        assert {state for edge in documented(heading) for state in edge} == {item.value for item in states}
 
 
 def _live(machine: type[Machine], *, examples: int, steps: int) -> None:

@@ -61,25 +61,25 @@ def _client(api: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterat
 
 
 def _once(
-    wanted: Callable[[ProxiedRequest], bool], answers: "list[Reply | Lost]"
+    expected: Callable[[ProxiedRequest], bool], answers: "list[Reply | Lost]"
 ) -> "Callable[[ProxiedRequest], Reply | Lost | None]":
     """Give each answer once to what is wanted, then let everything through."""
     left = [*answers]
-    return lambda asked: left.pop(0) if left and wanted(asked) else None
+    return lambda requested: left.pop(0) if left and expected(requested) else None
 
 
-def _is_multipart(asked: ProxiedRequest) -> bool:
-    return "uploadId" in asked.query
+def _is_multipart(requested: ProxiedRequest) -> bool:
+    return "uploadId" in requested.query
 
 
-@pytest.mark.parametrize("said", [each for each in _PASSING if isinstance(each, Reply)], ids=repr)
+@pytest.mark.parametrize("text", [item for item in _PASSING if isinstance(item, Reply)], ids=repr)
 def test_a_store_that_cannot_now_does_not_end_an_upload(
-    api: Api, middleman: Middleman, mission_id: str, said: Reply
+    api: Api, middleman: Middleman, mission_id: str, text: Reply
 ) -> None:
     body = os.urandom(_PART + 100)
     started = begin(api, mission_id, {"run.bin": body})[0]["upload"]
     send(api, started, body)
-    middleman.rule = lambda asked: said if _is_multipart(asked) else None
+    middleman.rule = lambda requested: text if _is_multipart(requested) else None
     finish = {"upload_id": started["id"], "sha256": sha256(body), "crc64nvme": crc64(body)}
     api.post("/uploads/complete", {"uploads": [finish]}).refused(503, "store_unavailable")
     middleman.rule = lambda _asked: None
@@ -94,7 +94,7 @@ def test_a_proxy_that_finds_nothing_does_not_end_an_upload(
     body = os.urandom(size_bytes)
     started = begin(api, mission_id, {"run.bin": body})[0]["upload"]
     send(api, started, body)
-    middleman.rule = lambda asked: Reply(404) if asked.method == "HEAD" else None
+    middleman.rule = lambda requested: Reply(404) if requested.method == "HEAD" else None
     finish = {"upload_id": started["id"], "sha256": sha256(body), "crc64nvme": crc64(body)}
     api.post("/uploads/complete", {"uploads": [finish]}).refused(503, "store_unavailable")
     middleman.rule = lambda _asked: None
@@ -105,7 +105,7 @@ def test_an_upload_that_the_store_does_not_know_is_gone(api: Api, middleman: Mid
     body = os.urandom(_PART + 100)
     started = begin(api, mission_id, {"run.bin": body})[0]["upload"]
     send(api, started, body)
-    middleman.rule = lambda asked: Reply(404, "NoSuchUpload") if _is_multipart(asked) else None
+    middleman.rule = lambda requested: Reply(404, "NoSuchUpload") if _is_multipart(requested) else None
     assert complete(api, started, body)["problem"]["code"] == "upload_gone"
 
 
@@ -119,14 +119,14 @@ def test_one_that_sees_parts_vanish_while_another_joins_them_ends_nothing(
     send(api, started, body)
     seconds: list[Any] = []
 
-    def fewer(asked: ProxiedRequest, content: bytes) -> bytes:
-        if not _is_multipart(asked) or asked.method != "GET":
+    def fewer(requested: ProxiedRequest, content: bytes) -> bytes:
+        if not _is_multipart(requested) or requested.method != "GET":
             return content
         entries = re.findall(rb"<Part>.*?</Part>", content)
         return content.replace(b"".join(entries), b"".join(entries[:listed]))
 
-    def interrupt(asked: ProxiedRequest) -> None:
-        if asked.method == "POST" and _is_multipart(asked) and not seconds:
+    def interrupt(requested: ProxiedRequest) -> None:
+        if requested.method == "POST" and _is_multipart(requested) and not seconds:
             middleman.edit = fewer
             seconds.append(complete(api, started, body))
             middleman.edit = lambda _asked, content: content
@@ -150,10 +150,10 @@ def test_a_client_goes_on_sending_until_the_store_can(
     file = tmp_path / "run.bin"
     file.write_bytes(os.urandom(size_bytes))
     os.utime(file, (1_700_000_000, 1_700_000_000))
-    for said in _PASSING:
-        middleman.rule = _once(lambda asked: asked.method == "PUT", [said])
+    for text in _PASSING:
+        middleman.rule = _once(lambda requested: requested.method == "PUT", [text])
         result = _sent(client, mission_id, file)
-        assert result.outcome is Outcome.uploaded, (said, result)
+        assert result.outcome is Outcome.uploaded, (text, result)
         assert result.file_id is not None
         client.files.delete(result.file_id)
 
@@ -164,7 +164,7 @@ def test_an_unknown_upload_is_reported_to_the_client(
     file = tmp_path / "run.bin"
     file.write_bytes(os.urandom(2 * _PART))
     os.utime(file, (1_700_000_000, 1_700_000_000))
-    middleman.rule = _once(lambda asked: asked.method == "PUT", [Reply(404, "NoSuchUpload")])
+    middleman.rule = _once(lambda requested: requested.method == "PUT", [Reply(404, "NoSuchUpload")])
     result = _sent(client, mission_id, file)
     assert (result.outcome, type(result.error)) == (Outcome.refused, UploadGone)
     assert _sent(client, mission_id, file).outcome is Outcome.uploaded, "the same again begins anew"
@@ -177,7 +177,9 @@ def test_a_client_goes_on_fetching_until_the_store_can(
     body = os.urandom(_PART + 100)
     file = upload_whole(api, mission_id, "run.bin", body)
     plan = plan_download([client.files.get(uuid.UUID(file["id"]))], tmp_path / "back")
-    middleman.rule = _once(lambda asked: asked.method == "GET", [Reply(404), Reply(400, "RequestTimeout"), Lost()])
+    middleman.rule = _once(
+        lambda requested: requested.method == "GET", [Reply(404), Reply(400, "RequestTimeout"), Lost()]
+    )
     (result,) = download(client, plan, connections=1).results
     assert result.outcome is Outcome.downloaded, result.error
     assert (tmp_path / "back" / "run.bin").read_bytes() == body
@@ -197,11 +199,11 @@ def test_a_file_that_the_store_does_not_return_keeps_no_other_from_arriving(
     order: list[str] = []
     most_refused = 8  # some seconds of tries
 
-    def rule(asked: ProxiedRequest) -> Reply | None:
-        is_bad = asked.method == "GET" and asked.key == (bad or [asked.key])[0]
+    def rule(requested: ProxiedRequest) -> Reply | None:
+        is_bad = requested.method == "GET" and requested.key == (bad or [requested.key])[0]
         if not is_bad or order or len(bad) > most_refused:
             return None
-        bad.append(asked.key)
+        bad.append(requested.key)
         return Reply(500, "InternalError")
 
     class Noted(Watcher):

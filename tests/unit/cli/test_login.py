@@ -71,8 +71,8 @@ def test_the_list_says_who_one_is_and_until_when() -> None:
     assert rows["new"].split()[1:] == ["https://new", "Ben", "2100-01-01T00:00:00Z"]
     assert rows["robot"].endswith("no end")
     assert rows["added"].split()[1:] == ["https://added", "-", "-"]
-    told = {row["name"]: row for row in json.loads(klein("endpoint", "list", "--json").output)["items"]}
-    assert {name: row["expired"] for name, row in told.items()} == {
+    message = {row["name"]: row for row in json.loads(klein("endpoint", "list", "--json").output)["items"]}
+    assert {name: row["expired"] for name, row in message.items()} == {
         "old": True,
         "new": False,
         "robot": False,

@@ -22,9 +22,9 @@ def _recorded() -> set[str]:
     """Return what the server's code calls the acts that it records, of the nouns that have acts."""
     nouns = {act.partition(".")[0] for act in _worded("operations")}
     code = [path.read_text() for path in (_ROOT / "src/kleinkram/server").rglob("*.py") if path.parent.name != "tables"]
-    found = {found for text in code for found in re.findall(r'"([a-z]+\.[a-z_]+)"', text)}
+    actual = {actual for text in code for actual in re.findall(r'"([a-z]+\.[a-z_]+)"', text)}
     return {
-        act for act in found if act.partition(".")[0] in nouns and act.rpartition(".")[2] not in {"id", "css", "js"}
+        act for act in actual if act.partition(".")[0] in nouns and act.rpartition(".")[2] not in {"id", "css", "js"}
     }
 
 
