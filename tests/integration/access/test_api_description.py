@@ -28,10 +28,10 @@ from tests.integration.openapi_check import assert_is_described
 
 _CHECKS = [not_a_server_error, status_code_conformance, content_type_conformance, response_schema_conformance]
 _MODES = (GenerationMode("positive"), GenerationMode("negative"))
-# The short round asks so many operations; requests each, by one of six kinds of asker, in the short and the long one.
+# Operations in the short round; requests for each of them, by one of six kinds of principal, in the short and long round.
 # To think of a request takes longer than to answer it.
 _SOME = 30
-_FEW, _MANY, _VERY_MANY = 3, 10, 60
+_SAMPLE_SIZE, _MANY, _VERY_MANY = 3, 10, 60
 
 # Answered by what reads HTTP, before there is a request: longer or stranger than that bears.
 _NOT_HTTP = "Invalid HTTP request received."
@@ -43,12 +43,12 @@ class ProxiedRequest:
     """The API, who asks by what headers, and ids that lead to something."""
 
     api: Api
-    askers: Mapping[str, Mapping[str, str]]
+    principals: Mapping[str, Mapping[str, str]]
     known: Mapping[str, str]
 
 
 @pytest.fixture(scope="module")
-def asked(start_api: StartApi) -> ProxiedRequest:
+def requested(start_api: StartApi) -> ProxiedRequest:
     api = start_api()
     items = worlds.put_things(api, is_public=False)
     member, group = people.person(api), people.group(api)
@@ -78,8 +78,8 @@ def asked(start_api: StartApi) -> ProxiedRequest:
         "noun_id": items.trashed_mission,
         "name": "none",
     }
-    askers = {name: {"Authorization": f"Bearer {secret}"} for name, secret in secrets.items()}
-    return ProxiedRequest(api, {**askers, "stranger": {}}, known)
+    principals = {name: {"Authorization": f"Bearer {secret}"} for name, secret in secrets.items()}
+    return ProxiedRequest(api, {**principals, "stranger": {}}, known)
 
 
 def _ask(requested: ProxiedRequest, case: Case[Any], who: str, *, is_known: bool) -> None:
@@ -90,7 +90,7 @@ def _ask(requested: ProxiedRequest, case: Case[Any], who: str, *, is_known: bool
         )
     if case.operation.path == "/api/v1/events":
         case.query["for_s"] = "0"  # what else it says is for whoever listens for longer
-    response = case.call(base_url=requested.api.url, headers=dict(requested.askers[who]))
+    response = case.call(base_url=requested.api.url, headers=dict(requested.principals[who]))
     if response.text == _NOT_HTTP:
         return
     if response.status_code == _HEAD_TOO_LARGE:
@@ -123,7 +123,7 @@ def _ask_much(requested: ProxiedRequest, examples: int, *, operations: int | Non
             phases=[Phase.generate],
             suppress_health_check=list(HealthCheck),
         )
-        @given(case=allowed | forbidden, who=st.sampled_from(sorted(requested.askers)), is_known=st.booleans())
+        @given(case=allowed | forbidden, who=st.sampled_from(sorted(requested.principals)), is_known=st.booleans())
         def ask(case: Case[Any], who: str, is_known: bool) -> None:
             _ask(requested, case, who, is_known=is_known)
 
@@ -136,7 +136,7 @@ def _ask_much(requested: ProxiedRequest, examples: int, *, operations: int | Non
 
 
 def test_everything_is_answered_as_described(requested: ProxiedRequest) -> None:
-    wrong = _ask_much(requested, _FEW, operations=_SOME)
+    wrong = _ask_much(requested, _SAMPLE_SIZE, operations=_SOME)
     assert not wrong, "\n\n".join(wrong)
 
 

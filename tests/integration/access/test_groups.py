@@ -18,7 +18,7 @@ from tests.integration.api_server import Api
 from tests.integration.people import Person, deactivate, grant, group, join, person
 from tests.integration.races import racing
 
-_HELD = ("SELECT pg_advisory_xact_lock(%s)", 0x6B6C5247)
+_RIGHTS = ("SELECT pg_advisory_xact_lock(%s)", 0x6B6C5247)
 
 
 @pytest.fixture
@@ -109,7 +109,7 @@ def test_past_members_and_addresses_show_to_editors_only(api: Api, ada: Person) 
     assert seen[gone.id]["is_active"] is False
 
 
-def test_only_people_one_knows_of_can_be_added(api: Api, ada: Person) -> None:
+def test_only_visible_people_can_be_added(api: Api, ada: Person) -> None:
     made, stranger = made_by(api, ada), person(api)
     path = f"/groups/{made['id']}/members"
     for people in (stranger.id, str(uuid.uuid4())):
@@ -164,7 +164,7 @@ def test_two_members_of_an_owning_group_who_leave_at_the_same_time_cannot_leave_
     hers.post(grants, {"group_id": made["id"], "right": "DELETE"}).ok(201)
     (own,) = [row["id"] for row in hers.all(grants) if row["to"]["kind"] == "person"]
     hers.delete(f"{grants}/{own}").ok(204)
-    with racing(api, *_HELD) as send:
+    with racing(api, *_RIGHTS) as send:
         sent = [send(api.as_(item.token).delete, f"{path}/members/{item.id}") for item in (ada, bob)]
     assert sorted(future.result().status for future in sent) == [204, 409]
 

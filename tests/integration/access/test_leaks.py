@@ -38,13 +38,13 @@ def _own_mission(api: Api, who: Person) -> str:
 def _same_but_for_ids(one: Answer, other: Answer) -> bool:
     """Whether two refusals say the same, the ids that were asked for apart."""
 
-    def told(answer: Answer) -> dict[str, Any]:
+    def answers(answer: Answer) -> dict[str, Any]:
         ref = str(answer.body.get("ref"))
         remaining = {name: value for name, value in answer.body.items() if name not in {"request_id", "ref"}}
         return {**remaining, "detail": remaining["detail"].replace(ref, "REF")}
 
     headers = [{name for name in answer.headers if name != "date"} for answer in (one, other)]
-    return (one.status, told(one), headers[0]) == (other.status, told(other), headers[1])
+    return (one.status, answers(one), headers[0]) == (other.status, answers(other), headers[1])
 
 
 @pytest.mark.parametrize("path", ["", "/template", "/access", "/grants"])
@@ -76,13 +76,13 @@ def test_changes_to_what_is_hidden_are_refused_like_those_to_nothing(api: Api, h
 
 
 def test_a_name_that_is_taken_out_of_sight_says_that_and_no_more(api: Api, hidden: Any, member: Person) -> None:
-    """Names of projects are one space, as people speak of them: see docs/access.md. Whose it is, is not told."""
+    """Names of projects are one space, as people speak of them: see docs/access.md. Whose it is, is not answers."""
     problem = api.as_(member.token).post("/projects", {"name": hidden["name"]}).refused(409, "name_taken")
     message = problem.keys() - {"type", "title", "status", "detail", "code", "request_id"}
     assert (message, problem["noun"], problem["name"]) == ({"noun", "name"}, "project", hidden["name"])
 
 
-def test_a_hash_does_not_tell_whether_somebody_has_those_bytes(api: Api, hidden: Any, member: Person) -> None:
+def test_a_hash_does_not_reveal_whether_the_bytes_exist(api: Api, hidden: Any, member: Person) -> None:
     secret, other = os.urandom(2000), os.urandom(2000)
     upload(api, api.mission(hidden["id"])["id"], "secret.bin", secret)
     api.sql(_VERIFIED, bytes.fromhex(sha256(secret)))

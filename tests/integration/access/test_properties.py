@@ -97,7 +97,7 @@ class History:
 
     def _writer(self, place: str) -> str:
         """Somebody who may give rights on a place, more often than not; else most of it would be refusals."""
-        writers = [name for name in _PEOPLE if self.rights.held(name, place) >= WRITE]
+        writers = [name for name in _PEOPLE if self.rights.level(name, place) >= WRITE]
         return self.choose.choice(writers) if writers and self.choose.random() < 0.7 else self._somebody()
 
     def _path(self, place: str) -> str:
@@ -133,7 +133,7 @@ class History:
             self.rights = after
 
     def _may_give(self, who: str, place: str, group: str, grant: Grant) -> int:
-        rights, locked = self.rights, self.rights.held(who, place)
+        rights, locked = self.rights, self.rights.level(who, place)
         if not rights.active[who]:
             return 401
         if locked < WRITE:
@@ -147,12 +147,12 @@ class History:
             return 201
         too_high = old is not None and old.ends != OVER and old.level > locked
         last = (NEVER,) if grant.ends == NEVER else (NEVER, LATER)
-        return 403 if too_high or grant.level > rights.held(who, place, last=last) else 201
+        return 403 if too_high or grant.level > rights.level(who, place, last=last) else 201
 
     def revoke(self) -> None:
         """Somebody takes a grant away."""
         who, (place, group) = self._somebody(), self.choose.choice(list(self.rights.grants))
-        locked, after = self.rights.held(who, place), copy.deepcopy(self.rights)
+        locked, after = self.rights.level(who, place), copy.deepcopy(self.rights)
         grant, grant_id = after.grants.pop((place, group)), self._grant_id(place, group)
         expected = 204 if locked >= WRITE and (grant.ends == OVER or grant.level <= locked) else 403 if locked else 404
         expected = expected if self.rights.active[who] else 401
@@ -221,7 +221,7 @@ class History:
         """Somebody moves a mission to a project; what was granted on it goes along."""
         who, mission = self._somebody(), self.choose.choice(list(self.rights.project_of))
         target = self.choose.choice([name for name in self.rights.projects if name != self.rights.project_of[mission]])
-        may = self.rights.held(who, mission) >= DELETE and self.rights.held(who, target) >= CREATE
+        may = self.rights.level(who, mission) >= DELETE and self.rights.level(who, target) >= CREATE
         answer = self._as(who).patch(self._path(mission), {"project_id": self.ids[target]})
         self.log.append((who, "moves", mission, "to", target, answer.status))
         assert (answer.status == 200) == may, f"{self.log}: {answer.body}"
@@ -231,7 +231,7 @@ class History:
     def delete(self) -> None:
         """Somebody moves a project or a mission to the trash."""
         who, place = self._somebody(), self._place()
-        locked = self.rights.held(who, place)
+        locked = self.rights.level(who, place)
         expected = 200 if locked == DELETE else 403 if locked else 404 if self.rights.active[who] else 401
         if self._saw(self._as(who).delete(self._path(place)), expected, who, "deletes", place):
             self.rights.deleted.add(place)
@@ -291,7 +291,7 @@ class History:
                 answer.refused(401, "not_authenticated")
                 return
             message = {item["id"]: item["right"] for item in answer.ok()["items"]}
-            levels = {self.ids[place]: self.rights.held(who, place) for place in places}
+            levels = {self.ids[place]: self.rights.level(who, place) for place in places}
             expected = {place: Right.of_level(level).value for place, level in levels.items() if level}
             assert message == expected, (who, self.log)
 

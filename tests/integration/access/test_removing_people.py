@@ -12,7 +12,7 @@ from tests.integration.api_server import Api
 from tests.integration.people import Person, grant, group, person, session, token
 from tests.integration.races import racing
 
-_HELD = ("SELECT pg_advisory_xact_lock(%s)", 0x6B6C5247)
+_RIGHTS = ("SELECT pg_advisory_xact_lock(%s)", 0x6B6C5247)
 
 
 @pytest.fixture
@@ -117,7 +117,7 @@ def test_an_owner_cannot_leave_while_the_only_other_owner_is_removed(api: Api, a
     grant(api, ada, Right.delete, project_id=project["id"])
     grants = f"/projects/{project['id']}/grants"
     (own,) = [row["id"] for row in api.all(grants) if row["to"]["id"] == bob.id]
-    with racing(api, *_HELD) as send:
+    with racing(api, *_RIGHTS) as send:
         gone = send(api.as_(bob.token).delete, f"{grants}/{own}")
         left = send(api.post, f"/people/{ada.id}/deactivate")
     handed = left.result().ok()["projects"]
@@ -126,7 +126,7 @@ def test_an_owner_cannot_leave_while_the_only_other_owner_is_removed(api: Api, a
 
 def test_a_person_removed_while_creating_a_project_leaves_none_without_owner(api: Api, ada: Person) -> None:
     name = f"project {uuid.uuid4()}"
-    with racing(api, *_HELD) as send:
+    with racing(api, *_RIGHTS) as send:
         made = send(api.as_(ada.token).post, "/projects", {"name": name})
         left = send(api.post, f"/people/{ada.id}/deactivate")
     if made.result().status == 201:

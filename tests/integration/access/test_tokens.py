@@ -139,7 +139,7 @@ def test_a_robot_that_may_only_upload_to_one_project_sees_no_other(api: Api) -> 
         its.get(path).refused(403, "scope_missing")
 
 
-def test_a_robot_hears_that_a_file_is_there_and_no_more_of_it(api: Api, tmp_path: Path) -> None:
+def test_an_upload_only_token_sees_that_a_file_exists_and_nothing_else(api: Api, tmp_path: Path) -> None:
     ada, mission = people.person(api), api.mission(api.project()["id"], notes="secret", metadata_yaml="robot: spot\n")
     people.grant(api, ada, Right.create, mission_id=mission["id"])
     secret = people.token(api, ada, [Scope.upload], limits=[mission["id"]]).secret
@@ -274,7 +274,7 @@ def test_a_truncated_or_mistyped_token_is_recognised(api: Api) -> None:
     assert not is_mangled("something else")
 
 
-def test_a_lost_robot_or_runner_tells_no_address_and_no_group_of_its_person(api: Api) -> None:
+def test_tokens_of_robots_and_runners_reveal_no_address_and_no_group(api: Api) -> None:
     ada, project = people.person(api, email=f"{uuid.uuid4().hex}@lab.example"), api.project()
     people.group(api, members=[ada])
     limited = people.token(api, ada, (Scope.upload,), limits=[project["id"]], kind=TokenKind.robot)

@@ -171,17 +171,17 @@ def test_statistics(lab: Lab, by: str) -> None:
 def test_search_finds_only_visible_missions(lab: Lab) -> None:
     for eye, api in _looks(lab):
         for project in _some(lab, eye, lab.projects):
-            actual = _found(api, "/projects", name=project.name)
+            actual = _search(api, "/projects", name=project.name)
             assert actual == ([project.id] if visibility_model.sees_project(eye, project) else []), eye
             missions = sorted(mission.id for mission in project.missions if visibility_model.sees_mission(eye, mission))
             files = sorted(file.id for file in _visible_files(lab, eye, project.missions))
             for query in ({"project": project.name}, {"project_id": project.id}, {"text": project.name}):
-                assert _found(api, "/missions", **query) == missions, (eye, query)
+                assert _search(api, "/missions", **query) == missions, (eye, query)
                 if eye.reads:
-                    assert _found(api, "/files", **query) == files, (eye, query)
+                    assert _search(api, "/files", **query) == files, (eye, query)
 
 
-def _found(api: Api, path: str, **query: str) -> list[str]:
+def _search(api: Api, path: str, **query: str) -> list[str]:
     return _ids(api.get(path, {"limit": "500", **query}).ok()["items"])
 
 

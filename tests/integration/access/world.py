@@ -54,13 +54,13 @@ class Things:
 
 
 @dataclass(frozen=True)
-class Asker:
+class Principal:
     """Somebody in one place, what their requests carry, an upload they began in the mission; `api` is for behind it."""
 
     api: Api
     carrier: Carrier
     place: Place
-    things: Things
+    objects: Things
     headers: dict[str, str]
     upload: str
     person_id: str | None = None
@@ -77,7 +77,7 @@ class World:
     """The API, what it holds, and all who ask."""
 
     api: Api
-    askers: Sequence[Asker]
+    principals: Sequence[Principal]
 
 
 def build(api: Api, *, places_each: int = len(PLACES)) -> World:
@@ -85,13 +85,13 @@ def build(api: Api, *, places_each: int = len(PLACES)) -> World:
     sides = {is_public: put_things(api, is_public=is_public) for is_public in (False, True)}
     expected = {carrier: set(random.Random(carrier.name).sample(PLACES, places_each)) for carrier in PLACED}
     expected[MEMBER] = set(PLACES)
-    askers: list[Asker] = []
+    principals: list[Principal] = []
     for place in PLACES:
         carriers = [carrier for carrier in PLACED if place in expected[carrier]]
-        askers += _placed(api, place, sides[place.is_public], carriers)
+        principals += _placed(api, place, sides[place.is_public], carriers)
     for is_public, items in sides.items():
-        askers += _unplaced(api, Place(is_public=is_public), items)
-    return World(api, askers)
+        principals += _unplaced(api, Place(is_public=is_public), items)
+    return World(api, principals)
 
 
 def put_things(api: Api, *, is_public: bool) -> Things:
@@ -170,7 +170,7 @@ def _grant(api: Api, group_id: str, place: Place, items: Things, *, expires_s: f
     people.grant(api, group_id, Right.create, project_id=items.target, expires_s=expires_s)
 
 
-def _placed(api: Api, place: Place, items: Things, carriers: Sequence[Carrier]) -> Iterator[Asker]:
+def _placed(api: Api, place: Place, items: Things, carriers: Sequence[Carrier]) -> Iterator[Principal]:
     """Give everybody who comes by a group, or by grants of their own, the levels of a place."""
     group_id, expired_id, elsewhere = people.group(api), people.group(api), api.project()["id"]
     _grant(api, group_id, place, items)
@@ -192,7 +192,7 @@ def _placed(api: Api, place: Place, items: Things, carriers: Sequence[Carrier]) 
         }
         headers = _headers(api, carrier, who, reached.get(carrier.reach))
         upload = begun(api, who.id, items.mission)
-        yield Asker(api, carrier, place, items, headers, upload, who.id)
+        yield Principal(api, carrier, place, items, headers, upload, who.id)
 
 
 def _headers(api: Api, carrier: Carrier, who: Person, limits: list[str] | None) -> dict[str, str]:
@@ -214,7 +214,7 @@ def _headers(api: Api, carrier: Carrier, who: Person, limits: list[str] | None) 
     return _bearer(made)
 
 
-def _unplaced(api: Api, place: Place, items: Things) -> Iterator[Asker]:
+def _unplaced(api: Api, place: Place, items: Things) -> Iterator[Principal]:
     chosen = {Reach.file: [items.file], Reach.other_file: [items.other_file]}
     upload = begun(api, str(OWNER_ID), items.mission)
     for carrier in UNPLACED:
@@ -227,7 +227,7 @@ def _unplaced(api: Api, place: Place, items: Things) -> Iterator[Asker]:
             headers = _bearer(made)
         elif carrier.name == "carrier of nonsense":
             headers = {"Authorization": "Bearer nonsense"}
-        yield Asker(api, carrier, place, items, headers, upload)
+        yield Principal(api, carrier, place, items, headers, upload)
 
 
 def _bearer(made: Token) -> dict[str, str]:

@@ -36,7 +36,7 @@ class FakeProvider:
     change: Callable[[dict[str, Any]], dict[str, Any]] = field(default=lambda claims: claims)
     algorithm: str = "RS256"
     issuer: str | None = None
-    tells_in_userinfo: bool = False
+    userinfo_claims: bool = False
     error: str | None = None
     is_dead: set[str] = field(default_factory=set)
     seen: list[str] = field(default_factory=list)
@@ -94,7 +94,7 @@ class FakeProvider:
         ):
             return 400, {"error": "invalid_grant"}
         now = int(time.time())
-        person = {"sub": self.person["sub"]} if self.tells_in_userinfo else self.person
+        person = {"sub": self.person["sub"]} if self.userinfo_claims else self.person
         claims = {"iss": self.url, "aud": CLIENT_ID, "exp": now + 60, "iat": now, "nonce": requested["nonce"], **person}
         key = self.keys[0]
         header = {"alg": self.algorithm, "kid": key.kid}

@@ -44,11 +44,11 @@ def test_an_account_says_what_is_known_of_one(start_api: StartApi) -> None:
     eth = Affiliation(name="ETH", domains=("lab.example",))
     api = start_api(affiliations=[eth])
     made = account(api)
-    told_of = made.browser.get("/api/v1/me/account").ok()
-    assert told_of["person"] == {"id": made.id, "name": "Ada"}
-    (address,) = told_of["addresses"]
+    reported = made.browser.get("/api/v1/me/account").ok()
+    assert reported["person"] == {"id": made.id, "name": "Ada"}
+    (address,) = reported["addresses"]
     assert (address["email"], address["verified_by"]) == (made.email, "invitation")
-    assert (told_of["affiliations"], told_of["has_password"]) == (["ETH"], True)
+    assert (reported["affiliations"], reported["has_password"]) == (["ETH"], True)
     without = signed_in(api)
     assert without.browser.get("/api/v1/me/account").ok()["has_password"] is False
     robot = people.token(api, made.id, [Scope.read])

@@ -112,7 +112,7 @@ def test_a_robot_gets_a_token_once_its_code_was_typed(api: Api, ada: Account) ->
     nobody.post("/auth/device/token", requested).refused(410, "sign_in_expired")
 
 
-def test_a_robot_hears_that_it_was_refused(api: Api, ada: Account) -> None:
+def test_a_refused_program_is_notified(api: Api, ada: Account) -> None:
     began = _begin(api)
     ada.browser.post("/auth/device/deny", {"user_code": began["user_code"]}).ok()
     requested = {"device_code": began["device_code"]}

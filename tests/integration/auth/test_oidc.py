@@ -48,7 +48,7 @@ def test_a_verified_address_opens_what_was_granted_to_it(lab: Lab) -> None:
 
 
 def test_claims_missing_in_the_id_token_are_fetched_from_userinfo(lab: Lab) -> None:
-    lab.provider.tells_in_userinfo = True
+    lab.provider.userinfo_claims = True
     email = any_email()
     assert lab.sign_in("shy", **known_as(email)).me()["emails"] == [email]
 
@@ -302,7 +302,7 @@ def test_a_refused_consent_is_a_sentence_and_an_event(lab: Lab, error: str, mess
 @pytest.mark.parametrize("dies_at", ["/token", "/jwks", "/userinfo"])
 def test_a_provider_that_dies_on_the_way_is_a_sentence_and_an_event(lab: Lab, dies_at: str) -> None:
     lab.provider.is_dead.add(dies_at)
-    lab.provider.tells_in_userinfo = True
+    lab.provider.userinfo_claims = True
     assert "The sign-in with The Lab failed" in lab.refuses(**known_as(any_email()))
     assert latest_refusal(lab.api) == {"provider": "The Lab", "reason": "it answered with status 503"}
 

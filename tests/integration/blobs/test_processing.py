@@ -114,7 +114,7 @@ def test_a_lying_extension_is_opaque_and_safe(api: Api, mission_id: str) -> None
     assert [problem["code"] for problem in read["problems"]] == ["extension-lies"]
 
 
-def test_an_altered_object_is_corrupt_and_can_be_mended(api: Api, mission_id: str) -> None:
+def test_an_altered_object_is_corrupt_and_can_be_repaired(api: Api, mission_id: str) -> None:
     body = os.urandom(5000)
     file = upload(api, mission_id, "run.bin", body)
     run_jobs(api)
@@ -127,8 +127,8 @@ def test_an_altered_object_is_corrupt_and_can_be_mended(api: Api, mission_id: st
     assert "CRC-64/NVME" in read["state_reason"]
     api.post("/files/download", {"file_ids": [file["id"]]}).refused(409, "file_unavailable")
     assert 'kleinkram_blobs{state="corrupt"} 1' in api.metrics()
-    mended = upload(api, mission_id, "run.bin", body)
-    assert (mended["id"], mended["state"]) == (file["id"], "stored")
+    repaired = upload(api, mission_id, "run.bin", body)
+    assert (repaired["id"], repaired["state"]) == (file["id"], "stored")
     assert api.events(file["id"])[0]["operation"] == "file.repair"
     link = api.post("/files/download", {"file_ids": [file["id"]]}).ok()["items"][0]
     assert fetch(link["url"]) == (200, body)

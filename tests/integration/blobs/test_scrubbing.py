@@ -83,9 +83,9 @@ def test_a_vanished_object_is_missing_and_repaired_by_uploading_again(api: Api, 
     assert api.events(file["id"])[0]["operation"] == "file.damage"
     assert _counts(_scrub(api)) == (0, 0, 0), "it is told once"
     assert _read(api, file)["damaged_at"] == read["damaged_at"]
-    mended = upload(api, mission_id, file["path"], body)
+    repaired = upload(api, mission_id, file["path"], body)
     run_jobs(api)
-    assert (mended["id"], _read(api, file)["state"], _read(api, file)["damaged_at"]) == (file["id"], "verified", None)
+    assert (repaired["id"], _read(api, file)["state"], _read(api, file)["damaged_at"]) == (file["id"], "verified", None)
     link = api.post("/files/download", {"file_ids": [file["id"]]}).ok()["items"][0]
     assert fetch(link["url"]) == (200, body)
 
@@ -198,7 +198,7 @@ def test_blobs_added_and_removed_during_a_scrub_are_not_reported_missing(
 
     monkeypatch.setattr(Storage, "size_pages", pages)
 
-    async def scrub_beside_a_sweep(context: AppContext) -> None:
+    async def scrub_during_collection(context: AppContext) -> None:
         async with context.database.begin() as db:
             await scrub.begin_due_scrub(db, context.settings.model_copy(update={"scrub_hours": 1e-9}))
             row = await scrub.last_scrub(db, context.settings.store_id)
@@ -207,7 +207,7 @@ def test_blobs_added_and_removed_during_a_scrub_are_not_reported_missing(
         await collect_garbage(context)
         await collect_garbage(context)
 
-    on_site(api, scrub_beside_a_sweep)
+    on_site(api, scrub_during_collection)
     last = api.get("/admin/scrub").ok()["last"]
     assert _counts(last) == (0, 0, 0)
     assert _read(api, came[1])["state"] == "stored"

@@ -79,7 +79,7 @@ def test_a_slow_but_steady_link_gets_one_more_and_gives_it_back_when_it_does_not
     assert window.limit_bytes == PART
 
 
-def test_a_lost_connection_leaves_one_part_and_the_link_has_to_prove_itself_again(clock: Clock) -> None:
+def test_after_a_lost_connection_one_part_is_sent_at_a_time(clock: Clock) -> None:
     window = Window(_CONNECTIONS, clock=clock)
     for _ in range(_CONNECTIONS):
         window.arrived(PART, 0.05)
@@ -256,7 +256,7 @@ def test_an_error_that_wraps_silence_is_silence() -> None:
     assert is_silence(wrapping)
 
 
-def test_this_machine_knows_its_addresses() -> None:
+def test_the_addresses_of_this_machine_are_found() -> None:
     assert has_address(("127.0.0.1", 1234))
     assert not has_address(("192.0.2.77", 1234))
 
@@ -348,7 +348,7 @@ def test_a_transfer_that_ends_before_its_first_byte_says_what_does_not_answer(
     server = f"http://127.0.0.1:{choose_port()}"
     message: list[str] = []
 
-    class Heard(Watcher):
+    class Received(Watcher):
         def notify(self, text: str) -> None:
             message.append(text)
 
@@ -357,5 +357,5 @@ def test_a_transfer_that_ends_before_its_first_byte_says_what_does_not_answer(
 
     monkeypatch.setattr(sys.modules["kleinkram.client.transfer.download"], "PATIENCE_S", 0.0)
     with pytest.raises(ServerUnreachable):
-        fetch(links, server, plan_download([file_read("a")], tmp_path), watcher=Heard())
+        fetch(links, server, plan_download([file_read("a")], tmp_path), watcher=Received())
     assert "cannot be reached: Connection refused" in message[-1]

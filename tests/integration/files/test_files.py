@@ -182,8 +182,8 @@ def test_two_deletions_at_once_are_one(api: Api, sample: Sample, noun: str) -> N
     project = api.project()["id"]
     mission = api.mission(project)["id"]
     noun_id = {"project": project, "mission": mission, "file": sample.file(mission, "a.mcap")}[noun]
-    locked, held_id = ("project", project) if noun == "project" else ("mission", mission)
-    with racing(api, f"SELECT 1 FROM {locked} WHERE id = %s FOR UPDATE", held_id) as send:
+    locked, locked_id = ("project", project) if noun == "project" else ("mission", mission)
+    with racing(api, f"SELECT 1 FROM {locked} WHERE id = %s FOR UPDATE", locked_id) as send:
         both = [send(api.delete, f"/{noun}s/{noun_id}") for _ in range(2)]
     assert sorted(item.result().status for item in both) == [200, 404]
     assert [event["operation"] for event in api.events(noun_id)].count(f"{noun}.delete") == 1

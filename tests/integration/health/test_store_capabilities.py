@@ -43,7 +43,7 @@ def _from(number: int, count: int, blink: "Reply | Lost") -> Rule:
     requested = 0
     lock = threading.Lock()
 
-    def rule(_asked: ProxiedRequest) -> "Reply | Lost | None":
+    def rule(_requests: ProxiedRequest) -> "Reply | Lost | None":
         nonlocal requested
         with lock:
             requested += 1
@@ -53,7 +53,7 @@ def _from(number: int, count: int, blink: "Reply | Lost") -> Rule:
 
 
 def test_probing_finds_the_capabilities_of_a_reliable_store(api: Api, store: RunningStore) -> None:
-    assert _probes(api, store, [lambda _asked: None]) == [_TRUTH]
+    assert _probes(api, store, [lambda _requests: None]) == [_TRUTH]
 
 
 @pytest.mark.parametrize("blink", [Lost(), Reply(503, "SlowDown")], ids=["an answer lost", "once too busy"])

@@ -74,7 +74,7 @@ def test_missions_that_need_attention_are_listed(lab: Api, member: people.Person
     assert {item["mission"]["id"] for item in message} == {mission["id"]}
 
 
-def test_admins_hear_of_the_whole_server(lab: Api) -> None:
+def test_admins_see_the_whole_server(lab: Api) -> None:
     mission = lab.mission(lab.project()["id"])
     Sample(lab).file(mission["id"], "old.bag", created_at="2020-01-01T00:00:00Z", size_bytes=11)
     failed = "INSERT INTO procrastinate_jobs (queue_name, task_name, status) VALUES ('default', 'nothing', 'failed')"

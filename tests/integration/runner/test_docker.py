@@ -22,7 +22,7 @@ from kleinkram.runner.executors.port_forward import PortForward
 from tests.integration.runner import engines
 from tests.integration.runner.conftest import Bench, lent, log_of
 from tests.integration.runner.engines import Dockerd, Registry
-from tests.integration.runner.test_executors import KNOCKS, answers, ending_of_start, until_logged_by
+from tests.integration.runner.test_executors import CONNECTS, answers, ending_of_start, until_logged_by
 
 pytestmark = pytest.mark.slow
 BOTH = pytest.mark.parametrize("bench", ["docker", "podman"], indirect=True)
@@ -257,7 +257,7 @@ def test_the_time_limit_counts_while_no_runner_watches(bench: Bench, engine: Doc
 def test_the_next_runner_opens_the_port_forwards_again(bench: Bench) -> None:
     with socket.create_server(("127.0.0.1", 0)) as api:
         answers(api, b"api:")
-        text = KNOCKS + "import time\nwhile True: print(knock('lab.example', 443), flush=True); time.sleep(0.05)"
+        text = CONNECTS + "import time\nwhile True: print(knock('lab.example', 443), flush=True); time.sleep(0.05)"
         job = bench.job(text, network=Network.api, port_forwards=[PortForward("lab.example", 443, *api.getsockname())])
         bench.executor.submit(job)
         until_logged_by(bench, text, "api:\n")
@@ -278,7 +278,7 @@ def test_a_container_that_somebody_removes_is_lost(bench: Bench, engine: Dockerd
     assert bench.end_of(job).reason is EndReason.lost
 
 
-def test_leftovers_are_swept_but_not_anothers(bench: Bench, engine: Dockerd) -> None:
+def test_own_leftover_containers_are_removed(bench: Bench, engine: Dockerd) -> None:
     jobs = [bench.job(COUNTS) for _ in range(3)]
     mine, other = (DockerExecutor(engine.engine, runner=entry) for entry in ("mine", "other"))
     for executor, job in zip((mine, mine, other), jobs, strict=True):

@@ -62,7 +62,7 @@ def a_run(folder: Path) -> RunJob:
     return RunJob("a-run", folder, [], "an-image", Resources(), Network.none)
 
 
-def test_sweeping_goes_on_after_a_container_that_stays(
+def test_cleanup_continues_after_a_container_that_cannot_be_removed(
     executor: DockerExecutor, caplog: pytest.LogCaptureFixture
 ) -> None:
     executor.remove_others([])

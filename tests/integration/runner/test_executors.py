@@ -247,7 +247,7 @@ def test_a_fork_bomb_stays_inside(isolated: Bench) -> None:
 
 
 @pytest.mark.slow
-def test_cancelled_though_it_will_not_hear(bench: Bench) -> None:
+def test_a_run_that_ignores_signals_is_cancelled(bench: Bench) -> None:
     text = "import signal, time; signal.signal(15, signal.SIG_IGN); print('ready', flush=True); time.sleep(60)"
     job = bench.job(text)
     bench.executor.submit(job)
@@ -369,7 +369,7 @@ def answers(server: socket.socket, words: bytes) -> None:
     threading.Thread(target=answer, daemon=True).start()
 
 
-KNOCKS = """
+CONNECTS = """
 import socket
 def knock(host, port, said=b''):
     try:
@@ -397,7 +397,7 @@ def test_with_port_forwards_only_the_api_and_the_store_answer(isolated: Bench) -
         refused = [(host, port) for host in ("127.0.0.1", isolated.machine, "127.1.0.1") for port in ports]
         refused += [("store.lab.example", 80), ("192.168.77.7", 443), ("127.0.0.1", 443), ("192.0.2.1", 443)]
         job = isolated.job(
-            KNOCKS
+            CONNECTS
             + f"for host, port in {[(entry.host, entry.port) for entry in forwards]}: print(knock(host, port, b'hi'))\n"
             f"print({{knock(host, port) for host, port in {refused}}})\n"
             "print(len(knock('store.lab.example', 443, bytes(3_000_000))))",
@@ -416,7 +416,7 @@ def test_the_target_of_a_port_forward_may_be_unavailable(isolated: Bench) -> Non
     with socket.create_server(("127.0.0.1", 0)) as gone:
         port = gone.getsockname()[1]
     forward = PortForward("kleinkram.lab.example", 443, "127.0.0.1", port)
-    text = KNOCKS + "print(knock('kleinkram.lab.example', 443) in ('', 'none'))"
+    text = CONNECTS + "print(knock('kleinkram.lab.example', 443) in ('', 'none'))"
     job = isolated.job(text, network=Network.api, port_forwards=[forward])
     isolated.executor.submit(job)
     assert isolated.end_of(job).reason is EndReason.done

@@ -20,7 +20,7 @@ from tests.integration.runner_loop.fake_server import FakeServer
 
 pytestmark = pytest.mark.slow
 
-KNOCK = """
+CONNECT = """
 import http.client, os, urllib.parse
 url = urllib.parse.urlsplit(os.environ["KLEINKRAM_URL"])
 knocked = http.client.HTTPConnection(url.netloc, timeout=5)
@@ -42,7 +42,7 @@ def test_a_container_reads_inputs_calls_the_api_and_writes_artifacts(
         {"drive.txt": b"bytes of a drive"},
         script=None,
         image=engines.IMAGE,
-        command=["python3", "-c", KNOCK],
+        command=["python3", "-c", CONNECT],
         network=Network.api,
         token=RUN_TOKEN,
     )

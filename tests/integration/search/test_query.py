@@ -54,7 +54,7 @@ def lab(start_api: StartApi) -> Api:
     return api
 
 
-def _found(lab: Api, text: str) -> Any:
+def _results(lab: Api, text: str) -> Any:
     return lab.get("/search", {"query": text}).ok()
 
 
@@ -110,7 +110,7 @@ def _names(page: Any, name: str = "name") -> list[str]:
     ],
 )
 def test_a_query_finds_files(lab: Api, text: str, files: list[str]) -> None:
-    page = _found(lab, text)["files"]
+    page = _results(lab, text)["files"]
     assert (_names(page, "path"), page["total"]) == (files, len(files))
     assert sorted(item["path"] for item in lab.all("/files", {"query": text, "limit": "1"})) == files
 
@@ -132,13 +132,13 @@ def test_a_query_finds_files(lab: Api, text: str, files: list[str]) -> None:
     ],
 )
 def test_a_query_finds_missions_by_what_they_say_and_by_their_files(lab: Api, text: str, missions: list[str]) -> None:
-    page = _found(lab, text)["missions"]
+    page = _results(lab, text)["missions"]
     assert (_names(page), page["total"]) == (missions, len(missions))
     assert sorted(item["name"] for item in lab.all("/missions", {"query": text, "limit": "1"})) == missions
 
 
 def test_a_query_finds_topics_once_each(lab: Api) -> None:
-    topics = _found(lab, "")["topics"]
+    topics = _results(lab, "")["topics"]
     assert [(item["name"], item["file_count"], item["message_count"]) for item in topics["items"]] == [
         ("/imu", 2, 400),
         ("/cam/front", 1, 10),
@@ -146,18 +146,18 @@ def test_a_query_finds_topics_once_each(lab: Api) -> None:
         ("/odd", 1, None),
     ]
     assert topics["total"] == 4
-    assert _names(_found(lab, "topic:/cam/*")["topics"]) == ["/cam/front", "/cam/rear"]
-    of_type = _found(lab, "image")["topics"]["items"]
+    assert _names(_results(lab, "topic:/cam/*")["topics"]) == ["/cam/front", "/cam/rear"]
+    of_type = _results(lab, "image")["topics"]["items"]
     assert [item["name"] for item in of_type][:2] == ["/cam/front", "/cam/rear"], "those of that type come first"
-    assert _found(lab, "rear")["topics"]["items"][0]["name"] == "/cam/rear", "what holds the word comes first"
-    assert _found(lab, "no such thing")["topics"] == {"items": [], "next": None, "total": 0}
+    assert _results(lab, "rear")["topics"]["items"][0]["name"] == "/cam/rear", "what holds the word comes first"
+    assert _results(lab, "no such thing")["topics"] == {"items": [], "next": None, "total": 0}
 
 
 def test_the_text_comes_back_in_its_own_spelling_and_with_what_it_means(lab: Api) -> None:
-    actual = _found(lab, " -label:wet   label:night size>=1000MB alps ")
+    actual = _results(lab, " -label:wet   label:night size>=1000MB alps ")
     assert actual["query"] == "alps label:night size>=1GB -label:wet"
     assert actual["filter"]["min_size_bytes"] == 10**9
-    assert _found(lab, actual["query"])["files"] == actual["files"]
+    assert _results(lab, actual["query"])["files"] == actual["files"]
 
 
 def test_a_query_and_filters_are_combined(lab: Api) -> None:
@@ -216,7 +216,7 @@ def test_choosing_a_value_finds_as_many_files_as_it_says(lab: Api) -> None:
         for facet in answer["facets"]:
             chosen = [value for value in facet["values"] if value["is_chosen"]]
             for value in facet["values"]:
-                total = _found(lab, value["query"])["files"]["total"]
+                total = _results(lab, value["query"])["files"]["total"]
                 if not chosen:
                     assert total == value["file_count"], (text, facet["name"], value)
                 if value["is_chosen"]:
@@ -238,10 +238,10 @@ def test_hidden_files_are_in_no_count(lab: Api) -> None:
     member = people.person(lab)
     theirs = lab.as_(member.token)
     assert _facets(theirs, "") == {}
-    assert _found(theirs, "imu")["files"]["total"] == 0
+    assert _results(theirs, "imu")["files"]["total"] == 0
     town = lab.get("/projects", {"name": "Town"}).ok()["items"][0]["id"]
     people.grant(lab, member, Right.read, project_id=town)
-    actual = _found(theirs, "")
+    actual = _results(theirs, "")
     assert [actual[item]["total"] for item in ("missions", "files", "topics")] == [1, 1, 3]
     facets = _facets(theirs, "")
     assert (facets["project"], facets["topic"]["/imu"]) == ({"Town": 1}, 1)

@@ -63,7 +63,10 @@ def live(life: Machine, history: str) -> None:
         "delete": lambda: life.delete(0),
         "restore": lambda: life.restore(0),
         **{f"object {what}": partial(life.lie, 0, what) for what in ("gone", "cut", "altered", "whole")},
-        **{rule.__name__: rule for rule in (life.lapse, life.expire, life.sweep, life.verify, life.scrub)},
+        **{
+            rule.__name__: rule
+            for rule in (life.end_leases, life.expire, life.collect_garbage, life.verify, life.scrub)
+        },
         "empty trash": life.empty_trash,
     }
     for step in history.split(", "):
@@ -130,7 +133,7 @@ FAULTS = [
         "other.has_lease or",
         "True or",
         "_begin",
-        "announce, lapse, announce another",
+        "announce, end_leases, announce another",
     ),
     Fault(
         "who takes a name over leaves the other's upload",
@@ -138,26 +141,26 @@ FAULTS = [
         "state=UploadState.aborted.value",
         "state=UploadState.open.value",
         "_begin",
-        "announce, lapse, announce another",
+        "announce, end_leases, announce another",
     ),
     Fault(
-        "the sweep takes what is in the trash",
+        "the collect_garbage takes what is in the trash",
         queries.is_referenced,
         _FILES_REFER,
         "exists().where(file.c.blob_id == blob.c.id, file.c.deleted_at.is_(None))",
-        "sweep",
-        "bring, delete, sweep",
+        "collect_garbage",
+        "bring, delete, collect_garbage",
     ),
     Fault(
-        "the sweep takes what a second file refers to",
+        "the collect_garbage takes what a second file refers to",
         queries.is_referenced,
         _FILES_REFER,
         "exists().where(file.c.blob_id == blob.c.id, file.c.origin == 'upload')",
-        "sweep",
+        "collect_garbage",
         "bring, bring twin, delete, empty trash",
     ),
     Fault(
-        "the sweep leaves the object",
+        "the collect_garbage leaves the object",
         jobs.collect_garbage,
         _THE_OBJECT_GOES,
         "pass\n",

@@ -141,14 +141,14 @@ class Machine(RuleBasedStateMachine):
     # What time and jobs do.
 
     @rule()
-    def lapse(self) -> None:
+    def end_leases(self) -> None:
         """Let all names go that are held for uploads; these can go on until another takes the name."""
         self.api.sql("UPDATE upload SET lease_ends_at = now() - interval '1 hour' WHERE state = 'open'")
 
     @rule()
     def expire(self) -> None:
-        """Let all that is under way lapse, and clean up after it; then nothing is reserved."""
-        self.lapse()
+        """End all leases and clean up: then no name is reserved."""
+        self.end_leases()
         self.api.sql("UPDATE upload SET expires_at = now() WHERE state = 'open'")
         self.context.run(lambda context: maintain_uploads(context, stale_after_s=0))
         message = self.api.get(f"/projects/{self.project_id}").ok()
@@ -156,13 +156,13 @@ class Machine(RuleBasedStateMachine):
 
     @rule()
     def empty_trash(self) -> None:
-        """Let what is in the trash be old enough, and sweep."""
+        """Expire the trash and collect garbage."""
         self.api.sql("UPDATE file SET deleted_at = now() - interval '31 days' WHERE deleted_at IS NOT NULL")
         self.trashed.clear()
-        self.sweep()
+        self.collect_garbage()
 
     @rule()
-    def sweep(self) -> None:
+    def collect_garbage(self) -> None:
         """Doom what nothing refers to, then delete it."""
         for _ in range(2):
             self.context.run(jobs.collect_garbage)
@@ -171,14 +171,14 @@ class Machine(RuleBasedStateMachine):
     def verify(self) -> None:
         """Read every blob; afterwards each says what was done to it."""
         self.context.run(verify_all)
-        self._see_what_is_told({"whole": "verified", "gone": "lost", "cut": "corrupt", "altered": "corrupt"})
+        self._check_events({"whole": "verified", "gone": "lost", "cut": "corrupt", "altered": "corrupt"})
 
     @rule()
     def scrub(self) -> None:
         """Compare the store's list; afterwards each blob says whether its object is there, and of its size."""
         scrub_id = uuid.UUID(self.api.post("/admin/scrub", {"believe": True}).ok(202)["id"])
         self.context.run(lambda context: scrub_store(context, scrub_id))
-        self._see_what_is_told({"gone": "lost", "cut": "corrupt"})
+        self._check_events({"gone": "lost", "cut": "corrupt"})
 
     # What a store does that lies.
 
@@ -316,7 +316,7 @@ class Machine(RuleBasedStateMachine):
         [file] = [item for item in self._files() if item["path"] == path]
         assert (file["sha256"], file["state"] in {"stored", "verified"}) == (sha256(body), True)
 
-    def _see_what_is_told(self, text: dict[str, str]) -> None:
+    def _check_events(self, text: dict[str, str]) -> None:
         for state, key, *_ in self._blobs():
             done = self.done_to.get(key, "whole")
             assert state == text.get(done, state), (done, state)

@@ -94,7 +94,7 @@ def test_rules_of_somebody_else_are_left(start_api: StartApi, store: RunningStor
     assert later.app.state.pages_may_send is False
 
 
-def test_a_store_that_knows_no_such_rules_is_used_all_the_same(
+def test_a_store_without_cors_rules_is_accepted(
     start_api: StartApi, store: RunningStore, caplog: pytest.LogCaptureFixture
 ) -> None:
     def rule(requested: ProxiedRequest) -> Reply | None:

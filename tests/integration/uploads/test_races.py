@@ -12,11 +12,11 @@ from tests.integration.api_server import Api
 from tests.integration.races import racing
 from tests.integration.upload_client import begin, complete, fetch, send, upload
 
-_HOLD = "SELECT 1 FROM mission WHERE id = %s FOR UPDATE"
+_LOCK = "SELECT 1 FROM mission WHERE id = %s FOR UPDATE"
 
 
 @pytest.fixture(name="twin")
-def _twin(api: Api) -> bytes:
+def _duplicate(api: Api) -> bytes:
     """What is in a file of another mission already, so that it is linked and not sent."""
     body = os.urandom(1000)
     upload(api, api.mission(api.project()["id"])["id"], "twin.bin", body)
@@ -31,7 +31,7 @@ def _read(api: Api, mission_id: str) -> list[tuple[str, bytes]]:
 
 def _race(api: Api, mission_id: str, works: "list[Callable[[], Any]]") -> list[Any]:
     """Do these at once, in the order given as far as they wait for the same mission; return what they return."""
-    with racing(api, _HOLD, mission_id) as send_one:
+    with racing(api, _LOCK, mission_id) as send_one:
         futures: list[Future[Any]] = [send_one(work) for work in works]
     return [future.result(30) for future in futures]
 

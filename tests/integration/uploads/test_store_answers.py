@@ -49,8 +49,8 @@ def _api(start_api: StartApi, middleman: Middleman) -> Api:
 @pytest.fixture(autouse=True)
 def _honest_again(middleman: Middleman) -> Iterator[None]:
     yield
-    middleman.rule = lambda _asked: None
-    middleman.edit = lambda _asked, content: content
+    middleman.rule = lambda _requested: None
+    middleman.edit = lambda _requested, content: content
 
 
 @pytest.fixture(name="client")
@@ -82,7 +82,7 @@ def test_a_store_that_cannot_now_does_not_end_an_upload(
     middleman.rule = lambda requested: text if _is_multipart(requested) else None
     finish = {"upload_id": started["id"], "sha256": sha256(body), "crc64nvme": crc64(body)}
     api.post("/uploads/complete", {"uploads": [finish]}).refused(503, "store_unavailable")
-    middleman.rule = lambda _asked: None
+    middleman.rule = lambda _requested: None
     assert complete(api, started, body)["outcome"] == "completed"
 
 
@@ -97,7 +97,7 @@ def test_a_proxy_that_finds_nothing_does_not_end_an_upload(
     middleman.rule = lambda requested: Reply(404) if requested.method == "HEAD" else None
     finish = {"upload_id": started["id"], "sha256": sha256(body), "crc64nvme": crc64(body)}
     api.post("/uploads/complete", {"uploads": [finish]}).refused(503, "store_unavailable")
-    middleman.rule = lambda _asked: None
+    middleman.rule = lambda _requested: None
     assert complete(api, started, body)["outcome"] == "completed"
 
 
@@ -129,7 +129,7 @@ def test_one_that_sees_parts_vanish_while_another_joins_them_ends_nothing(
         if requested.method == "POST" and _is_multipart(requested) and not seconds:
             middleman.edit = fewer
             seconds.append(complete(api, started, body))
-            middleman.edit = lambda _asked, content: content
+            middleman.edit = lambda _requested, content: content
 
     middleman.rule = interrupt
     first = complete(api, started, body)

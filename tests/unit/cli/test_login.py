@@ -51,10 +51,10 @@ def test_a_name_that_another_server_has_is_refused_before_anybody_signs_in() -> 
 
 
 @pytest.mark.parametrize(
-    ("url", "is_said"), [("http://10.0.0.3:8000", True), ("http://127.0.0.1:8000", False), (LAB, False)]
+    ("url", "is_reported"), [("http://10.0.0.3:8000", True), ("http://127.0.0.1:8000", False), (LAB, False)]
 )
-def test_an_unencrypted_connection_is_reported(url: str, is_said: bool) -> None:
-    assert ("not encrypted" in klein("login", url).output) == is_said
+def test_an_unencrypted_connection_is_reported(url: str, is_reported: bool) -> None:
+    assert ("not encrypted" in klein("login", url).output) == is_reported
 
 
 def test_the_list_says_who_one_is_and_until_when() -> None:
