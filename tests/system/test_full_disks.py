@@ -97,7 +97,7 @@ def test_a_database_with_a_full_disk_reports_it_and_recovers_once_there_is_space
 
     def is_reported() -> bool:  # not while it is being started once more
         findings.update({finding["check"]: finding for finding in _doctor(cluster, small)})
-        return "No space left on device" in findings["part postgres"]["message"]
+        return "No space left on device" in findings["service postgres"]["message"]
 
     wait_until(is_reported, "the doctor to say why PostgreSQL does not run")
     assert "without any the database stops until there is some" in findings["disk of the database"]["remedy"]
@@ -147,7 +147,7 @@ def _fill_the_log(administrator: "psycopg.Connection[tuple[object, ...]]") -> No
 
 def _postgres_complains(cluster: Cluster) -> bool:
     log = (cluster.home / "up.err").read_text()
-    return "postgres has ended" in log and "No space left on device; starting it again in" in log
+    return "postgres has ended" in log and "No space left on device); restarting it in" in log
 
 
 def _doctor(cluster: Cluster, small: SmallDisk) -> list[dict[str, str]]:

@@ -81,7 +81,7 @@ def progress(fraction: float, message: str = "") -> None:
 
 
 class ReportRefused(ValueError):
-    """A report is invalid; says which part of it, and why."""
+    """A report is invalid; the message names the part and the reason."""
 
 
 def _validated(kind: type[T], **fields: object) -> T:

@@ -104,7 +104,7 @@ def _executor(definition: ActionDefinition) -> "Executor":
     except InvalidInput as error:
         if definition.image is None:
             raise
-        why = f"it runs an image, for which an engine of containers must be here, and {error.reason}"
+        why = f"it runs an image, for which a container engine must be here, and {error.reason}"
         raise InvalidInput(what=f"The action {definition.name}", reason=why) from None
     note(f"Running {definition.name} {_ISOLATIONS[executor.abilities.isolation]}")
     return executor

@@ -1,4 +1,4 @@
-"""Sizes, lengths of time and dates as they stand in a query: exact both ways."""
+"""Sizes, durations and dates as text, converted exactly both ways."""
 
 import datetime
 import math
@@ -36,28 +36,28 @@ _ZONE = re.compile(r"[-+]\d{2}(:?\d{2})?$")
 
 
 def read_size(text: str) -> Fraction:
-    """Return the bytes of `200MB`, `8MiB`, `1.5G`, `1500`; units are decimal unless they say `i`. Raises ValueError."""
-    found = _NUMBER.fullmatch(text.strip())
-    unit = found["unit"].lower() if found else ""
+    """Return the bytes of `200MB`, `8MiB`, `1.5G`, `1500`; units without `i` are decimal. Raises ValueError."""
+    match = _NUMBER.fullmatch(text.strip())
+    unit = match["unit"].lower() if match else ""
     stem = unit.removesuffix("b")
     base = 1024 if stem.endswith("i") else 1000
     letter = stem.removesuffix("i")
-    if found is None or (letter and letter not in _LETTERS) or len(letter) > 1 or stem == "i":
+    if match is None or (letter and letter not in _LETTERS) or len(letter) > 1 or stem == "i":
         raise ValueError("say bytes, or a number with kB, MB, GB, TB or KiB, MiB, GiB, TiB")
     power: int = base ** (_LETTERS.index(letter) + 1) if letter else 1
-    return Fraction(found["number"]) * power
+    return Fraction(match["number"]) * power
 
 
 def read_duration(text: str) -> Fraction:
     """Return the nanoseconds of `10m`, `1.5h`, `200ms`. Raises ValueError."""
-    found = _NUMBER.fullmatch(text.strip())
-    if found is None or found["unit"] not in DURATIONS:
+    match = _NUMBER.fullmatch(text.strip())
+    if match is None or match["unit"] not in DURATIONS:
         raise ValueError("say a number with d, h, m, s, ms, us or ns")
-    return Fraction(found["number"]) * DURATIONS[found["unit"]]
+    return Fraction(match["number"]) * DURATIONS[match["unit"]]
 
 
 def bounds(operator: str, amount: Fraction) -> tuple[int | None, int | None]:
-    """Return the smallest and the largest whole number that a comparison with `amount` lets through.
+    """Return the smallest and largest integer that satisfy a comparison with `amount`.
 
     Raises ValueError.
     """
@@ -72,7 +72,7 @@ def bounds(operator: str, amount: Fraction) -> tuple[int | None, int | None]:
 
 
 def format_bound(operator: str, number: int, units: Mapping[str, int]) -> str:
-    """Return `>=NUMBER`, `<=NUMBER` or `:NUMBER` with a unit, or the same said of the number beside it, if shorter."""
+    """Return `>=NUMBER`, `<=NUMBER` or `:NUMBER` with a unit, or the equivalent `>` or `<` if shorter."""
     if operator == ":":
         return operator + _format(number, units)
     other = (">", number - 1) if operator == ">=" else ("<", number + 1)
@@ -92,7 +92,7 @@ def read_time(text: str) -> datetime.datetime:
 
 
 def format_time(at: datetime.datetime) -> str:
-    """Return a time as `read_time` reads it; without zone it is UTC."""
+    """Return a time for `read_time`; without a zone it is UTC."""
     try:
         moment = at.astimezone(_UTC) if at.tzinfo else at.replace(tzinfo=_UTC)
     except OverflowError:  # within a day of the year 1 or 9999, where no recording is
@@ -145,22 +145,22 @@ def iso_text(text: str) -> str | None:
     try:
         if _ISO_DATE.fullmatch(text):
             return datetime.date.fromisoformat(text).isoformat()
-        if found := _TIME.fullmatch(text):
-            return _in_utc(found).isoformat()
+        if match := _TIME.fullmatch(text):
+            return _in_utc(match).isoformat()
     except (ValueError, OverflowError):  # the 30th of February; a zone that leaves the year 9999
         return None
     return None
 
 
-def _in_utc(found: re.Match[str]) -> datetime.datetime:
-    clock = found["clock"] if found.group(3) else found["clock"] + ":00"
-    zone = (found["zone"] or "Z").upper().replace("Z", "+00:00")
+def _in_utc(match: re.Match[str]) -> datetime.datetime:
+    clock = match["clock"] if match.group(3) else match["clock"] + ":00"
+    zone = (match["zone"] or "Z").upper().replace("Z", "+00:00")
     if len(zone) == 3:
         zone += ":00"
     if ":" not in zone:
         zone = f"{zone[:3]}:{zone[3:]}"
-    fraction = (found["fraction"] or "").ljust(6, "0")
-    parsed = datetime.datetime.fromisoformat(f"{found['day']}T{clock}.{fraction}{zone}")
+    fraction = (match["fraction"] or "").ljust(6, "0")
+    parsed = datetime.datetime.fromisoformat(f"{match['day']}T{clock}.{fraction}{zone}")
     return parsed.astimezone(datetime.timezone.utc)
 
 

@@ -38,7 +38,7 @@ _ESCAPED = re.compile(r"\\(.)", re.DOTALL)
 
 @dataclass(frozen=True)
 class Word:
-    """One word of a query. `key` is empty for a word to be found; `column` counts from 1; `written` is as it stands."""
+    """One word of a query. `key` is empty for a search word; `column` counts from 1; `written` is the original text."""
 
     written: str
     column: int
@@ -49,7 +49,7 @@ class Word:
     is_quoted: bool
 
     def wrong(self, reason: str) -> InvalidQuery:
-        """Return the error that this word cannot be used."""
+        """Return the error about this word."""
         return InvalidQuery(expression=self.written, reason=f"{reason} (column {self.column})", column=self.column)
 
 
@@ -60,12 +60,17 @@ def split(text: str) -> Iterator[Word]:
         if text[at].isspace():
             at += 1
             continue
-        word, at = _word(text, at)
-        yield word
+        start, is_negative = at, text[at] == "-" and at + 1 < len(text) and not text[at + 1].isspace()
+        key = _KEY.match(text, start + is_negative)
+        at = key.end() if key else start + is_negative
+        is_quoted = at < len(text) and text[at] == '"'
+        value, at = _read_quoted(text, at) if is_quoted else _read_bare(text, at)
+        name, operator = (key["key"], key["operator"]) if key else ("", "")
+        yield Word(text[start:at], start + 1, is_negative, name, operator, value, is_quoted)
 
 
 def single(text: str) -> Word:
-    """Return the one word of a term that is left out, as a filter's `without` holds it. Raises InvalidQuery."""
+    """Return the word of an excluded term, as in a filter's `without`. Raises InvalidQuery."""
     words = [*split(text)]
     if len(words) != 1 or words[0].is_negative:
         raise InvalidQuery(expression=text, reason="what is left out is one term each, such as label:night")
@@ -73,13 +78,14 @@ def single(text: str) -> Word:
 
 
 def phrases(text: str) -> list[str]:
-    """Return the words of the `text` of a filter, each of which must be found; quotes make several words one."""
-    found = [_unescaped(each["inner"]) if each["inner"] is not None else each[0] for each in _PHRASE.finditer(text)]
-    return [phrase for phrase in found if phrase]
+    """Return the words and quoted phrases of the `text` of a filter, all of which must match."""
+    matches = _PHRASE.finditer(text)
+    words = [match[0] if match["inner"] is None else _unescaped(match["inner"]) for match in matches]
+    return [word for word in words if word]
 
 
 def joined(words: list[str]) -> str:
-    """Return the `text` of a filter that `phrases` reads as these words."""
+    """Return the `text` of a filter from which `phrases` reads these words."""
     return " ".join(word if _is_plain(word) else quoted(word) for word in words)
 
 
@@ -89,19 +95,19 @@ def quoted(value: str) -> str:
 
 
 def escaped(value: str, *, after: str) -> str:
-    """Return a value as it stands behind an operator without quotes around it, which would say that it is text."""
+    """Return a value for the place after an operator, without quotes, which would make it text."""
     safe = "".join(f"\\{character}" if character.isspace() or character == "\\" else character for character in value)
     reads_otherwise = safe.startswith('"') or (safe.startswith("=") and after in {"<", ">"})
     return f"\\{safe}" if reads_otherwise else safe
 
 
 def as_value(value: str) -> str:
-    """Return how a value stands behind a key: in quotes where it must."""
+    """Return a value for the place after a key, in quotes if necessary."""
     return value if _is_plain(value) else quoted(value)
 
 
 def as_word(word: str) -> str:
-    """Return how a word to be found stands in a query: in quotes where it would read as something else."""
+    """Return a search word for a query, in quotes if it would mean something else without."""
     reads_otherwise = _KEY.match(word) is not None or (word.startswith("-") and word != "-")
     return quoted(word) if reads_otherwise else as_value(word)
 
@@ -110,19 +116,7 @@ def _is_plain(value: str) -> bool:
     return bool(value) and not any(character.isspace() or character in '"\\' for character in value)
 
 
-def _word(text: str, start: int) -> tuple[Word, int]:
-    is_negative = text[start] == "-" and start + 1 < len(text) and not text[start + 1].isspace()
-    begin = start + is_negative
-    key = _KEY.match(text, begin)
-    at = key.end() if key else begin
-    is_quoted = at < len(text) and text[at] == '"'
-    value, end = _in_quotes(text, at) if is_quoted else _bare(text, at)
-    written = text[start:end]
-    name, operator = (key["key"], key["operator"]) if key else ("", "")
-    return Word(written, start + 1, is_negative, name, operator, value, is_quoted), end
-
-
-def _bare(text: str, start: int) -> tuple[str, int]:
+def _read_bare(text: str, start: int) -> tuple[str, int]:
     end = start
     while end < len(text) and not text[end].isspace():
         end += 2 if text[end] == "\\" else 1
@@ -130,7 +124,7 @@ def _bare(text: str, start: int) -> tuple[str, int]:
     return _unescaped(text[start:end]), end
 
 
-def _in_quotes(text: str, start: int) -> tuple[str, int]:
+def _read_quoted(text: str, start: int) -> tuple[str, int]:
     end = start + 1
     while end < len(text) and text[end] != '"':
         end += 2 if text[end] == "\\" else 1
@@ -155,10 +149,10 @@ _COMPARED = (">", ">=", "<", "<=", *_SAME)
 
 @dataclass(frozen=True)
 class QueryKey:
-    """A key. `field` is that of `FileFilter`; `id_field` takes its place where the value is an id.
+    """A key of the query language and its field of `FileFilter`; `id_field` is used if the value is an id.
 
-    `several_field` holds the names, globs and ids of a key that is said several times.
-    `is_list`: it may be said several times, and any of these is enough. `check` returns a value as it is kept.
+    `several_field` has the names, globs and ids if the key occurs several times. `is_list`: any of several values
+    suffices. `check` returns the value for the filter.
     """
 
     name: str
@@ -173,8 +167,8 @@ class QueryKey:
 
 
 def one_of(kind: type[BlobState] | type[ContentState]) -> Callable[[str], str]:
-    """Return what lets the words of an enumeration through, in any case."""
-    words = [each.value for each in kind]
+    """Return a function that checks for a value of an enumeration, ignoring case."""
+    words = [member.value for member in kind]
 
     def check(value: str) -> str:
         if value.lower() not in words:
@@ -206,25 +200,25 @@ KEYS: Mapping[str, QueryKey] = {key.name: key for key in _KEYS}
 
 
 def is_glob(value: str) -> bool:
-    """Say whether a value may stand for several."""
+    """Whether a value has wildcards."""
     return "*" in value or "?" in value
 
 
-def possible(given: str) -> str:
-    """Return what is said of a key that there is none of: what may have been meant, and what there is."""
-    close = difflib.get_close_matches(given.lower()[:40], KEYS, n=1)
+def possible(key: str) -> str:
+    """Return the message for an unknown key: a similar one, and all that exist."""
+    close = difflib.get_close_matches(key.lower()[:40], KEYS, n=1)
     hint = f"did you mean {close[0]!r}? " if close else ""
-    return f"there is no key {given!r}; {hint}There are {', '.join(KEYS)} and {META}FIELD"
+    return f"there is no key {key!r}; {hint}There are {', '.join(KEYS)} and {META}FIELD"
 
 
 _NAMES = [*KEYS]
-# Metadata stands between what is said of the recording and of the file.
+# Metadata comes between the keys of recordings and those of files.
 _PARTS = ("text", *_NAMES[: _NAMES.index("label")], META, *_NAMES[_NAMES.index("label") :], "without")
 _UNITS: Mapping[str, Mapping[str, int]] = {"size": SIZES, "duration": DURATIONS}
 
 
 def render(matching: FileFilter) -> str:
-    """Return the text of a filter: words first, then what it says by keys, then what is left out.
+    """Return the text of a filter: words first, then keys, then excluded terms.
 
     Raises InvalidQuery.
     """
@@ -232,7 +226,7 @@ def render(matching: FileFilter) -> str:
 
 
 def terms(matching: FileFilter) -> dict[str, list[str]]:
-    """Return the terms of a filter by what they say: `text`, each key, `meta.` and `without`; in their order.
+    """Return the terms of a filter by part, in order: `text`, each key, `meta.` and `without`.
 
     Raises InvalidQuery.
     """
@@ -240,12 +234,12 @@ def terms(matching: FileFilter) -> dict[str, list[str]]:
 
 
 def in_words(by_part: Mapping[str, list[str]]) -> str:
-    """Return the text that terms by part say."""
+    """Join the terms of all parts to a text."""
     return " ".join(itertools.chain.from_iterable(by_part.values()))
 
 
 def terms_of(part: str, matching: FileFilter) -> list[str]:
-    """Return the terms of one part of a filter; those of a key do not depend on anything else that the filter says.
+    """Return the terms of one part of a filter, independent of its other parts.
 
     Raises InvalidQuery.
     """
@@ -259,44 +253,35 @@ def terms_of(part: str, matching: FileFilter) -> list[str]:
 
 
 def render_where(expression: str) -> str:
-    """Return the term that says a comparison with metadata. Raises InvalidQuery."""
-    found = WHERE_EXPRESSION.fullmatch(expression.strip())
-    if found is None:
+    """Return the term for a comparison with metadata. Raises InvalidQuery."""
+    match = WHERE_EXPRESSION.fullmatch(expression.strip())
+    if match is None:
         raise InvalidQuery(expression=expression, reason="it is not a comparison; write it like robot=anymal")
-    operator, value = found["operator"], found["value"].strip()
+    operator, value = match["operator"], match["value"].strip()
     is_text = len(value) > 1 and value.startswith('"') and value.endswith('"')
     if operator == "~":
-        said = as_value(value)
+        written = as_value(value)
     elif is_text or (operator == "=" and is_glob(value)):
-        said = quoted(value[1:-1] if is_text else value)
+        written = quoted(value[1:-1] if is_text else value)
     else:
-        said = escaped(value, after=operator)
-    return f"{META}{found['field']}{':' if operator == '=' else operator}{said}"
+        written = escaped(value, after=operator)
+    return f"{META}{match['field']}{':' if operator == '=' else operator}{written}"
 
 
 def _terms_of(key: QueryKey, matching: FileFilter) -> Iterator[str]:
-    if key.name in _UNITS:
-        yield from _bounds(key, matching)
+    if units := _UNITS.get(key.name):
+        least, most = (getattr(matching, f"{end}_{key.field}") for end in ("min", "max"))
+        bounds_by_operator = {":": least} if least is not None and least == most else {">=": least, "<=": most}
+        for operator, bound in bounds_by_operator.items():
+            if bound is not None:
+                yield f"{key.name}{format_bound(operator, bound, units)}"
         return
-    fields = (key.id_field or key.field, key.field, key.several_field or key.field)
-    for field in dict.fromkeys(fields):
-        held = getattr(matching, field)
-        if key.name in {"after", "before"}:
-            held = None if held is None else format_time(held)
-        values = held if isinstance(held, list) else [] if held is None else [held]
-        yield from (f"{key.name}:{as_value(str(getattr(value, 'value', value)))}" for value in values)
-
-
-def _bounds(key: QueryKey, matching: FileFilter) -> Iterator[str]:
-    units = _UNITS[key.name]
-    least, most = (getattr(matching, f"{end}_{key.field}") for end in ("min", "max"))
-    if least is not None and least == most:
-        yield f"{key.name}{format_bound(':', least, units)}"
-        return
-    if least is not None:
-        yield f"{key.name}{format_bound('>=', least, units)}"
-    if most is not None:
-        yield f"{key.name}{format_bound('<=', most, units)}"
+    for field in dict.fromkeys((key.id_field or key.field, key.field, key.several_field or key.field)):
+        value = getattr(matching, field)
+        if key.name in {"after", "before"} and value is not None:
+            value = format_time(value)
+        for item in value if isinstance(value, list) else [] if value is None else [value]:
+            yield f"{key.name}:{as_value(str(getattr(item, 'value', item)))}"
 
 
 _AMOUNTS: dict[str, Callable[[str], Fraction]] = {"size": read_size, "duration": read_duration}
@@ -307,7 +292,7 @@ _TIGHTEST: dict[str, Callable[[datetime.datetime, datetime.datetime], datetime.d
 
 
 def parse(text: str) -> FileFilter:
-    """Return the filter that a query means; an empty text means everything. Raises InvalidQuery."""
+    """Return the filter of a query; an empty text matches everything. Raises InvalidQuery."""
     reader = _QueryReader()
     for word in split(text):
         reader.take(word)
@@ -315,14 +300,14 @@ def parse(text: str) -> FileFilter:
 
 
 def parse_term(text: str) -> FileFilter:
-    """Return the filter that one term means, such as those of a filter's `without`. Raises InvalidQuery."""
+    """Return the filter of one term, as in a filter's `without`. Raises InvalidQuery."""
     reader = _QueryReader()
     reader.take(single(text))
     return reader.filter()
 
 
 class _QueryReader:
-    """What was read so far, and the word by which each field was said first."""
+    """The filter read so far, and the first word that set each of its fields."""
 
     def __init__(self) -> None:
         self._values: dict[str, str] = {}
@@ -333,42 +318,40 @@ class _QueryReader:
         self._words_by_field: dict[str, Word] = {}
 
     def take(self, word: Word) -> None:
-        """Read one word more."""
+        """Add one word."""
         if word.is_negative:
-            self._leave_out(word)
+            term = _QueryReader()
+            term.take(replace(word, is_negative=False))
+            if rendered := render(term.filter()):
+                self._add("without", rendered, word)
         elif not word.key:
             self._words += [word.value] if word.value else []
             self._words_by_field.setdefault("text", word)
         elif word.key.startswith(META) and word.key != META:
             self._add("where", _comparison(word), word)
         elif word.key not in KEYS:
-            raise word.wrong(_unknown(word))
+            hint = f"metadata is asked for by {META}{word.key}{word.operator}{as_value(word.value)}, and text in quotes"
+            raise word.wrong(f"{possible(word.key)}; {hint}")
         else:
             self._take_key(KEYS[word.key], word)
 
     def filter(self) -> FileFilter:
-        """Return the filter of all that was read. Raises InvalidQuery."""
-        given: dict[str, object] = {**self._values, **self._numbers, **self._times, **self._lists}
+        """Return the filter. Raises InvalidQuery."""
+        values: dict[str, object] = {**self._values, **self._numbers, **self._times, **self._lists}
         for key in KEYS.values():
-            values = self._lists.get(key.several_field or "", [])
-            named = {str(key.id_field) if is_id(value) else key.field: value for value in values}
-            if values and len(named) == len(values):  # one name beside one id: both must hold
-                del given[str(key.several_field)]
-                given |= named
-                self._words_by_field |= dict.fromkeys(named, self._words_by_field[str(key.several_field)])
+            several = self._lists.get(key.several_field or "", [])
+            fields = {str(key.id_field) if is_id(value) else key.field: value for value in several}
+            if several and len(fields) == len(several):  # one name and one id: both must match
+                del values[str(key.several_field)]
+                values |= fields
+                self._words_by_field |= dict.fromkeys(fields, self._words_by_field[str(key.several_field)])
         if self._words:
-            given["text"] = joined(self._words)
+            values["text"] = joined(self._words)
         try:
-            return FileFilter.model_validate(given)
+            return FileFilter.model_validate(values)
         except ValidationError as error:
             word = self._words_by_field[str(error.errors()[0]["loc"][0])]
             raise word.wrong(in_plain_words(error)) from None
-
-    def _leave_out(self, word: Word) -> None:
-        term = _QueryReader()
-        term.take(replace(word, is_negative=False))
-        if said := render(term.filter()):
-            self._add("without", said, word)
 
     def _take_key(self, key: QueryKey, word: Word) -> None:
         if word.operator not in key.operators:
@@ -377,9 +360,14 @@ class _QueryReader:
             raise word.wrong(f"nothing stands behind it; write it like {key.example}")
         try:
             if key.name in _AMOUNTS:
-                self._bound(key, word, *bounds(word.operator, _AMOUNTS[key.name](word.value)))
+                least, most = bounds(word.operator, _AMOUNTS[key.name](word.value))
+                for field, number, tighter in ((f"min_{key.field}", least, max), (f"max_{key.field}", most, min)):
+                    if number is not None:
+                        self._numbers[field] = tighter(self._numbers.get(field, number), number)
+                        self._words_by_field.setdefault(field, word)
             elif key.name in _TIGHTEST:
-                self._tighten(key, word)
+                at = read_time(word.value)
+                self._times[key.field] = _TIGHTEST[key.name](self._times.get(key.field, at), at)
             elif key.is_list:
                 self._add(key.field, key.check(word.value), word)
             else:
@@ -400,25 +388,15 @@ class _QueryReader:
         self._values[field] = word.value
         self._words_by_field[field] = word
 
-    def _bound(self, key: QueryKey, word: Word, least: int | None, most: int | None) -> None:
-        for field, number, tighter in ((f"min_{key.field}", least, max), (f"max_{key.field}", most, min)):
-            if number is not None:
-                self._numbers[field] = tighter(self._numbers.get(field, number), number)
-                self._words_by_field.setdefault(field, word)
-
-    def _tighten(self, key: QueryKey, word: Word) -> None:
-        at = read_time(word.value)
-        self._times[key.field] = _TIGHTEST[key.name](self._times.get(key.field, at), at)
-
     def _add(self, field: str, value: str, word: Word) -> None:
-        held = self._lists.setdefault(field, [])
-        if value not in held:
-            held.append(value)
+        values = self._lists.setdefault(field, [])
+        if value not in values:
+            values.append(value)
         self._words_by_field.setdefault(field, word)
 
 
 def _comparison(word: Word) -> str:
-    """Return a comparison with metadata as a filter's `where` holds it: what is in quotes is text, whatever it says."""
+    """Return a comparison with metadata for a filter's `where`; a value in quotes is text."""
     field = word.key.removeprefix(META)
     if "" in field.split("."):
         raise word.wrong(f"the field has an empty part; write it like {META}site.latitude>47")
@@ -433,24 +411,17 @@ def _comparison(word: Word) -> str:
     return expression
 
 
-def _unknown(word: Word) -> str:
-    told = f"metadata is asked for by {META}{word.key}{word.operator}{as_value(word.value)}, and text in quotes"
-    return f"{possible(word.key)}; {told}"
-
-
-def whole(asked: FileQuery) -> FileFilter:
-    """Return the one filter that a filter and the text beside it mean together, as if said in one text.
-
-    Raises InvalidQuery.
-    """
-    plain = FileFilter.model_construct(**{name: getattr(asked, name) for name in FileFilter.model_fields})
-    if asked.query is None:
+def whole(file_query: FileQuery) -> FileFilter:
+    """Return the filter that a filter and the text of a query mean together. Raises InvalidQuery."""
+    plain = FileFilter.model_construct(**{name: getattr(file_query, name) for name in FileFilter.model_fields})
+    if file_query.query is None:
         return plain
-    in_query = parse(asked.query)
+    in_query = parse(file_query.query)
     for key in KEYS.values():
-        # Several in one text mean any of them; one in the text and one beside it cannot both hold.
+        # Several values in one text mean any of them; one in the text and one outside cannot both apply.
         fields = [field for field in (key.field, key.id_field, key.several_field) if key.several_field and field]
         if any(getattr(in_query, field) for field in fields) and any(getattr(plain, field) for field in fields):
-            word = next(each for each in split(asked.query) if each.key == key.name and not each.is_negative)
+            words = (word for word in split(file_query.query) if word.key == key.name and not word.is_negative)
+            word = next(words)
             raise word.wrong(f"{key.name} was said at column {word.column} already")
-    return parse(f"{asked.query} {render(plain)}".strip())
+    return parse(f"{file_query.query} {render(plain)}".strip())

@@ -47,7 +47,7 @@ def temporary_copy(
 ) -> Iterator[Path]:
     """Write what `read` returns to a temporary file, which is removed afterwards; `beside`: at this path and suffix."""
     folder = Path(tempfile.gettempdir())
-    _sweep(folder)
+    _remove_abandoned(folder)
     if beside is None:
         descriptor, name = tempfile.mkstemp(prefix=_PREFIX, dir=folder)
     else:
@@ -91,7 +91,7 @@ def too_large(most_bytes: int, free: int) -> TooLarge:
     return TooLarge(f"a copy of it would have more than {most_bytes} bytes; fetch the file and inspect it locally")
 
 
-def _sweep(folder: Path) -> None:
+def _remove_abandoned(folder: Path) -> None:
     """Remove copies of dead readers: those without a lock."""
     for path in folder.glob(f"{_PREFIX}*"):
         try:

@@ -1,6 +1,6 @@
 """`python -m kleinkram.runner ARGUMENTS`: a runner as a process, without the imports of the CLI.
 
-ARGUMENTS is the JSON of `Arguments`. SIGTERM ends the runner but not its runs, which the next one goes on with; SIGINT
+ARGUMENTS is the JSON of `Arguments`. SIGTERM ends the runner but not its runs, which the next one continues; SIGINT
 ends its runs, too, which the next one starts again.
 """
 
@@ -30,7 +30,7 @@ from kleinkram.runner.executors.docker.images import Pull
 from kleinkram.runner.executors.local import Machine, MachineShare
 from kleinkram.runner.executors.process import ProcessExecutor
 from kleinkram.runner.loop import Runner, RunnerOptions
-from kleinkram.runner.state_directory import StateDirectory, open_state_directory
+from kleinkram.runner.state_directory import open_state_directory
 
 DEFAULT_IMAGE = "kleinkram/action-python:latest"
 TOKEN_VARIABLE = "KLEINKRAM_RUNNER_TOKEN"  # noqa: S105  the name of the variable
@@ -93,36 +93,37 @@ class _JsonLines(logging.Formatter):
 def main() -> None:
     """Run until a signal; an error is one sentence on stderr and exit code 1."""
     arguments = Arguments.model_validate_json(sys.argv[1])
-    _set_up_logs(arguments.log_format)
+    handler = logging.StreamHandler(sys.stderr)
+    text = logging.Formatter("%(asctime)s %(levelname)s %(name)s %(message)s")
+    handler.setFormatter(_JsonLines() if arguments.log_format == "json" else text)
+    logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
+    # It would log URLs, which are signed.
+    logging.getLogger("urllib3").setLevel(logging.ERROR)
     try:
         with open_state_directory(arguments.data_dir) as state:
-            code = _run_until_signal(_make_runner(arguments, state), once=arguments.once)
+            options = RunnerOptions(
+                url=arguments.url,
+                token=find_token(arguments.token_file),
+                name=arguments.name,
+                labels=tuple(arguments.labels),
+                default_image=arguments.default_image,
+            )
+            share = MachineShare(
+                arguments.cores, arguments.memory_bytes, arguments.disk_bytes, arguments.gpus, arguments.cache_bytes
+            )
+            executor = choose_executor(
+                arguments.executor,
+                ImagePolicy(arguments.pull, arguments.registries),
+                arguments.default_image,
+                runner=str(state.runner_id),
+                machine=Machine(state.path, share),
+            )
+            code = _run_until_signal(Runner(options, state, executor), once=arguments.once)
     except KleinkramError as error:
         sys.exit(f"Error: {error}")
     # Do not wait for threads that wait for an unavailable server.
     logging.shutdown()
     os._exit(code)
-
-
-def _make_runner(arguments: Arguments, state: StateDirectory) -> Runner:
-    share = MachineShare(
-        arguments.cores,
-        arguments.memory_bytes,
-        arguments.disk_bytes,
-        arguments.gpus,
-        arguments.cache_bytes,
-    )
-    options = RunnerOptions(
-        url=arguments.url,
-        token=find_token(arguments.token_file),
-        name=arguments.name,
-        labels=tuple(arguments.labels),
-        default_image=arguments.default_image,
-    )
-    policy = ImagePolicy(arguments.pull, arguments.registries)
-    runner, machine = str(state.runner_id), Machine(state.path, share)
-    executor = choose_executor(arguments.executor, policy, arguments.default_image, runner=runner, machine=machine)
-    return Runner(options, state, executor)
 
 
 def find_token(file: Path | None) -> str:
@@ -161,32 +162,30 @@ def choose_executor(
     Raises:
         InvalidInput: `choice` is `docker`, and no engine answers.
     """
-    if choice is not ExecutorChoice.process:
+    socket = None if choice is ExecutorChoice.process else find_socket()
+    if choice is ExecutorChoice.docker and socket is None:
+        raise InvalidInput(what="The executor docker", reason="no socket of a container engine was found")
+    if socket is not None:
         try:
-            containers = _docker_executor(policy, runner, machine)
+            client = DockerClient(socket)
+            containers = DockerExecutor(client, machine, runner=runner, pull=policy.pull, allowed=policy.allowed)
             if choice is ExecutorChoice.auto:
                 containers.prepare_image(default_image)
             return containers
         except (EngineUnavailable, EngineError) as error:
             if choice is ExecutorChoice.docker:
                 raise InvalidInput(what="The executor docker", reason=str(error)) from error
-            _log.info("no engine of containers here (%s): scripts run as processes", error)
+            _log.info("no container engine answers (%s): scripts run as processes", error)
         except CannotStart as error:
             _log.warning(
                 "%s So scripts run as processes, and images do not run; to change this: --executor docker", error
             )
+    elif choice is ExecutorChoice.auto:
+        _log.info("no socket of a container engine was found: scripts run as processes")
     executor = ProcessExecutor(machine)
     if executor.abilities.isolation is Isolation.none:
         _log.warning("this kernel allows this user no namespaces: runs can read and change whatever the runner can")
     return executor
-
-
-def _docker_executor(policy: ImagePolicy, runner: str, machine: Machine | None) -> DockerExecutor:
-    socket = find_socket()
-    if socket is None:
-        raise EngineUnavailable("there is no socket of one")
-    client = DockerClient(socket)
-    return DockerExecutor(client, machine, runner=runner, pull=policy.pull, allowed=policy.allowed)
 
 
 def _run_until_signal(runner: Runner, *, once: bool) -> int:
@@ -216,15 +215,6 @@ def _run_until_signal(runner: Runner, *, once: bool) -> int:
     for error in errors:
         sys.stderr.write(f"Error: {error}\n")
     return 1 if errors else 0
-
-
-def _set_up_logs(log_format: str) -> None:
-    handler = logging.StreamHandler(sys.stderr)
-    text = logging.Formatter("%(asctime)s %(levelname)s %(name)s %(message)s")
-    handler.setFormatter(_JsonLines() if log_format == "json" else text)
-    logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
-    # It would log URLs, which are signed.
-    logging.getLogger("urllib3").setLevel(logging.ERROR)
 
 
 if __name__ == "__main__":

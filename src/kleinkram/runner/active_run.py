@@ -1,4 +1,4 @@
-"""One run from its assignment to its end, in a thread of its own.
+"""One run from its assignment to its end, in its own thread.
 
 Each step is recorded before it is done, and may be repeated: after a kill the next runner continues where this one was.
 """

@@ -62,8 +62,15 @@ def run_locally(
         if not files:
             raise NothingToDo(reason=f"No file of the mission {mission.name} is an input of {action.name}")
         for file in files:
-            _check_path(file)
-        _download(client, files, directory / "in", watcher)
+            try:
+                check_input_path(file.path)
+            except ValueError as error:  # noqa: PERF203  (each error names its file)
+                raise InvalidInput(what=f"The file {file.path}", reason=str(error)) from None
+        report = download(client, plan_download(files, directory / "in"), watcher=watcher)
+        for failure in [*report.failures, *report.left_out]:
+            raise failure
+        for path in (directory / "in").rglob("*"):
+            path.chmod(0o755 if path.is_dir() else 0o444)
         context = make_context(client, action, mission, files, parameters)
         write_context(directory / "in", context, action.script)
         job = make_job(action, directory)
@@ -114,22 +121,6 @@ def make_job(action: ActionDefinition, directory: Path) -> RunJob:
         command = script_command(action.dependencies, in_image=action.image is not None)
     key = f"local-{uuid.uuid4().hex[:12]}"
     return RunJob(key, directory, command, action.image, action.resources, action.network)
-
-
-def _check_path(file: FileRead) -> None:
-    try:
-        check_input_path(file.path)
-    except ValueError as error:
-        raise InvalidInput(what=f"The file {file.path}", reason=str(error)) from None
-
-
-def _download(client: Client, files: list[FileRead], directory: Path, watcher: Watcher) -> None:
-    plan = plan_download(files, directory)
-    report = download(client, plan, watcher=watcher)
-    for failure in [*report.failures, *report.left_out]:
-        raise failure
-    for path in directory.rglob("*"):
-        path.chmod(0o755 if path.is_dir() else 0o444)
 
 
 def _run(executor: Executor, job: RunJob, show: Callable[[bytes], None]) -> Ending:

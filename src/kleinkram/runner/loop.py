@@ -44,7 +44,7 @@ _HEARTBEAT_PAUSE_S = 0.1
 _ENFORCE_EVERY_S = 0.2
 _RETRY_S = 3.0
 _REFUSED_RETRY_S = 15.0
-# How long the runs of an earlier process go on before the server has confirmed their leases.
+# How long the runs of an earlier process continue without a confirmation of their leases by the server.
 _CONFIRMATION_S = 5.0
 _DETACH_S = 3.0
 _MIN_CORES = 0.01
@@ -204,7 +204,7 @@ class Runner:
                     _log.warning("no script can be run yet: %s", error)
                 is_logged = True
             except KleinkramError as error:
-                _log.warning("the server does not know of the default image yet: %s", error)
+                _log.warning("the default image could not be reported to the server yet: %s", error)
             time.sleep(_DEFAULT_IMAGE_RETRY_S)
 
     def _claim(self) -> ActiveRun | None:
@@ -215,7 +215,7 @@ class Runner:
         if free.cores < _MIN_CORES or min(free.memory_bytes, free.disk_bytes) < _MIN_BYTES:
             self._has_capacity.wait(HEARTBEAT_S)
             return None
-        # With active runs, capacity may be freed soon, and a new request tells so.
+        # With active runs, capacity may be freed soon, which a new request reports.
         request = ClaimRequest(
             free=free,
             wait_s=HEARTBEAT_S if active else MAX_WAIT_S,

@@ -1,5 +1,6 @@
 """Reads the results of a job from `/out`: artifacts, report, events. All of it is untrusted; no link is followed."""
 
+import contextlib
 import json
 import os
 import stat
@@ -48,7 +49,7 @@ class Artifact:
 class Results:
     """The results of a job. `problems` are sentences about what could not be read.
 
-    `report_error` says why `report.json` is not a report; None where it is one, or does not exist.
+    `report_error`: why `report.json` is not a report; None where it is one, or does not exist.
     """
 
     artifacts: list[Artifact] = field(default_factory=list)
@@ -80,16 +81,12 @@ class ProgressReader:
             lines, line_end, _ = stream.read(_PROGRESS_BYTES).rpartition(b"\n")
             self._offset += len(lines) + len(line_end)
         for line in reversed(lines.splitlines()):
-            if b'"progress"' in line and len(line) <= MAX_EVENT_BYTES and self._take(line):
-                return
-
-    def _take(self, line: bytes) -> bool:
-        try:
-            progress = ReportEvent.model_validate_json(line).progress
-        except ValidationError:
-            return False
-        self.progress = progress or self.progress
-        return progress is not None
+            if b'"progress"' not in line or len(line) > MAX_EVENT_BYTES:
+                continue
+            with contextlib.suppress(ValidationError):
+                if (progress := ReportEvent.model_validate_json(line).progress) is not None:
+                    self.progress = progress
+                    return
 
 
 def collect_results(out: Path) -> Results:
@@ -104,16 +101,26 @@ def collect_results(out: Path) -> Results:
     artifacts.sort(key=lambda artifact: artifact.path)
     report, report_error = Report(), None
     try:
-        report = _report(out)
+        if (data := _read(out, REPORT_FILE, MAX_REPORT_BYTES)) is not None:
+            report = Report.model_validate_json(data)
     except _Unreadable as error:
         report_error = str(error)
+    except ValidationError as error:
+        report_error = f"{REPORT_FILE} is not a report: {_first(error)}."
     report = _merged(_events(out, problems), report, problems)
-    report = _without_missing_artifacts(report, {artifact.path for artifact in artifacts}, problems)
-    return Results(artifacts, report, problems.sentences(), report_error)
+    paths = {artifact.path for artifact in artifacts}
+    for path in [*(preview.path for preview in report.previews), *(artifact.path for artifact in report.put_back)]:
+        if path not in paths:
+            problems.add(f"It reports the artifact {path}, which does not exist.")
+    existing = {
+        "previews": [preview for preview in report.previews if preview.path in paths],
+        "put_back": [artifact for artifact in report.put_back if artifact.path in paths],
+    }
+    return Results(artifacts, report.model_copy(update=existing), problems.sentences(), report_error)
 
 
 class _Unreadable(Exception):
-    """A file cannot be read; says why."""
+    """A file cannot be read; the message is the reason."""
 
 
 class _Problems:
@@ -206,16 +213,6 @@ def _read(out: Path, name: str, max_bytes: int) -> bytes | None:
     return data
 
 
-def _report(out: Path) -> Report:
-    data = _read(out, REPORT_FILE, MAX_REPORT_BYTES)
-    if data is None:
-        return Report()
-    try:
-        return Report.model_validate_json(data)
-    except ValidationError as error:
-        raise _Unreadable(f"{REPORT_FILE} is not a report: {_first(error)}.") from error
-
-
 def _events(out: Path, problems: _Problems) -> list[ReportEvent]:
     try:
         data = _read(out, EVENTS_FILE, (MAX_FINDINGS + MAX_METRICS) * MAX_EVENT_BYTES // 16) or b""
@@ -255,16 +252,6 @@ def _merged(events: list[ReportEvent], report: Report, problems: _Problems) -> R
         metadata=metadata,
         put_back=list(put_back.values()),
     )
-
-
-def _without_missing_artifacts(report: Report, paths: set[str], problems: _Problems) -> Report:
-    """Remove the parts of a report that refer to files that do not exist."""
-    for path in [*(preview.path for preview in report.previews), *(artifact.path for artifact in report.put_back)]:
-        if path not in paths:
-            problems.add(f"It reports the artifact {path}, which does not exist.")
-    previews = [preview for preview in report.previews if preview.path in paths]
-    put_back = [artifact for artifact in report.put_back if artifact.path in paths]
-    return report.model_copy(update={"previews": previews, "put_back": put_back})
 
 
 def _first(error: ValidationError) -> str:

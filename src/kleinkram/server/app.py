@@ -1,4 +1,4 @@
-"""The composition root: everything is put together here, and nobody imports it."""
+"""The composition root of the API; no other module imports it."""
 
 import logging
 from collections.abc import AsyncIterator, Sequence
@@ -85,7 +85,7 @@ ROUTERS = (
 )
 
 
-# Any operation may fail with any code: clients branch on the code (RFC 9457), whose closed list the schema states.
+# Any operation may fail with any code of the closed list in the schema; clients branch on it (RFC 9457).
 _PROBLEM = {
     "description": "A failure as a problem document (RFC 9457); `code` says which.",
     "content": {"application/problem+json": {"schema": {"$ref": "#/components/schemas/ProblemDocument"}}},
@@ -93,7 +93,7 @@ _PROBLEM = {
 
 
 def create_app(settings: Settings) -> FastAPI:
-    """Return the API, ready to be served; it connects when it starts."""
+    """Return the API; it connects when it starts."""
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -132,7 +132,7 @@ def create_app(settings: Settings) -> FastAPI:
         version=kleinkram.__version__,
         summary="Keeps every recording a robotics lab makes: organised, verified, findable down to the topic.",
         lifespan=lifespan,
-        # A Location would be made from the Host header, which is whatever the asker says.
+        # The Location would be derived from the Host header, which the client chooses.
         redirect_slashes=False,
         docs_url=None,
         redoc_url=None,
@@ -149,9 +149,9 @@ def create_app(settings: Settings) -> FastAPI:
 
 
 def require_guards(routers: Sequence[APIRouter]) -> None:
-    """See that each route asks who comes and has said what it takes, or is one of the few that are for everybody.
+    """Check that each route authenticates and has a row in the table of operations, or is an open page.
 
-    Looks at the routers themselves: what an app makes of them is the framework's own affair. Raises RuntimeError.
+    Raises RuntimeError.
     """
     for route in (route for router in routers for route in router.routes):
         is_guarded = isinstance(route, APIRoute) and requires_actor(route) and route.operation_id in OPERATIONS

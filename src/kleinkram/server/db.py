@@ -159,7 +159,7 @@ def among(column: ColumnElement[Any], values: Iterable[object]) -> ColumnElement
     return column == any_(literal([*values], ARRAY(column.type)))
 
 
-def among_given(column: ColumnElement[Any], name: str) -> ColumnElement[bool]:
+def among_parameter(column: ColumnElement[Any], name: str) -> ColumnElement[bool]:
     """Like `among`, with the values of the bind parameter `name`."""
     return column == any_(bindparam(name, type_=ARRAY(column.type)))
 

@@ -1,6 +1,6 @@
-"""Settings from the environment: every `KLEINKRAM_` variable must be known, and a secret may come from a file.
+"""Settings from the environment. Unknown `KLEINKRAM_` variables are errors; secrets may come from files.
 
-A misspelt variable is an error: a security setting that is silently ignored looks as if it were in force.
+A misspelt security setting must not be ignored silently.
 """
 
 import difflib
@@ -36,11 +36,11 @@ _ADDRESS = re.compile(r"(tcp|udp)://")
 
 
 class SettingsInvalid(Exception):
-    """The environment does not give valid settings. The text has a line for each problem, and no values of secrets."""
+    """The environment has no valid settings. The text has a line for each problem, and no secrets."""
 
 
 def load_settings() -> Settings:
-    """Return the settings that this process's environment gives. Raises SettingsInvalid."""
+    """Return the settings of this process. Raises SettingsInvalid."""
     problems = [_unknown(name) for name, value in sorted(os.environ.items()) if not _is_known(name.upper(), value)]
     secrets: dict[str, object] = {}
     unread: list[str] = []
@@ -72,11 +72,11 @@ def load_settings() -> Settings:
 
 
 def secret_from_file(variable: str) -> str | None:
-    """Return what the file holds that `<variable>_FILE` names, without white space around it; None where it is not set.
+    """Return the stripped content of the file in `<variable>_FILE`; None if it is not set.
 
     Raises SettingsInvalid.
     """
-    # As pydantic-settings reads the others: in capital or small letters.
+    # Ignoring case, like pydantic-settings.
     environment = {name.upper(): value for name, value in os.environ.items()}
     path = environment.get(variable + _FILE)
     if path is None:
@@ -87,7 +87,7 @@ def secret_from_file(variable: str) -> str | None:
         text = Path(path).read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "it is not text"
-        # What is no absolute path may be the secret itself, by mistake: it is not shown.
+        # A value that is no absolute path may be the secret itself: do not show it.
         shown = path if path.startswith("/") else "what it names (not an absolute path)"
         raise SettingsInvalid(f"{variable}{_FILE}: {shown} cannot be read ({why}).") from None
     if not text:
@@ -96,13 +96,13 @@ def secret_from_file(variable: str) -> str | None:
 
 
 def unset_settings() -> list[str]:
-    """Return the variables of required settings that the environment gives neither a value nor a file."""
+    """Return the variables of required settings that are not set."""
     required = [_variable(name) for name, field in Settings.model_fields.items() if field.is_required()]
     return [name for name in required if name not in os.environ and name + _FILE not in os.environ]
 
 
 def known_variables() -> list[str]:
-    """Return every variable that a server's environment may have."""
+    """Return all variables that a server's environment may have."""
     settings = [_variable(name) for name in Settings.model_fields]
     files = [_variable(name) + _FILE for name in Settings.model_fields if is_secret(name)]
     return sorted([*settings, *files, *(_PREFIX + name for name in ELSEWHERE)])

@@ -1,4 +1,4 @@
-"""Log lines: one JSON object each, with the request id where there is one. Never a secret, never a signed address."""
+"""Log lines: one JSON object each, with the request id if there is one. Never a secret or a signed URL."""
 
 import datetime
 import json
@@ -10,7 +10,7 @@ from typing import Literal
 
 
 class JsonLines(logging.Formatter):
-    """Writes a record, its fields and its exception as one line."""
+    """Formats a record, its fields and its exception as one line."""
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line."""
@@ -29,14 +29,14 @@ class JsonLines(logging.Formatter):
 
 
 def _escape_controls(text: str) -> str:
-    """Return JSON with what a terminal could obey escaped: strangers choose the paths they ask for."""
+    """Escape control characters: clients choose the paths in requests."""
     if text.isprintable():
         return text
     return "".join(letter if letter.isprintable() else json.dumps(letter)[1:-1] for letter in text)
 
 
 def set_up_logs(log_format: Literal["json", "text"]) -> None:
-    """Send this process's logs to stderr, and keep libraries that log addresses to warnings."""
+    """Log to stderr, with only warnings of libraries that log URLs."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(
         JsonLines() if log_format == "json" else logging.Formatter("%(asctime)s %(levelname)s %(name)s %(message)s")
@@ -49,7 +49,7 @@ def set_up_logs(log_format: Literal["json", "text"]) -> None:
 
 
 def _log_crash(kind: type[BaseException], error: BaseException | None, traceback: types.TracebackType | None) -> None:
-    """Write what ends the process, or a thread, as a log line like all others."""
+    """Log the error that ends the process or a thread."""
     if error is not None and not isinstance(error, KeyboardInterrupt):
         logging.getLogger("kleinkram").critical(
             f"ended by an error: {kind.__name__}: {error}", exc_info=(kind, error, traceback)
@@ -57,6 +57,6 @@ def _log_crash(kind: type[BaseException], error: BaseException | None, traceback
 
 
 def quiet_libraries() -> None:
-    """Keep libraries that log addresses, and what stands in them, to warnings."""
+    """Log only warnings of libraries that log URLs."""
     for noisy in ("aiohttp", "uvicorn.access", "alembic", "procrastinate", "httpx"):
         logging.getLogger(noisy).setLevel(logging.WARNING)

@@ -1,6 +1,6 @@
-"""The worker: one process that runs what the queue holds, and puts back what a dead worker left.
+"""The worker: a process that runs the jobs of the queue, and puts back jobs of dead workers.
 
-It outlives PostgreSQL: where that goes away, each lane begins anew once it is back.
+It survives a restart of PostgreSQL: each lane reconnects.
 """
 
 import asyncio
@@ -39,21 +39,21 @@ _log = logging.getLogger("kleinkram.worker")
 _AT_ONCE = 3
 _STALLED_CHECK_S = 20
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 10.0
-# A lane that ran for so long ended for another reason than the last time.
+# After running for this long, the pauses start again with the shortest.
 _STEADY_S = 30.0
-# The database went away, refuses connections, or ended one. psycopg's own errors come from opening the pool.
+# The database is away, refuses connections, or closed one. psycopg's own errors come from opening the pool.
 _DATABASE_AWAY = (ConnectorException, psycopg.OperationalError)
-# Importing a feature's jobs is what makes the queue know them.
+# Importing the jobs of a feature registers them with the queue.
 JOB_MODULES = (_blob_jobs, _recording_jobs, _run_jobs, _upload_jobs)
 
 
 async def run_worker(settings: Settings) -> None:
-    """Run jobs until SIGTERM or SIGINT; a job under way is finished first, unless a second signal comes."""
+    """Run jobs until SIGTERM or SIGINT; running jobs are finished first, unless a second signal comes."""
     task = asyncio.current_task()
     stopping = asyncio.Event()
 
     def stop() -> None:
-        # Cancelling alone would not do: where the database is away, its error may take the place of the cancelling.
+        # Cancelling is not enough: if the database is away, its error may replace the cancellation.
         stopping.set()
         if task is not None:
             task.cancel()
@@ -67,7 +67,7 @@ async def run_worker(settings: Settings) -> None:
 async def _open_and_run(settings: Settings, stopping: asyncio.Event) -> None:
     pauses = _Pauses()
     while not stopping.is_set():
-        # Without the timeout, a worker that is asked to stop would wait half a minute for a database that is away.
+        # Without the timeout, a stopping worker would wait half a minute for an absent database.
         connector = PsycopgConnector(conninfo=plain_dsn(settings.database_url), min_size=1, max_size=8, timeout=10)
         # Periodic jobs belong to the app they were declared on, so that one is resources the worker's connector.
         with queue.replace_connector(connector) as app:
@@ -79,14 +79,14 @@ async def _open_and_run(settings: Settings, stopping: asyncio.Event) -> None:
 
 
 class _Pauses:
-    """Ever longer pauses before something begins anew that the database's absence ended."""
+    """Increasing pauses between attempts to reconnect to the database."""
 
     def __init__(self) -> None:
         self._pause_s = _FIRST_PAUSE_S
         self._began = time.monotonic()
 
     async def wait(self, what: str, error: Exception | None) -> None:
-        """Wait before `what` begins anew, and say so in the log."""
+        """Log that `what` restarts, and wait."""
         if time.monotonic() - self._began > _STEADY_S:
             self._pause_s = _FIRST_PAUSE_S
         reason = "a connection ended" if error is None else str(error.__cause__ or error).strip()
@@ -133,7 +133,7 @@ async def _run_lanes(app: App, settings: Settings, database: Database) -> None:
             asyncio.create_task(_rescue_stalled(app, attempts)),
         ]
         try:
-            # None of them ends by itself: the first that does has failed, and ends the process, which is started anew.
+            # None ends by itself: the first that does has failed, and ends the process, which is restarted.
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
                 task.result()
@@ -148,10 +148,10 @@ async def _run_lanes(app: App, settings: Settings, database: Database) -> None:
 async def _keep_working(
     app: App, resources: dict[str, object], is_over: asyncio.Event, *, lane: str, at_once: int
 ) -> None:
-    """Run the jobs of one lane until all is over; where the database ends that, begin anew."""
+    """Run the jobs of one lane, again after each loss of the database, until the worker ends."""
     pauses = _Pauses()
     while not is_over.is_set():
-        error: Exception | None = None  # where a lane's listener lost its connection, it ends without one
+        error: Exception | None = None  # a lane whose listener lost its connection ends without an error
         try:
             await _work(app, resources, lane=lane, at_once=at_once)
         except _DATABASE_AWAY as raised:
@@ -176,7 +176,7 @@ async def _work(app: App, resources: dict[str, object], *, lane: str, at_once: i
 
 
 async def _rescue_stalled(app: App, attempts: Attempts) -> None:
-    """Put back jobs whose worker died, and those of this worker whose end the database could not be told."""
+    """Put back the jobs of dead workers, and those of this worker whose end was not written to the database."""
     abandoned: set[int | None] = set()
     while True:
         try:
@@ -184,7 +184,7 @@ async def _rescue_stalled(app: App, attempts: Attempts) -> None:
             ours = [*await _abandoned(app, attempts)]
             for job in [*stalled, *(job for job in ours if job.id in abandoned)]:
                 await _rescue(app, job)
-            # Twice in a row: one that has just ended is about to be written down.
+            # Twice in a row: the end of a job may be about to be written.
             abandoned = {job.id for job in ours}
         except _DATABASE_AWAY as error:  # the next round finds the same jobs
             _log.warning("stalled jobs not looked at", extra={"fields": {"reason": str(error)}})
@@ -192,18 +192,18 @@ async def _rescue_stalled(app: App, attempts: Attempts) -> None:
 
 
 async def _abandoned(app: App, attempts: Attempts) -> Iterable[ProcrastinateJob]:
-    """Return jobs that the queue takes to be run by this process, and that it does not run."""
+    """Return jobs that this process runs according to the queue, but does not."""
     doing = await app.job_manager.list_jobs_async(status=Status.DOING.value)
     return [job for job in doing if job.worker_id in attempts.lanes and job.id not in attempts.running]
 
 
 async def _rescue(app: App, job: ProcrastinateJob) -> None:
-    """Put one job back; a periodic one is closed instead, since its next round waits already."""
+    """Put one job back; a periodic one is deleted instead, because its next round is waiting already."""
     _log.warning("job was left unfinished: it is done again", extra={"fields": {"job": job.task_name, "id": job.id}})
     try:
         if job.queueing_lock is not None:
             await app.job_manager.finish_job(job, status=Status.FAILED, delete_job=True)
         else:
             await app.job_manager.retry_job(job, retry_at=datetime.datetime.now(datetime.timezone.utc))
-    except ConnectorException as error:  # taken up by another worker meanwhile, or to be seen in the next round
+    except ConnectorException as error:  # another worker took it, or the next round finds it
         _log.warning("job not put back", extra={"fields": {"id": job.id, "reason": str(error)}})

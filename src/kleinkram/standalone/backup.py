@@ -124,7 +124,7 @@ def _running_environment(data_dir: DataDir) -> dict[str, str]:
 
 
 def _run(task: BackupTask, environment: dict[str, str]) -> int:
-    """Run the server's process in this terminal; it ends when this one is asked to."""
+    """Run the server's process in this terminal until it ends, or the end is requested."""
     process = spawn_in_terminal([*_WORKER, json.dumps(task.request)], {**os.environ, **environment})
     try:
         while process.poll() is None:

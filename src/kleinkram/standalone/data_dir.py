@@ -48,7 +48,7 @@ class DataDir:
 
 @dataclass(frozen=True)
 class RuntimeInfo:
-    """What other programs of this user may know of the running instance: the content of `instance.json`.
+    """Information about the running instance for other programs of this user: the content of `instance.json`.
 
     `services`: pids by name; None while a service is down.
     """

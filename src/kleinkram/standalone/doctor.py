@@ -68,7 +68,7 @@ def _running(data_dir: DataDir, info: RuntimeInfo) -> Iterator[DoctorFinding]:
     yield DoctorFinding("running", True, f"Kleinkram answers at {info.url}.")
     for name, pid in info.services.items():
         alive = pid is not None and start_ticks(pid) is not None
-        remedy = "" if alive else f"It is started again by itself; if that goes on, see {data_dir.log(name)}."
+        remedy = "" if alive else f"It is restarted automatically; if this repeats, see {data_dir.log(name)}."
         why = "" if alive or name != "postgres" else last_postgres_error(data_dir.log(name))
         ill = f"Is not running: {why}." if why else "Is not running."
         yield DoctorFinding(f"service {name}", alive, f"Runs (pid {pid})." if alive else ill, remedy)

@@ -18,7 +18,7 @@ class NotRunning(StandaloneError):
 
 
 class PortTaken(StandaloneError):
-    """Another program listens on a port that was asked for."""
+    """Another program listens on a requested port."""
 
 
 class DataDirUnusable(StandaloneError):

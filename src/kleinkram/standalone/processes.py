@@ -1,4 +1,4 @@
-"""Child processes that end with their parent, and what /proc tells about processes of this machine.
+"""Child processes that end with their parent, and information from /proc about processes of this machine.
 
 Each child is signalled by the kernel when the *thread* that started it ends (PR_SET_PDEATHSIG), so start children from
 the main thread. Processes of an earlier supervisor are signalled through a pidfd that was opened before their identity

@@ -91,7 +91,7 @@ def run(options: UpOptions) -> None:
         listening = supervisor.plan.listening
         if not listening.is_loopback and listening.tls_cert is None:
             _log(
-                f"listening on {listening.address} without TLS: whoever shares the network can read passwords, tokens "
+                f"listening on {listening.address} without TLS: everybody on the network can read passwords, tokens "
                 "and recordings, and use them; give --tls-cert and --tls-key, unless you trust everybody on it"
             )
         try:
@@ -242,7 +242,7 @@ class Supervisor:
         self.plan.data_dir.runtime_file.unlink(missing_ok=True)
 
     def runtime_info(self) -> RuntimeInfo:
-        """Return what other programs of this user may know."""
+        """Return the content of `instance.json`."""
         plan = self.plan
         return RuntimeInfo(
             url=plan.public_url,

@@ -87,7 +87,7 @@ def test_lost_and_corrupt_objects_are_reported_and_others_backed_up(
     delete_object(source, by_path["lost"])
     write_object(source, by_path["corrupt"], b"other bytes")
     made = back_up(source, tmp_path)
-    assert sorted(made.problems.first) == sorted([f"{by_path['lost']}: lost", f"{by_path['spoiled']}: corrupt"])
+    assert sorted(made.problems.first) == sorted([f"{by_path['lost']}: lost", f"{by_path['corrupt']}: corrupt"])
     assert verify_place(tmp_path).damage.first == []
     with instances.empty() as target:
         restored = restore_to(target, tmp_path)

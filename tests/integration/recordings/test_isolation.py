@@ -166,11 +166,11 @@ def test_a_request_that_cannot_be_understood_ends_the_child() -> None:
     assert caught.value.kind is FailureKind.crash
 
 
-def test_the_child_sees_no_secret(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_child_gets_no_secret(monkeypatch: pytest.MonkeyPatch) -> None:
     """The environment of the parent, with its credentials, does not reach the child."""
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "hunter2")
-    report = "import json, os; print(json.dumps({'failed': 'source', 'message': str(dict(os.environ))}))"
-    monkeypatch.setattr(isolation, "CHILD_COMMAND", (sys.executable, "-I", "-c", report))
+    program = "import json, os; print(json.dumps({'failed': 'source', 'message': str(dict(os.environ))}))"
+    monkeypatch.setattr(isolation, "CHILD_COMMAND", (sys.executable, "-I", "-c", program))
     with pytest.raises(SummaryFailed, match="MALLOC_ARENA_MAX") as caught:
         summarise_isolated(FileRequest("/nowhere"))
     assert "hunter2" not in str(caught.value)

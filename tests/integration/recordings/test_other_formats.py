@@ -221,7 +221,7 @@ def test_stamps_of_a_trajectory_may_be_in_any_unit(
     assert summary.start_ns == (start_ns if unit != "us" else start_ns // 1000 * 1000)
 
 
-def test_a_first_stamp_of_zero_does_not_determine_the_unit() -> None:
+def test_a_first_stamp_of_zero_does_not_set_the_unit() -> None:
     lines = [f"{stamp} 1 2 3 0 0 0 1\n" for stamp in (0, 1_403_636_579_500_000_000, 1_403_636_580_500_000_000)]
     summary = summarise_text("".join(lines), "a.tum")
     assert (summary.start_ns, summary.end_ns) == (0, 1_403_636_580_500_000_000)

@@ -115,7 +115,7 @@ def _loaded(
 
 @pytest.fixture(params=["docker", pytest.param("podman", marks=pytest.mark.soak)])
 def engine(request: pytest.FixtureRequest) -> Dockerd:
-    """Each engine of containers."""
+    """Each container engine."""
     made: Dockerd = request.getfixturevalue(request.param)
     return made
 

@@ -84,7 +84,7 @@ def test_a_missing_command_is_reported_for_every_init_process(output: str, error
         ([[], []], [], None),
     ],
 )
-def test_behind_a_gate_the_same_is_run(
+def test_the_start_barrier_runs_the_same_command(
     tmp_path: Path, image: list[list[str]], command: list[str], runs: list[str] | None
 ) -> None:
     job = RunJob(**{**vars(job_of(tmp_path, Network.api)), "command": command})
@@ -99,7 +99,7 @@ def test_behind_a_gate_the_same_is_run(
     assert stat.S_ISFIFO((tmp_path / docker_container.BARRIER).stat().st_mode)
 
 
-def test_words_like_a_shells_are_a_programs_own_where_it_ends_by_another_code() -> None:
+def test_output_like_a_shell_error_is_ignored_with_another_exit_code() -> None:
     assert execution_error("kleinkram: 1: exec: /usr/bin/odd: not found", ["/usr/bin/odd"], 1) is None
 
 
@@ -133,11 +133,11 @@ def test_each_forwarded_host_has_its_own_address(tmp_path: Path) -> None:
         ("lab/slam:2@sha256:ab", "docker.io/lab/slam", "2", "sha256:ab"),
     ],
 )
-def test_names_of_images(text: str, place: str, tag: str, digest: str) -> None:
+def test_image_names_are_completed(text: str, place: str, tag: str, digest: str) -> None:
     assert parse_image_name(text) == (place, tag, digest)
 
 
-def test_allowed_are_registries_and_folders_of_them() -> None:
+def test_allowed_images_by_registry_or_namespace() -> None:
     allowed = ["ghcr.io/lab", "registry.lab.example:5000/"]
     for name in ("ghcr.io/lab/slam:1", "ghcr.io/lab", "registry.lab.example:5000/a/b"):
         assert is_allowed(parse_image_name(name), allowed), name
@@ -145,7 +145,7 @@ def test_allowed_are_registries_and_folders_of_them() -> None:
         assert not is_allowed(parse_image_name(name), allowed), name
 
 
-def test_credentials_are_those_of_docker_login(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_credentials_of_docker_login_are_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DOCKER_CONFIG", str(tmp_path))
     assert credentials_for("ghcr.io") is None
     known = {"ghcr.io": {"auth": base64.b64encode(b"ada:pass:word").decode()}, "quay.io": {"identitytoken": "t"}}
@@ -171,7 +171,7 @@ def read_credentials(registry: str) -> dict[str, str]:
     return dict(json.loads(base64.urlsafe_b64decode(values)))
 
 
-def test_usage_is_read_of_both_versions_of_control_groups(tmp_path: Path) -> None:
+def test_usage_of_both_versions_of_control_groups(tmp_path: Path) -> None:
     files = {
         "one/memory.stat": "anon 5\ninactive_file 1000\n",
         "one/memory.current": "51000\n",
@@ -195,9 +195,7 @@ def test_usage_is_read_of_both_versions_of_control_groups(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(("ended", "is_reported"), [(0, False), (2, True)])
-def test_ended_for_memory_is_read_of_both_versions_of_control_groups(
-    tmp_path: Path, ended: int, *, is_reported: bool
-) -> None:
+def test_out_of_memory_in_both_versions_of_control_groups(tmp_path: Path, ended: int, *, is_reported: bool) -> None:
     (tmp_path / "memory" / "one").mkdir(parents=True)
     (tmp_path / "memory" / "one" / "memory.oom_control").write_text(f"oom_kill_disable 0\noom_kill {ended}\n")
     (tmp_path / "two").mkdir()

@@ -22,7 +22,7 @@ from kleinkram.runner.executors.port_forward import PortForward
 from tests.integration.runner import engines
 from tests.integration.runner.conftest import Bench, lent, log_of
 from tests.integration.runner.engines import Dockerd, Registry
-from tests.integration.runner.test_executors import CONNECTS, answers, ending_of_start, until_logged_by
+from tests.integration.runner.test_executors import CONNECT, answers, ending_of_start, until_logged_by
 
 pytestmark = pytest.mark.slow
 BOTH = pytest.mark.parametrize("bench", ["docker", "podman"], indirect=True)
@@ -71,28 +71,26 @@ def is_numbered(text: str) -> bool:
     return lines == [f"line {n}" for n in range(len(lines))]
 
 
-def test_an_image_that_is_not_there(bench: Bench, engine: Dockerd) -> None:
+def test_a_missing_image(bench: Bench, engine: Dockerd) -> None:
     reason, message = refusal(DockerExecutor(engine.engine, pull=Pull.never), "lab/nonsense:1")
     assert (reason, "lab/nonsense:1" in message) == (EndReason.image_unavailable, True)
     with pytest.raises(CannotStart, match="not on this runner"):
         bench.executor.submit(bench.with_image("lab/nonsense:1").job("pass"))
 
 
-def test_an_image_for_another_machine(bench: Bench, engine: Dockerd) -> None:
+def test_an_image_for_another_architecture(bench: Bench, engine: Dockerd) -> None:
     engine.load_foreign("lab/foreign:1", engines.root_of({"word": b"foreign"}), "arm64")
     reason, message = refusal(DockerExecutor(engine.engine), "lab/foreign:1")
     assert (reason, "arm64" in message) == (EndReason.not_possible, True)
 
 
-def test_a_program_for_another_machine(bench: Bench, engine: Dockerd) -> None:
+def test_a_program_for_another_architecture(bench: Bench, engine: Dockerd) -> None:
     image = engine.load("lab/odd:1", root=engines.root_of({"odd": b"\x7fELF but not really"}))
     ending = ending_of_start(bench, bench.with_image(image).job(["/odd"]))
     assert (ending.reason, "/odd" in ending.message) == (EndReason.command_not_found, True)
 
 
-def test_images_come_from_registries_and_a_digest_stays_what_it_is(
-    bench: Bench, engine: Dockerd, registry: Registry
-) -> None:
+def test_images_are_pulled_and_pinned_by_digest(bench: Bench, engine: Dockerd, registry: Registry) -> None:
     name = f"{registry.place}/lab/slam:1"
     first = small(engine, name, "first")
     engine.docker("push", name)
@@ -119,7 +117,7 @@ def test_images_come_from_registries_and_a_digest_stays_what_it_is(
     assert (reason, registry.place in message) == (EndReason.image_unavailable, True)
 
 
-def test_one_built_here_is_known_by_its_id(bench: Bench, engine: Dockerd) -> None:
+def test_a_locally_built_image_is_pinned_by_its_id(bench: Bench, engine: Dockerd) -> None:
     built = small(engine, "lab/built:1", "built")
     executor = DockerExecutor(engine.engine)
     made = executor.prepare_image("lab/built:1")
@@ -127,7 +125,7 @@ def test_one_built_here_is_known_by_its_id(bench: Bench, engine: Dockerd) -> Non
     assert executor.prepare_image(f"lab/built:1@{made.digest}") == made
 
 
-def test_the_images_own_command_and_volumes(bench: Bench, engine: Dockerd) -> None:
+def test_the_command_and_volumes_of_an_image_are_used(bench: Bench, engine: Dockerd) -> None:
     text = "import os; open('/data/x', 'w').write('1'); print(os.getcwd(), os.environ['WORD'])"
     reported = [f'CMD ["python3", "-c", "{text}"]', "VOLUME /data", "WORKDIR /var/lab", "ENV WORD=said", "USER 0:0"]
     image = engine.load("lab/own:1", *reported, root=engines.python_root())
@@ -139,7 +137,7 @@ def test_the_images_own_command_and_volumes(bench: Bench, engine: Dockerd) -> No
 
 
 @BOTH
-def test_a_run_is_nobody_and_may_nothing(bench: Bench) -> None:
+def test_a_run_has_no_privileges(bench: Bench) -> None:
     text = (
         "import os, re\n"
         "said = dict(re.findall(r'(\\w+):\\s+(\\S+)', open('/proc/self/status').read()))\n"
@@ -152,7 +150,7 @@ def test_a_run_is_nobody_and_may_nothing(bench: Bench) -> None:
 
 
 @BOTH
-def test_processes_are_counted(bench: Bench) -> None:
+def test_the_number_of_processes_is_limited(bench: Bench) -> None:
     text = (
         "import os, time\nn = 0\ntry:\n    while n < 5000:\n"
         "        if os.fork() == 0: time.sleep(60)\n        n += 1\nexcept OSError: print(n)"
@@ -217,7 +215,7 @@ def until_logged(job: RunJob, words: str) -> None:
 
 
 @BOTH
-def test_a_runner_is_killed_and_another_one_finds_its_run(bench: Bench, engine: Dockerd) -> None:
+def test_the_next_runner_reattaches_to_a_run(bench: Bench, engine: Dockerd) -> None:
     job = bench.job(COUNTS)
     with another_runner(bench, engine, job, COUNTS):
         until_logged(job, "line 20\n")
@@ -229,7 +227,7 @@ def test_a_runner_is_killed_and_another_one_finds_its_run(bench: Bench, engine: 
 
 
 @BOTH
-def test_runners_are_killed_and_no_line_of_the_log_is_missing_or_there_twice(bench: Bench, engine: Dockerd) -> None:
+def test_killed_runners_lose_and_duplicate_no_line_of_the_log(bench: Bench, engine: Dockerd) -> None:
     text = COUNTS.replace("10_000", "300").replace(
         "print(", "print(f'error {n}', file=__import__('sys').stderr); print("
     )
@@ -244,7 +242,7 @@ def test_runners_are_killed_and_no_line_of_the_log_is_missing_or_there_twice(ben
         assert [entry for entry in lines if entry.startswith(word)] == [f"{word} {n}" for n in range(300)]
 
 
-def test_the_time_limit_counts_while_no_runner_watches(bench: Bench, engine: Dockerd) -> None:
+def test_the_time_limit_includes_time_without_a_runner(bench: Bench, engine: Dockerd) -> None:
     job = bench.job(COUNTS, time_s=6)
     with another_runner(bench, engine, job, COUNTS):
         until_logged(job, "line 1\n")
@@ -257,7 +255,7 @@ def test_the_time_limit_counts_while_no_runner_watches(bench: Bench, engine: Doc
 def test_the_next_runner_opens_the_port_forwards_again(bench: Bench) -> None:
     with socket.create_server(("127.0.0.1", 0)) as api:
         answers(api, b"api:")
-        text = CONNECTS + "import time\nwhile True: print(knock('lab.example', 443), flush=True); time.sleep(0.05)"
+        text = CONNECT + "import time\nwhile True: print(dial('lab.example', 443), flush=True); time.sleep(0.05)"
         job = bench.job(text, network=Network.api, port_forwards=[PortForward("lab.example", 443, *api.getsockname())])
         bench.executor.submit(job)
         until_logged_by(bench, text, "api:\n")
@@ -271,14 +269,14 @@ def test_the_next_runner_opens_the_port_forwards_again(bench: Bench) -> None:
             time.sleep(0.05)
 
 
-def test_a_container_that_somebody_removes_is_lost(bench: Bench, engine: Dockerd) -> None:
+def test_a_container_removed_by_hand_is_lost(bench: Bench, engine: Dockerd) -> None:
     job = bench.job(COUNTS)
     bench.executor.submit(job)
     engine.docker("rm", "--force", f"kleinkram-{job.key}")
     assert bench.end_of(job).reason is EndReason.lost
 
 
-def test_own_leftover_containers_are_removed(bench: Bench, engine: Dockerd) -> None:
+def test_only_containers_of_this_runner_are_removed(bench: Bench, engine: Dockerd) -> None:
     jobs = [bench.job(COUNTS) for _ in range(3)]
     mine, other = (DockerExecutor(engine.engine, runner=entry) for entry in ("mine", "other"))
     for executor, job in zip((mine, mine, other), jobs, strict=True):

@@ -62,7 +62,7 @@ def a_run(folder: Path) -> RunJob:
     return RunJob("a-run", folder, [], "an-image", Resources(), Network.none)
 
 
-def test_cleanup_continues_after_a_container_that_cannot_be_removed(
+def test_removing_continues_after_a_container_that_stays(
     executor: DockerExecutor, caplog: pytest.LogCaptureFixture
 ) -> None:
     executor.remove_others([])
@@ -70,7 +70,7 @@ def test_cleanup_continues_after_a_container_that_cannot_be_removed(
     assert caplog.text.count("was not removed: device or resource busy") == 2
 
 
-def test_a_run_is_removed_though_its_container_stays(
+def test_a_run_is_removed_even_if_its_container_stays(
     executor: DockerExecutor, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     executor.remove(a_run(tmp_path))

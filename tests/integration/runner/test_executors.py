@@ -52,7 +52,7 @@ def until_logged_by(bench: Bench, text: str, words: str) -> None:
 
 
 @EVERYWHERE
-def test_reads_in_and_leaves_out(isolated: Bench) -> None:
+def test_a_job_reads_in_and_writes_out(isolated: Bench) -> None:
     job = isolated.job(
         "import os, pathlib\n"
         "pathlib.Path('/out/copy').write_text(pathlib.Path('/in/drive.txt').read_text())\n"
@@ -82,7 +82,7 @@ def test_nothing_else_can_be_written(isolated: Bench, path: str) -> None:
 
 
 @EVERYWHERE
-def test_nothing_of_the_machine_is_seen(isolated: Bench) -> None:
+def test_the_sandbox_hides_the_machine(isolated: Bench) -> None:
     secret = isolated.folder / "credentials.json"
     secret.write_text("a token")
     job, ending = isolated.run(
@@ -110,7 +110,7 @@ def test_nothing_of_the_machine_is_seen(isolated: Bench) -> None:
 
 
 @EVERYWHERE
-def test_without_network_nothing_answers(isolated: Bench) -> None:
+def test_without_network_nothing_can_be_reached(isolated: Bench) -> None:
     with socket.create_server(("0.0.0.0", 0)) as decoy:
         port = decoy.getsockname()[1]
         job, ending = isolated.run(
@@ -125,7 +125,7 @@ def test_without_network_nothing_answers(isolated: Bench) -> None:
             decoy.accept()
 
 
-def test_an_open_network_is_the_machines(bench: Bench) -> None:
+def test_an_open_network_reaches_the_machine(bench: Bench) -> None:
     with socket.create_server((bench.machine, 0)) as there:
         address = there.getsockname()
         job = bench.job(f"import socket; socket.create_connection({address}, 5)", network=Network.open)
@@ -148,7 +148,7 @@ def test_a_crash_is_reported(bench: Bench) -> None:
 
 
 @EVERYWHERE
-def test_a_command_that_is_not_there(bench: Bench) -> None:
+def test_a_missing_command(bench: Bench) -> None:
     ending = ending_of_start(bench, bench.job(["/usr/bin/nonsense"]))
     assert (ending.reason, "/usr/bin/nonsense" in ending.message) == (EndReason.command_not_found, True)
 
@@ -185,7 +185,7 @@ _MEMORY_OUTSIDE_PROCESSES = {
 
 @_PROCESS_ONLY
 @pytest.mark.parametrize("kind", _MEMORY_OUTSIDE_PROCESSES)
-def test_memory_that_is_no_process_own_is_counted_or_not_to_be_had(isolated: Bench, kind: str) -> None:
+def test_memory_outside_processes_is_counted_or_denied(isolated: Bench, kind: str) -> None:
     _, ending = isolated.run(f"import os\n{_MEMORY_OUTSIDE_PROCESSES[kind]}", memory_bytes=60_000_000, time_s=20)
     assert ending.reason in {EndReason.memory, EndReason.exit_code}
 
@@ -197,7 +197,7 @@ def test_shared_memory_is_counted(isolated: Bench) -> None:
 
 
 @_PROCESS_ONLY
-def test_processes_share_memory_as_programs_do(isolated: Bench) -> None:
+def test_processes_can_share_memory(isolated: Bench) -> None:
     text = (
         "import multiprocessing as m\nfrom multiprocessing.shared_memory import SharedMemory\n"
         "def fill(name):\n    held = SharedMemory(name); held.buf[:3] = b'abc'; held.close()\n"
@@ -235,19 +235,19 @@ def test_many_small_files_are_counted(isolated: Bench) -> None:
 
 
 @pytest.mark.slow
-def test_too_long_ends_the_run(bench: Bench) -> None:
+def test_the_time_limit_ends_the_run(bench: Bench) -> None:
     _, ending = bench.run(LASTING, time_s=1)
     assert ending.reason is EndReason.time
 
 
 @pytest.mark.slow
-def test_a_fork_bomb_stays_inside(isolated: Bench) -> None:
+def test_a_fork_bomb_is_contained(isolated: Bench) -> None:
     _, ending = isolated.run("import os\nwhile True:\n    try: os.fork()\n    except OSError: pass", time_s=2)
     assert ending.reason in {EndReason.time, EndReason.memory}
 
 
 @pytest.mark.slow
-def test_a_run_that_ignores_signals_is_cancelled(bench: Bench) -> None:
+def test_a_run_that_ignores_sigterm_is_killed(bench: Bench) -> None:
     text = "import signal, time; signal.signal(15, signal.SIG_IGN); print('ready', flush=True); time.sleep(60)"
     job = bench.job(text)
     bench.executor.submit(job)
@@ -259,7 +259,7 @@ def test_a_run_that_ignores_signals_is_cancelled(bench: Bench) -> None:
 
 
 @EVERYWHERE
-def test_a_run_may_tidy_up_when_it_is_cancelled(bench: Bench) -> None:
+def test_a_cancelled_run_may_clean_up(bench: Bench) -> None:
     text = (
         "import signal, sys, time\n"
         "def end(*_): print('tidied', flush=True); sys.exit(0)\n"
@@ -303,7 +303,7 @@ def test_background_processes_of_a_run_end_with_it(isolated: Bench) -> None:
 
 
 @pytest.mark.slow
-def test_found_again_by_another_runner(bench: Bench) -> None:
+def test_another_runner_reattaches(bench: Bench) -> None:
     job = bench.job(LASTING)
     bench.executor.submit(job)
     until_logged_by(bench, LASTING, "ready")
@@ -328,7 +328,7 @@ def test_usage_is_reported(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("bench", ["process"], indirect=True)
-def test_a_job_dies_with_its_supervisor_and_is_lost(isolated: Bench) -> None:
+def test_a_job_whose_supervisor_is_killed_is_lost(isolated: Bench) -> None:
     job = isolated.job(LASTING)
     isolated.executor.submit(job)
     until_logged_by(isolated, LASTING, "ready")
@@ -345,7 +345,7 @@ def test_a_job_dies_with_its_supervisor_and_is_lost(isolated: Bench) -> None:
 
 
 @pytest.mark.parametrize("bench", ["process"], indirect=True)
-def test_no_image_without_an_engine(bench: Bench) -> None:
+def test_images_need_an_engine(bench: Bench) -> None:
     with pytest.raises(CannotStart, match="no image") as caught:
         bench.executor.submit(bench.with_image("lab/slam:1").job(LASTING))
     assert caught.value.ending.reason is EndReason.not_possible
@@ -369,12 +369,12 @@ def answers(server: socket.socket, words: bytes) -> None:
     threading.Thread(target=answer, daemon=True).start()
 
 
-CONNECTS = """
+CONNECT = """
 import socket
-def knock(host, port, said=b''):
+def dial(host, port, data=b''):
     try:
         with socket.create_connection((host, port), 5) as there:
-            there.sendall(said); there.shutdown(socket.SHUT_WR)
+            there.sendall(data); there.shutdown(socket.SHUT_WR)
             return b''.join(iter(lambda: there.recv(65536), b'')).decode()
     except OSError:
         return 'none'
@@ -397,10 +397,10 @@ def test_with_port_forwards_only_the_api_and_the_store_answer(isolated: Bench) -
         refused = [(host, port) for host in ("127.0.0.1", isolated.machine, "127.1.0.1") for port in ports]
         refused += [("store.lab.example", 80), ("192.168.77.7", 443), ("127.0.0.1", 443), ("192.0.2.1", 443)]
         job = isolated.job(
-            CONNECTS
-            + f"for host, port in {[(entry.host, entry.port) for entry in forwards]}: print(knock(host, port, b'hi'))\n"
-            f"print({{knock(host, port) for host, port in {refused}}})\n"
-            "print(len(knock('store.lab.example', 443, bytes(3_000_000))))",
+            CONNECT
+            + f"for host, port in {[(entry.host, entry.port) for entry in forwards]}: print(dial(host, port, b'hi'))\n"
+            f"print({{dial(host, port) for host, port in {refused}}})\n"
+            "print(len(dial('store.lab.example', 443, bytes(3_000_000))))",
             network=Network.api,
             port_forwards=forwards,
         )
@@ -416,7 +416,7 @@ def test_the_target_of_a_port_forward_may_be_unavailable(isolated: Bench) -> Non
     with socket.create_server(("127.0.0.1", 0)) as gone:
         port = gone.getsockname()[1]
     forward = PortForward("kleinkram.lab.example", 443, "127.0.0.1", port)
-    text = CONNECTS + "print(knock('kleinkram.lab.example', 443) in ('', 'none'))"
+    text = CONNECT + "print(dial('kleinkram.lab.example', 443) in ('', 'none'))"
     job = isolated.job(text, network=Network.api, port_forwards=[forward])
     isolated.executor.submit(job)
     assert isolated.end_of(job).reason is EndReason.done

@@ -242,6 +242,7 @@ class FakeServer:
         if self.refuses_reports and finish.report.metrics:
             raise InvalidRequest(problems=[FieldProblem(field="report", message="is refused")])
         run.finishes.append(finish)
+        run.digest = finish.image_digest or run.digest
         ends = {EndReason.done: RunState.done, EndReason.cancelled: RunState.cancelled}
         run.state = ends.get(finish.reason, RunState.failed)
         return RunFinished(state=run.state)

@@ -20,12 +20,12 @@ from tests.integration.runner_loop.fake_server import FakeServer
 
 pytestmark = pytest.mark.slow
 
-CONNECT = """
+CONNECT_SCRIPT = """
 import http.client, os, urllib.parse
 url = urllib.parse.urlsplit(os.environ["KLEINKRAM_URL"])
-knocked = http.client.HTTPConnection(url.netloc, timeout=5)
-knocked.request("GET", "/api/v1/service", headers={"Authorization": "Bearer " + os.environ["KLEINKRAM_TOKEN"]})
-print(knocked.getresponse().status, open("/in/drive.txt").read())
+connection = http.client.HTTPConnection(url.netloc, timeout=5)
+connection.request("GET", "/api/v1/service", headers={"Authorization": "Bearer " + os.environ["KLEINKRAM_TOKEN"]})
+print(connection.getresponse().status, open("/in/drive.txt").read())
 open("/out/x", "w").write("x")
 """
 LASTING = "import time\nfor n in range(60): print(n, flush=True); time.sleep(0.1)"
@@ -42,7 +42,7 @@ def test_a_container_reads_inputs_calls_the_api_and_writes_artifacts(
         {"drive.txt": b"bytes of a drive"},
         script=None,
         image=engines.IMAGE,
-        command=["python3", "-c", CONNECT],
+        command=["python3", "-c", CONNECT_SCRIPT],
         network=Network.api,
         token=RUN_TOKEN,
     )

@@ -62,7 +62,7 @@ def until_running(runners: Runners, run: FakeRun) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("when", [RunState.preparing, RunState.running, RunState.collecting])
-def test_a_runner_that_is_killed_finds_its_run_again(server: FakeServer, runners: Runners, when: RunState) -> None:
+def test_a_killed_runner_reattaches_to_its_run(server: FakeServer, runners: Runners, when: RunState) -> None:
     data = bytes(range(256)) * 4000
     server.slow_bytes_per_s = 400_000
     server.holds_uploads.set()
@@ -108,7 +108,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("impatient")
-def test_results_are_uploaded_once_the_store_is_back(server: FakeServer, runners: Runners) -> None:
+def test_results_are_uploaded_once_the_store_is_available(server: FakeServer, runners: Runners) -> None:
     """However long that takes: more rounds than one that refuses them is given."""
     server.has_no_store.set()
     runners.start()
@@ -178,7 +178,7 @@ def test_a_run_whose_lease_cannot_be_renewed_is_ended(
 
 
 @pytest.mark.slow
-def test_the_run_of_a_runner_that_is_gone_ends_before_another_one_gets_it(server: FakeServer, runners: Runners) -> None:
+def test_a_run_of_a_lost_runner_ends_before_its_lease_does(server: FakeServer, runners: Runners) -> None:
     server.lease_s = LEASE_MARGIN_S + 8
     first = runners.spawn()
     run = server.launch(LASTING, lease_s=LEASE_MARGIN_S + 8)
@@ -210,7 +210,7 @@ def test_a_run_is_cancelled_while_it_runs(server: FakeServer, runners: Runners) 
     assert run.artifacts == {LOG_PATH: b"began\n"}
 
 
-def test_a_run_is_cancelled_while_its_inputs_come(server: FakeServer, runners: Runners) -> None:
+def test_a_run_is_cancelled_during_its_downloads(server: FakeServer, runners: Runners) -> None:
     server.slow_bytes_per_s = 1000
     runners.start()
     run = server.launch("print('never')", {"drive.bag": bytes(10**6)})
@@ -222,7 +222,7 @@ def test_a_run_is_cancelled_while_its_inputs_come(server: FakeServer, runners: R
 
 
 @pytest.mark.slow
-def test_a_run_is_cancelled_while_its_files_are_sent(server: FakeServer, runners: Runners) -> None:
+def test_a_run_is_cancelled_during_its_uploads(server: FakeServer, runners: Runners) -> None:
     server.store_refuses.set()
     runners.start()
     run = server.launch("from kleinkram.action import out\n(out / 'x').write_text('x')")
@@ -234,7 +234,7 @@ def test_a_run_is_cancelled_while_its_files_are_sent(server: FakeServer, runners
     assert run.artifacts == {}
 
 
-def test_a_claim_whose_answer_was_lost_comes_again(server: FakeServer, runners: Runners) -> None:
+def test_a_claim_whose_response_was_lost_is_repeated(server: FakeServer, runners: Runners) -> None:
     run = server.launch("print('done')")
     runner = runners.start()
     # As if it had been given to this runner before, and the answer never came.
@@ -244,7 +244,7 @@ def test_a_claim_whose_answer_was_lost_comes_again(server: FakeServer, runners: 
 
 
 @pytest.mark.slow
-def test_no_more_is_begun_than_there_is_room_for(server: FakeServer, runners: Runners) -> None:
+def test_runs_never_exceed_the_capacity(server: FakeServer, runners: Runners) -> None:
     script = (
         "import time\nfrom kleinkram.action import out\n"
         "(out / 'from').write_text(repr(time.monotonic()))\ntime.sleep(0.3)\n"
@@ -260,7 +260,7 @@ def test_no_more_is_begun_than_there_is_room_for(server: FakeServer, runners: Ru
     assert [len(run.finishes) for run in runs] == [1] * 6
 
 
-def test_a_run_that_needs_more_than_there_is_says_so(server: FakeServer, runners: Runners) -> None:
+def test_a_run_that_exceeds_the_disk_reports_it(server: FakeServer, runners: Runners) -> None:
     runners.start()
     run = server.launch("", image="debian:12", script=None)
     finish = ended(run).finishes[0]
@@ -268,7 +268,7 @@ def test_a_run_that_needs_more_than_there_is_says_so(server: FakeServer, runners
     assert "runs no images" in finish.message
 
 
-def test_a_server_in_trouble_is_waited_for(server: FakeServer, runners: Runners) -> None:
+def test_requests_are_repeated_while_the_server_fails(server: FakeServer, runners: Runners) -> None:
     server.fails = {"/runner/runs/*/context": 2, "/runner/runs/*/finish": 2, "/runner/runs/*/uploads": 1}
     runners.start()
     run = server.launch("print('done')")
@@ -277,7 +277,7 @@ def test_a_server_in_trouble_is_waited_for(server: FakeServer, runners: Runners)
     assert set(server.fails.values()) == {0}
 
 
-def test_a_report_that_the_server_refuses_does_not_hide_the_end(server: FakeServer, runners: Runners) -> None:
+def test_a_refused_report_does_not_hide_the_end(server: FakeServer, runners: Runners) -> None:
     server.refuses_reports = True
     runners.start()
     run = server.launch("from kleinkram.action import report\nreport.metric('n', 1)")

@@ -14,7 +14,7 @@ READ = (
 
 
 @pytest.mark.slow
-def test_runs_of_one_input_fetch_it_once(server: FakeServer, runners: Runners) -> None:
+def test_concurrent_runs_download_an_input_once(server: FakeServer, runners: Runners) -> None:
     server.slow_bytes_per_s = 40
     runners.start()
     runs = [server.launch(READ, {"drive.bag": b"bytes of a drive"}) for _ in range(3)]
@@ -24,7 +24,7 @@ def test_runs_of_one_input_fetch_it_once(server: FakeServer, runners: Runners) -
     assert server.requests["GET store"] == 1
 
 
-def test_a_damaged_input_is_downloaded_once_more_and_never_used(server: FakeServer, runners: Runners) -> None:
+def test_a_damaged_input_is_downloaded_again_and_never_used(server: FakeServer, runners: Runners) -> None:
     server.spoilt["drive.bag"] = b"Bytes of a drive"
     runners.start()
     run = server.launch(READ, {"drive.bag": b"bytes of a drive"})
@@ -46,7 +46,7 @@ def test_changed_inputs_are_downloaded_again(server: FakeServer, runners: Runner
     assert server.requests["GET store"] == 2
 
 
-def test_a_path_that_leads_elsewhere_is_refused(server: FakeServer, runners: Runners) -> None:
+def test_an_input_path_outside_the_directory_is_refused(server: FakeServer, runners: Runners) -> None:
     runners.start()
     for path in ("../../escaped", "mission.json", ".kleinkram/script.py"):
         run = ended(server.launch(READ, {path: b"x"}))

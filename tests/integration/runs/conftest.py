@@ -30,7 +30,7 @@ class Played:
     active_ids: list[str] = field(default_factory=list)
 
     def hello(self, **abilities: Any) -> Any:
-        """Say what it is: an engine of containers, unless said otherwise."""
+        """Say what it is: a container engine, unless said otherwise."""
         usual = {
             "executor": "docker",
             "isolation": "container",

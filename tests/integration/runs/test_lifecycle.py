@@ -151,6 +151,12 @@ def test_an_action_that_may_only_read_puts_nothing_back(lab: Api, runner: Played
     assert "right: CREATE" in lab.get(f"/runs/{made['id']}").ok()["problems"][0]
 
 
+def test_a_run_without_heartbeats_has_its_image_digest(lab: Api, runner: Played, place: Place) -> None:
+    launched = launch(lab, runner, place.mission)
+    runner.finish(runner.claim(), image_digest="sha256:short").ok()
+    assert lab.get(f"/runs/{launched['id']}").ok()["image_digest"] == "sha256:short"
+
+
 def test_the_very_same_is_not_run_twice_unless_it_must_be(lab: Api, runner: Played, place: Place) -> None:
     first = launch(lab, runner, place.mission)
     claim = runner.claim()

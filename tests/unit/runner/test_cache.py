@@ -56,7 +56,7 @@ def test_cached_inputs_are_not_downloaded_again(tmp_path: Path) -> None:
     assert (tmp_path / "drive.bag").stat().st_mode & 0o777 == 0o444
 
 
-def test_the_longest_unused_goes_first_and_what_is_used_stays(tmp_path: Path) -> None:
+def test_least_recently_used_files_are_evicted_first(tmp_path: Path) -> None:
     cache = InputCache(tmp_path / "cache", 30)
     old, used, newer, new = b"1" * 10, b"2" * 10, b"3" * 10, b"4" * 10
     bring(cache, used, 1)
@@ -73,7 +73,7 @@ def test_the_longest_unused_goes_first_and_what_is_used_stays(tmp_path: Path) ->
     assert stored(cache, used, newer, b"6" * 30) == [False, False, True]
 
 
-def test_other_bytes_are_fetched_once_more(tmp_path: Path) -> None:
+def test_damaged_bytes_are_downloaded_once_more(tmp_path: Path) -> None:
     cache = InputCache(tmp_path / "cache", 1000)
     data, wrong = b"bytes of a drive", b"Bytes of a drive"
     values = iter([wrong, data])
@@ -105,7 +105,7 @@ def test_partial_downloads_count_towards_the_cache_size(tmp_path: Path) -> None:
     assert rest == [5]
 
 
-def test_many_that_want_one_file_fetch_it_once(tmp_path: Path) -> None:
+def test_concurrent_requests_download_a_file_once(tmp_path: Path) -> None:
     cache = InputCache(tmp_path / "cache", 1000)
     data = b"bytes of a drive"
     calls: list[bytes] = []

@@ -82,7 +82,7 @@ export interface paths {
         };
         /**
          * Get Admin Health
-         * @description Say how database, store and workers are.
+         * @description Return the state of database, store and workers.
          */
         get: operations["get_admin_health"];
         put?: never;
@@ -102,7 +102,7 @@ export interface paths {
         };
         /**
          * Get Admin Jobs
-         * @description Show the queue, the jobs that wait for another attempt, and those that were given up.
+         * @description Return the queue, the jobs that wait for another attempt, and failed jobs.
          */
         get: operations["get_admin_jobs"];
         put?: never;
@@ -124,7 +124,7 @@ export interface paths {
         put?: never;
         /**
          * Retry Job
-         * @description Put a job that was given up back into the queue.
+         * @description Put a failed job back into the queue.
          */
         post: operations["retry_job"];
         delete?: never;
@@ -144,7 +144,7 @@ export interface paths {
         put?: never;
         /**
          * Retry Jobs
-         * @description Put all jobs that were given up back into the queue.
+         * @description Put all failed jobs back into the queue.
          */
         post: operations["retry_jobs"];
         delete?: never;
@@ -162,13 +162,13 @@ export interface paths {
         };
         /**
          * Get Admin Scrub
-         * @description Say what the last comparison of the store with the database found.
+         * @description Return the last comparison of the store with the database.
          */
         get: operations["get_admin_scrub"];
         put?: never;
         /**
          * Begin Scrub
-         * @description Have the store's list compared with the database now.
+         * @description Start a comparison of the store with the database.
          */
         post: operations["begin_scrub"];
         delete?: never;
@@ -186,7 +186,7 @@ export interface paths {
         };
         /**
          * Get Admin Settings
-         * @description Show the settings in force, secrets left out.
+         * @description Return the settings in force, without secrets.
          */
         get: operations["get_admin_settings"];
         put?: never;
@@ -206,7 +206,7 @@ export interface paths {
         };
         /**
          * Get Admin Storage
-         * @description Say what the store keeps, by state, and how full its disk is where that is known.
+         * @description Return the contents of the store by state, and the free space if known.
          */
         get: operations["get_admin_storage"];
         put?: never;
@@ -975,7 +975,7 @@ export interface paths {
         };
         /**
          * Get Home
-         * @description Return what moved lately, what you left unfinished, and what needs attention.
+         * @description Return recent missions, your unfinished uploads, and what needs attention.
          */
         get: operations["get_home"];
         put?: never;
@@ -995,7 +995,7 @@ export interface paths {
         };
         /**
          * Get Home Storage
-         * @description Return what the largest projects take, and, to admins, what the store holds.
+         * @description Return the size of the largest projects and, for admins, of the store.
          */
         get: operations["get_home_storage"];
         put?: never;
@@ -2217,7 +2217,7 @@ export interface paths {
         };
         /**
          * Service
-         * @description Say what this server is, and who you are to it.
+         * @description Return what this server is, and who you are.
          */
         get: operations["get_service"];
         put?: never;

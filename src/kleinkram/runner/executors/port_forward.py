@@ -163,7 +163,7 @@ def _forward_one(inside: socket.socket, forward: PortForward, slots: threading.S
 
 
 def _pump(source: socket.socket, target: socket.socket) -> None:
-    """PortForward one direction to its end; the other one may go on."""
+    """Forward one direction to its end; the other one may continue."""
     try:
         while data := source.recv(_BUFFER_BYTES):
             target.sendall(data)

@@ -1,7 +1,7 @@
 """Runs jobs as processes of this machine, in sandboxes where the kernel allows that.
 
 A supervisor process per job starts it, enforces its limits and writes its log and ending. It outlives the runner. The
-runner and the supervisor share a lock, so that a later runner knows whether the supervisor is alive.
+runner and the supervisor share a lock, by which a later runner finds out whether the supervisor is alive.
 """
 
 import contextlib
@@ -26,7 +26,7 @@ from kleinkram.runner.files import reserve, write_atomically
 
 _LOCK_RETRIES = 50
 _POLL_EVERY_S = 0.02
-_NO_IMAGES = "Without an engine of containers, no image can be run."
+_NO_IMAGES = "Without a container engine, no image can be run."
 _LOST = Ending(EndReason.lost, "Its processes were killed together with their supervisor.")
 
 
@@ -177,4 +177,4 @@ class ProcessExecutor(LocalExecutor):
         }
 
     def _network_refusal(self, network: str) -> str:
-        return f"Without an engine of containers, no run here has the network {network!r}."
+        return f"Without a container engine, no run here has the network {network!r}."

@@ -63,9 +63,10 @@ def is_available() -> bool:
 
 
 def run_in_sandbox(sandbox: Sandbox, command: Sequence[str], environment: Mapping[str, str], errors: int) -> int:
-    """Run a command in a new sandbox and return its exit code, 128 + n if a signal ended it. For a process of its own.
+    """Run a command in a new sandbox and return its exit code, 128 + n if a signal ended it.
 
-    Why it cannot start is written to the descriptor `errors`, which the command does not inherit.
+    Call it in a process that does nothing else. Why the command cannot start is written to the descriptor `errors`,
+    which the command does not inherit.
     """
     kernel.die_with_parent(signal.SIGKILL)
     _leave_namespaces(has_network=sandbox.has_network)

@@ -13,7 +13,7 @@ from kleinkram.server.tables import access_grant, access_group, affiliation_doma
 
 
 async def join_email_groups(db: Connection, person_id: uuid.UUID, email: str) -> None:
-    """Put somebody into the groups that follow from an address which was just verified to be theirs."""
+    """Add a person to the groups that follow from an address that was just verified."""
     await _join(db, await email_group(db, email), person_id)
     domains = select(affiliation_domain.c.group_id).where(affiliation_domain.c.domain == email_domain(email))
     for group_id in (await db.execute(domains.order_by(affiliation_domain.c.group_id))).scalars().all():
@@ -21,10 +21,10 @@ async def join_email_groups(db: Connection, person_id: uuid.UUID, email: str) ->
 
 
 async def email_group(db: Connection, email: str) -> uuid.UUID:
-    """Return the group of an address, made where there is none; whoever has verified the address is in it."""
+    """Return the group of an address, created if necessary; the person who verified the address is in it."""
     key = email_key(email)
     made = {"id": uuid.uuid4(), "kind": GroupKind.email.value, "name": key, "name_key": key}
-    # Whoever makes it at the same time is waited for, so that neither the grant nor the member is missed.
+    # Waits for a concurrent creation, so that neither the grant nor the member is missed.
     await db.execute(upsert(access_group).values(made).on_conflict_do_nothing())
     same = (access_group.c.kind == GroupKind.email.value) & (access_group.c.name_key == key)
     group_id: uuid.UUID = (await db.execute(select(access_group.c.id).where(same))).scalar_one()
@@ -39,15 +39,15 @@ async def _join(db: Connection, group_id: uuid.UUID, person_id: uuid.UUID) -> No
     await db.execute(upsert(membership).values(group_id=group_id, person_id=person_id).on_conflict_do_nothing())
 
 
-# Fixed, and made with the schema.
+# Fixed; created with the schema.
 ADMINS_ID = uuid.UUID("61646d69-6e73-4000-8000-000000000001")
-# The local owner of `klein up`. Fixed, so that every start finds the same person without a search by name.
+# The local owner of `klein up`.
 OWNER_ID = uuid.UUID("6f776e65-7200-4000-8000-000000000001")
 OWNER_TOKEN_NAME = "local owner"  # noqa: S105  the token's label, not its secret
 
 
 async def add_person(db: Connection, *, name: str, person_id: uuid.UUID | None = None) -> uuid.UUID:
-    """Make a person with a group of their own, and return their id. Nothing happens where that id is there already."""
+    """Create a person with their own group, unless the id exists, and return the id."""
     made = person_id or uuid.uuid4()
     added = await db.execute(upsert(person).values(id=made, name=name).on_conflict_do_nothing().returning(person.c.id))
     if added.first() is None:
@@ -60,17 +60,14 @@ async def add_person(db: Connection, *, name: str, person_id: uuid.UUID | None =
 
 
 async def own_group(db: Connection, person_id: uuid.UUID | None) -> uuid.UUID:
-    """Return the group that is one person's own."""
+    """Return the own group of a person."""
     stmt = select(access_group.c.id).where(access_group.c.person_id == person_id)
     group_id: uuid.UUID = (await db.execute(stmt)).scalar_one()
     return group_id
 
 
-async def prove_address(db: Connection, person_id: uuid.UUID, email: str, *, by: str) -> bool:
-    """Note that an address is somebody's, by whose word, and put them into the groups that follow from it.
-
-    Returns whether it is theirs now: an address that is another person's stays that person's.
-    """
+async def add_verified_address(db: Connection, person_id: uuid.UUID, email: str, *, by: str) -> bool:
+    """Add a verified address to a person and their groups; returns False if it belongs to another person."""
     values = {"email_key": email_key(email), "email": email, "person_id": person_id}
     row = upsert(person_email).values(**values, verified_at=func.now(), verified_by=by)
     row = row.on_conflict_do_update(
@@ -85,13 +82,13 @@ async def prove_address(db: Connection, person_id: uuid.UUID, email: str, *, by:
 
 
 async def make_admin(db: Connection, person_id: uuid.UUID) -> None:
-    """Put somebody into the group of admins for good; nothing happens where they are in it for good."""
+    """Make a person a permanent admin."""
     row = upsert(membership).values(group_id=ADMINS_ID, person_id=person_id)
     await db.execute(row.on_conflict_do_update(index_elements=["group_id", "person_id"], set_={"expires_at": None}))
 
 
 async def own_project(db: Connection, *, project_id: uuid.UUID, group_id: uuid.UUID) -> None:
-    """Make a group the owner of a project: DELETE, without an end."""
+    """Make a group the owner of a project: DELETE without an end."""
     row = upsert(access_grant).values(
         id=uuid.uuid4(), group_id=group_id, project_id=project_id, level=Right.delete.level
     )

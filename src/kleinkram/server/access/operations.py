@@ -1,6 +1,6 @@
-"""What each operation of the API takes: the one table that every route is held to, and that tests are made from.
+"""The permissions that each operation of the API requires. Tests are derived from this table.
 
-A route without a row here does not start. `scopes` names those of which a token must carry one; browsers carry all.
+A route without a row prevents the start of the server. A token needs one of `scopes`; browsers have all.
 """
 
 import enum
@@ -10,24 +10,22 @@ from kleinkram.contract.access import Right, Scope
 
 
 class ResourceKind(str, enum.Enum):
-    """What an operation's right must be held on."""
+    """The kind of object on which an operation requires its right."""
 
-    anything = "anything"  # whatever one may see: lists show just that
+    anything = "anything"  # whatever is visible to the actor
     server = "server"  # for admins
     project = "project"
     mission = "mission"
-    nothing = "nothing"  # what is one's own, or anybody's
+    nothing = "nothing"  # the actor's own objects, or nobody's
 
 
 @dataclass(frozen=True)
 class Permission:
-    """What an operation takes. `guests`: also without an account, on what is public or shared by a link.
+    """What an operation requires. `guests`: also without an account, on public and shared objects.
 
-    `runners`: also of a runner, for the runs that it holds, whatever its scopes; `only_runners`: of nobody else.
-    `reads`: a token must carry the scope read as well.
-    `browsers`: only of somebody who signed in by a browser, with no token: it could make a wider or a longer one.
-    `fresh`: only for a while after signing in.
-    `boundless`: only by a credential without limits, since it is about all that its person has.
+    `runners`: also by runners, for their runs, whatever their scopes; `only_runners`: by nobody else.
+    `reads`: tokens also need the scope read. `browsers`: only with a browser session, no token.
+    `fresh`: only shortly after signing in. `boundless`: only with a credential without limits.
     """
 
     on: ResourceKind
@@ -107,14 +105,14 @@ OPERATIONS: dict[str, Permission] = {
     "sign_parts": Permission(ResourceKind.mission, Right.create, _UPLOAD, runners=True),
     "complete_uploads": Permission(ResourceKind.mission, Right.create, _UPLOAD, runners=True),
     "abort_upload": Permission(ResourceKind.mission, Right.create, _UPLOAD, runners=True),
-    # Actions: a project's, or the whole lab's, which everybody with an account sees
+    # Actions of a project, or of the whole lab, which everybody with an account sees
     "list_actions": _seen(guests=False),
     "create_action": Permission(ResourceKind.project, Right.write, _WRITE),
     "get_action": Permission(ResourceKind.project, Right.read, _READ),
     "update_action": Permission(ResourceKind.project, Right.write, _WRITE),
     "list_action_versions": Permission(ResourceKind.project, Right.read, _READ),
     "publish_action_version": Permission(ResourceKind.project, Right.write, _WRITE),
-    # Runs. To start one takes what its action asks for too; to cancel another's takes DELETE.
+    # Runs. Starting one also requires the rights of its action; cancelling another person's requires DELETE.
     "create_runs": Permission(ResourceKind.mission, Right.create, _RUN, reads=True),
     "list_runs": _seen(guests=False),
     "get_run": Permission(ResourceKind.mission, Right.read, _READ),
@@ -127,7 +125,7 @@ OPERATIONS: dict[str, Permission] = {
     "list_findings": _seen(guests=False),
     "list_run_metrics": _seen(guests=False),
     "get_lineage": Permission(ResourceKind.mission, Right.read, _READ),
-    # Runners, which say all of this of runs that they hold
+    # Runners, for their own runs
     "list_runners": Permission(ResourceKind.server, None, _ADMIN),
     "register_runner": _runner(),
     "claim_run": _runner(),
@@ -138,7 +136,7 @@ OPERATIONS: dict[str, Permission] = {
     "confirm_log_chunk": _runner(),
     "create_artifact_uploads": _runner(),
     "finish_run": _runner(),
-    # Rights. Who may change them on a place sees all of them there; anybody else sees what is their own.
+    # Rights. Those who may change them see all; others see only their own.
     "list_project_grants": Permission(ResourceKind.project, Right.write, _READ),
     "list_mission_grants": Permission(ResourceKind.mission, Right.write, _READ),
     "create_project_grant": Permission(ResourceKind.project, Right.write, _ADMIN),
@@ -149,7 +147,7 @@ OPERATIONS: dict[str, Permission] = {
     "delete_mission_grant": Permission(ResourceKind.mission, Right.write, _ADMIN),
     "get_project_access": Permission(ResourceKind.project, Right.read, _READ),
     "get_mission_access": Permission(ResourceKind.mission, Right.read, _READ),
-    # Groups: seen by whoever is in them, changed by their editors
+    # Groups: visible to their members, changed by their editors
     "list_groups": Permission(ResourceKind.nothing, None, _READ),
     "create_group": Permission(ResourceKind.nothing, None, _ADMIN),
     "get_group": Permission(ResourceKind.nothing, None, _READ),
@@ -158,7 +156,7 @@ OPERATIONS: dict[str, Permission] = {
     "list_group_members": Permission(ResourceKind.nothing, None, _READ),
     "set_group_member": Permission(ResourceKind.nothing, None, _ADMIN),
     "remove_group_member": Permission(ResourceKind.nothing, None, _ADMIN),
-    # People: seen by whoever shares a group or a project with them
+    # People: visible to those who share a group or project with them
     "list_people": Permission(ResourceKind.nothing, None, _READ),
     "get_person": Permission(ResourceKind.nothing, None, _READ),
     "make_admin": Permission(ResourceKind.server, None, _ADMIN, fresh=True),
@@ -168,16 +166,16 @@ OPERATIONS: dict[str, Permission] = {
     # Trash
     "list_trash": Permission(ResourceKind.anything, Right.delete, _READ),
     "restore_from_trash": Permission(ResourceKind.mission, Right.delete, _WRITE),
-    # Tokens. Any may be ended with itself; all else about them takes the scope admin, which no robot's has.
+    # Tokens. Every token may revoke itself; everything else requires the scope admin, which robots do not have.
     "create_token": Permission(ResourceKind.nothing, None, _ADMIN),
     "list_tokens": Permission(ResourceKind.nothing, None, _ADMIN, boundless=True),
     "revoke_token": Permission(ResourceKind.nothing, None, _ANY),
-    # Links. Who has one sees what it shows; to make one is to let others in, which takes the scope admin.
+    # Links. Creating one gives others access, which requires the scope admin.
     "create_share": Permission(ResourceKind.mission, Right.write, _ADMIN),
     "list_shares": Permission(ResourceKind.anything, Right.write, _READ),
     "revoke_share": Permission(ResourceKind.mission, Right.write, _WRITE),
     "get_share": _seen(),
-    # Signing in: whoever has a password or a code needs no account yet
+    # Signing in: without an account
     "list_sign_in_methods": _public_endpoint(),
     "sign_in_by_password": _public_endpoint(),
     "sign_in_by_link": _public_endpoint(),
@@ -191,7 +189,7 @@ OPERATIONS: dict[str, Permission] = {
     "exchange_device_code": _public_endpoint(),
     "exchange_cli_code": _public_endpoint(),
     "sign_out": _public_endpoint(),
-    # Oneself
+    # The own account
     "get_me": Permission(ResourceKind.nothing, None, _ANY, runners=True),
     "list_sessions": Permission(ResourceKind.nothing, None, _ADMIN, boundless=True),
     "end_session": Permission(ResourceKind.nothing, None, _ADMIN, boundless=True),
@@ -214,10 +212,10 @@ OPERATIONS: dict[str, Permission] = {
     "renew_recovery_codes": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True, fresh=True),
     # Accounts
     "invite_person": Permission(ResourceKind.server, None, _ADMIN),
-    # With these, whoever sits at an admin's open browser would take over the account of that admin, or another.
+    # With these, somebody at an admin's open browser could take over accounts.
     "create_reset_link": Permission(ResourceKind.server, None, _ADMIN, fresh=True),
     "reset_totp": Permission(ResourceKind.server, None, _ADMIN, fresh=True),
-    # The record and the service
+    # Audit log, home, events, service
     "list_audit_events": Permission(ResourceKind.project, Right.delete, _READ),
     "export_audit_events": Permission(ResourceKind.project, Right.delete, _READ),
     "get_home": Permission(ResourceKind.nothing, None, _READ),
@@ -235,7 +233,7 @@ OPERATIONS: dict[str, Permission] = {
     "get_service": Permission(ResourceKind.nothing, None, _ANY, guests=True, runners=True),
 }
 
-# The first words of the app's addresses; web/src/router/routes.ts says what is shown there.
+# First segments of the paths of the web app, whose views are in web/src/router/routes.ts.
 PLACES = (
     "account",
     "actions",

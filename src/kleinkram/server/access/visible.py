@@ -231,7 +231,7 @@ def visible_groups(actor: Actor) -> Select[Any]:
     return select(access_group).where(access_group.c.id == any_(_my_groups(actor, _GROUPS)))
 
 
-def knows_addresses(actor: Actor) -> ColumnElement[bool]:
+def may_see_addresses(actor: Actor) -> ColumnElement[bool]:
     """Whether `actor` may know the addresses of each `person` of a select: as editor of a shared group, or as admin.
 
     People whom the editor added do not count: everybody who may create groups would learn everybody's address.

@@ -1,4 +1,4 @@
-"""The whole server over HTTP, for admins."""
+"""Routes for admins of the whole server."""
 
 from typing import Annotated
 
@@ -23,31 +23,31 @@ JobId = Annotated[int, Path(ge=1, le=2**63 - 1)]
 
 @router.get("/storage", operation_id="get_admin_storage")
 async def get_admin_storage(db: Transaction, settings: CurrentSettings) -> AdminStorage:
-    """Say what the store keeps, by state, and how full its disk is where that is known."""
+    """Return the contents of the store by state, and the free space if known."""
     return await service.get_storage(db, settings)
 
 
 @router.get("/jobs", operation_id="get_admin_jobs")
 async def get_admin_jobs(db: Transaction) -> AdminJobs:
-    """Show the queue, the jobs that wait for another attempt, and those that were given up."""
+    """Return the queue, the jobs that wait for another attempt, and failed jobs."""
     return await service.get_jobs(db)
 
 
 @router.post("/jobs/{job_id}/retry", operation_id="retry_job", status_code=204)
 async def retry_job(job_id: JobId, db: Transaction, actor: CurrentActor) -> None:
-    """Put a job that was given up back into the queue."""
+    """Put a failed job back into the queue."""
     await service.retry_job(db, actor, job_id)
 
 
 @router.post("/jobs/retry", operation_id="retry_jobs")
 async def retry_jobs(db: Transaction, actor: CurrentActor) -> RetriedJobs:
-    """Put all jobs that were given up back into the queue."""
+    """Put all failed jobs back into the queue."""
     return await service.retry_jobs(db, actor)
 
 
 @router.get("/scrub", operation_id="get_admin_scrub")
 async def get_admin_scrub(db: Transaction, settings: CurrentSettings) -> ScrubState:
-    """Say what the last comparison of the store with the database found."""
+    """Return the last comparison of the store with the database."""
     return await service.get_scrub(db, settings)
 
 
@@ -55,17 +55,17 @@ async def get_admin_scrub(db: Transaction, settings: CurrentSettings) -> ScrubSt
 async def begin_scrub(
     request: ScrubRequest, db: Transaction, actor: CurrentActor, settings: CurrentSettings
 ) -> ScrubRead:
-    """Have the store's list compared with the database now."""
+    """Start a comparison of the store with the database."""
     return await service.begin_scrub(db, actor, settings, believe=request.believe)
 
 
 @router.get("/health", operation_id="get_admin_health")
 async def get_admin_health(http_request: Request, context: CurrentContext, _actor: CurrentActor) -> AdminHealth:
-    """Say how database, store and workers are."""
+    """Return the state of database, store and workers."""
     return await service.get_health(context, takes_pages=http_request.app.state.pages_may_send)
 
 
 @router.get("/settings", operation_id="get_admin_settings")
 async def get_admin_settings(settings: CurrentSettings, _actor: CurrentActor) -> AdminSettings:
-    """Show the settings in force, secrets left out."""
+    """Return the settings in force, without secrets."""
     return service.get_settings(settings)

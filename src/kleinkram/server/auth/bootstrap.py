@@ -14,7 +14,14 @@ from kleinkram.contract.errors import CodeGone, FieldProblem, Forbidden, Invalid
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.tokens import SecretKind
 from kleinkram.server.access.actor import Actor, new_secret, secret_hash, secret_prefix, unexpired
-from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID, OWNER_TOKEN_NAME, add_person, make_admin, prove_address
+from kleinkram.server.access.groups import (
+    ADMINS_ID,
+    OWNER_ID,
+    OWNER_TOKEN_NAME,
+    add_person,
+    add_verified_address,
+    make_admin,
+)
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.auth.local_accounts import refuse_obvious_password, set_password
 from kleinkram.server.auth.one_time_codes import CodeRequest, create_code, use_code
@@ -63,7 +70,7 @@ async def bootstrap_admin(
         name = request.name
         refuse_obvious_password(request.password, field="password", about=(name, request.email))
         person_id = await add_person(db, name=name)
-        if not await prove_address(db, person_id, request.email, by="bootstrap"):
+        if not await add_verified_address(db, person_id, request.email, by="bootstrap"):
             raise SignInRefused(
                 reason=f"{request.email} has an account already. Sign in with it, then become the first admin."
             )

@@ -39,7 +39,7 @@ from kleinkram.contract.errors import (
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.people import email_key
 from kleinkram.server.access.actor import Actor, find_person
-from kleinkram.server.access.groups import add_person, prove_address
+from kleinkram.server.access.groups import add_person, add_verified_address
 from kleinkram.server.access.rights import lock_person
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.auth.one_time_codes import CodeRequest, create_code, require_person, use_code
@@ -253,7 +253,7 @@ async def accept_invitation(
     name = accepted.name or code.name or email.partition("@")[0]
     refuse_obvious_password(accepted.password, field="password", about=(name, email))
     person_id = await add_person(db, name=name)
-    if not await prove_address(db, person_id, email, by="invitation"):
+    if not await add_verified_address(db, person_id, email, by="invitation"):
         raise SignInRefused(reason=f"{email} has an account already. Sign in with it.")
     await _set_checked_password(
         db, person_id, name=name, new=accepted.password, password_hash=password_hash, field="password"

@@ -29,7 +29,7 @@ from kleinkram.contract.errors import NotFound, SignInRefused
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.people import check_email, email_domain, email_key
 from kleinkram.server.access.actor import Actor, secret_hash
-from kleinkram.server.access.groups import add_person, prove_address
+from kleinkram.server.access.groups import add_person, add_verified_address
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.auth.one_time_codes import is_valid
 from kleinkram.server.auth.sessions import renew_session
@@ -189,7 +189,7 @@ _ACCOUNT_LOCK = 0x6B6C4143
 
 
 async def open_account(
-    db: Connection, asker: Actor, *, verified: VerifiedIdentity, provider: OidcProvider
+    db: Connection, requester: Actor, *, verified: VerifiedIdentity, provider: OidcProvider
 ) -> uuid.UUID:
     """Return the person whose account an identity opens; creates or links the account if the settings allow it.
 
@@ -212,7 +212,7 @@ async def open_account(
         owners = select(person_email.c.person_id).where(person_email.c.email_key == email_key(trusted_address))
         owner = (await db.execute(owners)).scalar_one_or_none()
     if owner is None:
-        return await _new_account(db, asker, verified=verified, provider=provider, trusted_address=trusted_address)
+        return await _new_account(db, requester, verified=verified, provider=provider, trusted_address=trusted_address)
     # Also unlinked ones: the address may be reassigned.
     others = exists().where(identity.c.person_id == owner, identity.c.issuer == provider.issuer)
     if (await db.execute(select(others))).scalar_one():
@@ -220,7 +220,7 @@ async def open_account(
             reason=f"the account with {address} belongs to another identity of {provider.title}, and a reassigned "
             "address does not open it. Ask an admin of this server."
         )
-    await _link(db, asker, person_id=owner, verified=verified, provider=provider)
+    await _link(db, requester, person_id=owner, verified=verified, provider=provider)
     return owner
 
 
@@ -274,7 +274,7 @@ async def _verify_address(db: Connection, person_id: uuid.UUID, address: str | N
     """Add a verified address to an account, unless another person has it."""
     is_deactivated = select(person.c.deactivated_at.is_not(None)).where(person.c.id == person_id)
     if address is not None and not (await db.execute(is_deactivated)).scalar_one():
-        await prove_address(db, person_id, address, by=provider.issuer)
+        await add_verified_address(db, person_id, address, by=provider.issuer)
 
 
 async def _link(
@@ -291,7 +291,7 @@ async def _link(
 
 
 async def _new_account(
-    db: Connection, asker: Actor, *, verified: VerifiedIdentity, provider: OidcProvider, trusted_address: str | None
+    db: Connection, requester: Actor, *, verified: VerifiedIdentity, provider: OidcProvider, trusted_address: str | None
 ) -> uuid.UUID:
     is_invited = False
     if trusted_address is not None:
@@ -310,8 +310,8 @@ async def _new_account(
             break
     person_id = await add_person(db, name=name)
     after: Metadata = {"method": provider.issuer, "email": verified.email, "by_invitation": is_invited}
-    await record(db, asker, Event("person.create", "person", person_id, name, None, after=after))
-    await _link(db, asker, person_id=person_id, verified=verified, provider=provider)
+    await record(db, requester, Event("person.create", "person", person_id, name, None, after=after))
+    await _link(db, requester, person_id=person_id, verified=verified, provider=provider)
     await _verify_address(db, person_id, trusted_address, provider)
     return person_id
 

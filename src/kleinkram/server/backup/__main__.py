@@ -1,4 +1,4 @@
-"""`python -m kleinkram.server.backup REQUEST`: one command on backups, as a process of its own.
+"""`python -m kleinkram.server.backup REQUEST`: one command on backups.
 
 REQUEST is JSON without secrets, which come by the environment. Writes the result to stdout, failures to stderr, and
 ends with the CLI's exit codes. `klein backup` and `klein restore` become this process.

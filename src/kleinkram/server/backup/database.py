@@ -21,6 +21,7 @@ from kleinkram.server.backup.errors import (
     BackupError,
     BackupRequestInvalid,
     BackupUnreachable,
+    first_line,
 )
 from kleinkram.server.backup.lock import repeating
 from kleinkram.server.backup.objects import NamedObject
@@ -35,7 +36,7 @@ _CONFIRM_S = 30.0
 _SILENT_MS = 300_000
 
 _TABLES = """
-SELECT c.relname, array_agg(a.attname ORDER BY a.attnum)
+SELECT c.relname, string_agg(a.attname, ',' ORDER BY a.attnum)
 FROM pg_class c JOIN pg_attribute a ON a.attrelid = c.oid AND a.attnum > 0 AND NOT a.attisdropped
 WHERE c.relnamespace = 'public'::regnamespace AND c.relkind = 'r' AND a.attgenerated = ''
   AND c.relname <> 'alembic_version'
@@ -108,7 +109,7 @@ class DeletionLock:
             self._connection.execute("SELECT 1")
         except psycopg.Error as error:
             raise BackupUnreachable(
-                f"The database ended the connection that kept objects from being deleted ({_first_line(error)}): "
+                f"The database ended the connection that kept objects from being deleted ({first_line(error)}): "
                 "run the same command again. What was copied stays."
             ) from error
 
@@ -151,7 +152,7 @@ def database_facts(connection: Connection, store_id: str) -> DatabaseFacts:
     Raises:
         BackupRequestInvalid: the database is none of Kleinkram's.
     """
-    tables = {str(name): tuple(map(str, _as_list(columns))) for name, columns in connection.execute(_TABLES).fetchall()}
+    tables = {str(name): tuple(str(columns).split(",")) for name, columns in connection.execute(_TABLES).fetchall()}
     if "blob" not in tables:
         raise BackupRequestInvalid("The database has no tables of Kleinkram: check which one the settings name.")
     listing = sql.SQL(", ").join(sql.Identifier("public", name) for name in tables)
@@ -293,7 +294,12 @@ def _load_rows(database: Connection, snapshot: Snapshot, file: IO[bytes]) -> Non
         _run(database, f"ALTER TABLE {table} ADD CONSTRAINT {name} {definition}")
     for table in with_triggers:
         _run(database, f"ALTER TABLE {table} ENABLE TRIGGER USER")
-    _set_sequences(database, snapshot.sequences)
+    # Sequences continue where they were, and above the rows: the dumping role may not see all of them.
+    for sequence, table, column in database.execute(_SEQUENCES).fetchall():
+        highest = _value(database, f"SELECT max({column}) FROM {table}")  # noqa: S608  (quoted by the catalog)
+        last = max(snapshot.sequences.get(str(sequence), 0), highest if isinstance(highest, int) else 0)
+        if last:
+            database.execute("SELECT setval(quote_ident(%s)::regclass, %s)", (sequence, last))
 
 
 class _Pieces:
@@ -326,28 +332,19 @@ class _Pieces:
             raise BackupDamaged("The backup's database file was changed.") from None
 
 
-def _set_sequences(database: Connection, last_values: dict[str, int]) -> None:
-    """Let sequences continue where they were, and above what a table holds: the dumping role may not see all."""
-    for sequence, table, column in database.execute(_SEQUENCES).fetchall():
-        highest = _value(database, f"SELECT max({column}) FROM {table}")  # noqa: S608  (quoted by the catalog)
-        last = max(last_values.get(str(sequence), 0), highest if isinstance(highest, int) else 0)
-        if last:
-            database.execute("SELECT setval(quote_ident(%s)::regclass, %s)", (sequence, last))
-
-
 def _adjust_rows(
     database: Connection, target: RestoreTarget, snapshot: Snapshot, unavailable: Iterable[UnavailableObject]
 ) -> None:
-    """Let the rows say no more than is so: they are about another store, where nothing has been verified yet."""
+    """Reset what no longer holds: the objects are in another store, where nothing has been verified yet."""
     to, was = target.store_id, snapshot.store_id
     for table in ("blob", "upload", "log_chunk"):
         _run(database, f"UPDATE {table} SET store_id = %s WHERE store_id = %s AND store_id <> %s", to, was, to)  # noqa: S608  (constants)
     database.execute("DELETE FROM store_probe")
-    # The parts of active uploads are in the old store: clients begin these again, and find their names free.
+    # The parts of active uploads are in the old store: clients start these again, and their names are free.
     database.execute(
         "UPDATE upload SET state = 'expired', completing_since = NULL WHERE state IN ('open', 'completing')"
     )
-    # Runs were leased to runners of another server: the next round takes them back, as from a runner that is gone.
+    # Runs were leased to runners of another server: the scheduler queues them again.
     database.execute("UPDATE run SET lease_ends_at = now() WHERE lease_ends_at > now()")
     database.execute(
         "UPDATE blob SET state = 'stored', state_reason = NULL, damaged_at = NULL"
@@ -374,11 +371,3 @@ def _run(database: Connection, statement: str, *values: str) -> None:
 def _value(database: Connection, query: str, *values: str) -> object:
     row = database.execute(query, values or None).fetchone()
     return row[0] if row else None
-
-
-def _as_list(value: object) -> list[object]:
-    return list(value) if isinstance(value, list) else []
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).strip().partition("\n")[0]

@@ -5,14 +5,12 @@ Kept in a temporary SQLite database that has no name and goes with the process: 
 
 import sqlite3
 from collections.abc import Iterable, Iterator
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from kleinkram.server.backup.rclone import RemoteFile
 
 BATCH_OBJECTS = 10_000
 BATCH_BYTES = 50_000_000_000
-
-Problem = Literal["lost", "unreadable", "corrupt"]
 
 _SCHEMA = """
 CREATE TABLE named (key TEXT PRIMARY KEY, size_bytes INTEGER NOT NULL, sha256 TEXT) WITHOUT ROWID;
@@ -45,14 +43,14 @@ class ObjectEntry(NamedTuple):
     """An object in a backup's list.
 
     `sha256`: of the bytes in the location, None where there are none. `expected`: what the database states.
-    `problem`: what was wrong in the store when it was copied.
+    `problem`: what was wrong in the store when it was copied (lost, unreadable or corrupt).
     """
 
     key: str
     size_bytes: int
     sha256: str | None
     expected: str | None
-    problem: Problem | None
+    problem: str | None
 
 
 class UnnamedObject(NamedTuple):
@@ -92,13 +90,11 @@ class ObjectIndex:
 
     def totals(self) -> tuple[int, int]:
         """Return how many objects the database names, and their bytes."""
-        count, size_bytes = self._db.execute("SELECT count(*), coalesce(sum(size_bytes), 0) FROM named").fetchone()
-        return int(count), int(size_bytes)
+        return self._totals("named")
 
     def stored_totals(self) -> tuple[int, int]:
         """Return how many objects the location has, and their bytes."""
-        count, size_bytes = self._db.execute("SELECT count(*), coalesce(sum(size_bytes), 0) FROM stored").fetchone()
-        return int(count), int(size_bytes)
+        return self._totals("stored")
 
     def pending_batches(self) -> Iterator[list[NamedObject]]:
         """Yield the objects that are to be copied or read, in batches; others were verified by an earlier backup."""
@@ -129,6 +125,11 @@ class ObjectIndex:
             "SELECT named.key, named.size_bytes, named.sha256 FROM named JOIN stored USING (key) ORDER BY 1"
         )
         return in_batches(NamedObject(*row) for row in rows)
+
+    def _totals(self, table: str) -> tuple[int, int]:
+        query = f"SELECT count(*), coalesce(sum(size_bytes), 0) FROM {table}"  # noqa: S608  (a constant)
+        count, size_bytes = self._db.execute(query).fetchone()
+        return int(count), int(size_bytes)
 
     def _insert(self, statement: str, rows: Iterable[tuple[object, ...]]) -> None:
         self._db.execute("BEGIN")

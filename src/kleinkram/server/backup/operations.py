@@ -5,12 +5,12 @@ document that makes it a backup is written last. Restore fills an empty instance
 one transaction, so that an unfinished restore shows nothing. Both continue where an interrupted one stopped.
 """
 
-import contextlib
 import json
 import secrets
 import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 
@@ -26,8 +26,9 @@ from kleinkram.server.backup.errors import (
     BackupNotFound,
     BackupRequestInvalid,
     BackupUnreachable,
+    first_line,
 )
-from kleinkram.server.backup.objects import NamedObject, ObjectEntry, ObjectIndex, Problem, in_batches
+from kleinkram.server.backup.objects import NamedObject, ObjectEntry, ObjectIndex, in_batches
 from kleinkram.server.backup.rclone import Rclone, s3_remote
 from kleinkram.server.backup.repository import (
     Repository,
@@ -134,7 +135,7 @@ class ProgressLine:
         sys.stderr.write(f"\r\033[K{line}" if self._is_terminal else f"{line}\n")
         sys.stderr.flush()
 
-    def end(self) -> None:
+    def close(self) -> None:
         """Clear the line."""
         if self._is_terminal and not self._quiet:
             sys.stderr.write("\r\033[K")
@@ -146,7 +147,7 @@ def create(settings: Settings, options: BackupOptions, *, encrypt: bool = False)
     Raises:
         BackupError: it could not be made; what was copied stays for the next one.
     """
-    with _progress("backup", options) as progress, contextlib.closing(ObjectIndex()) as index:
+    with closing(ProgressLine("backup", quiet=options.quiet)) as progress, closing(ObjectIndex()) as index:
         repository = make_repository(options.place, options.passphrase, options.rclone, encrypt=encrypt)
         dsn = plain_dsn(settings.migration_database_url or settings.database_url)
         try:
@@ -156,7 +157,7 @@ def create(settings: Settings, options: BackupOptions, *, encrypt: bool = False)
                 return _Creation(settings, repository, index, progress, dsn).run(confirm_lock, deletion)
         except psycopg.Error as error:
             raise BackupUnreachable(
-                f"The database failed ({_first_line(error)}): run the same command again. What was copied stays."
+                f"The database failed ({first_line(error)}): run the same command again. What was copied stays."
             ) from error
 
 
@@ -225,9 +226,9 @@ class _Creation:
         return CreatedBackup(snapshot, self._copied, self._copied_bytes, problems)
 
     def _add_verified(self) -> None:
-        """Take over what the latest readable backup knows of objects."""
+        """Add the objects that the latest readable backup verified."""
         for snapshot_id in reversed(self._repository.snapshot_ids()):
-            with contextlib.suppress(BackupDamaged, BackupNotFound):
+            with suppress(BackupDamaged, BackupNotFound):
                 self._index.add_verified(self._repository.entries(self._repository.snapshot(snapshot_id)))
                 return
 
@@ -239,7 +240,15 @@ class _Creation:
             new_hashes, failures = self._copy_and_read(again, [named.key for named in again])
             hashes = {key: sha256 for key, sha256 in hashes.items() if key not in {named.key for named in again}}
             hashes |= new_hashes
-        self._index.add_verified(_entry(named, hashes.get(named.key), failures) for named in batch)
+        entries = []
+        for named in batch:
+            sha256, problem = hashes.get(named.key), None
+            if sha256 is None:
+                problem = "unreadable" if named.key in failures else "lost"
+            elif not _is_right(named, sha256):
+                problem = "corrupt"
+            entries.append(ObjectEntry(named.key, named.size_bytes, sha256, named.sha256, problem))
+        self._index.add_verified(entries)
         copied = [named for named in batch if not named.is_stored and named.key in hashes]
         self._copied += len(copied)
         self._copied_bytes += sum(named.size_bytes for named in copied)
@@ -273,15 +282,6 @@ def _is_right(named: NamedObject, sha256: str | None) -> bool:
     return sha256 is not None and named.sha256 in (None, sha256)
 
 
-def _entry(named: NamedObject, sha256: str | None, failures: dict[str, str]) -> ObjectEntry:
-    problem: Problem | None = None
-    if sha256 is None:
-        problem = "unreadable" if named.key in failures else "lost"
-    elif not _is_right(named, sha256):
-        problem = "corrupt"
-    return ObjectEntry(named.key, named.size_bytes, sha256, named.sha256, problem)
-
-
 def verify(options: BackupOptions, snapshot_id: str | None, *, read_all: bool) -> Verification:
     """Check backups, all if no id is given: names and sizes, or with `read_all` every byte.
 
@@ -289,7 +289,7 @@ def verify(options: BackupOptions, snapshot_id: str | None, *, read_all: bool) -
         BackupError: there are none, or they cannot be opened. Damage is returned, not raised.
     """
     result = Verification()
-    with _progress("verify", options) as progress, contextlib.closing(ObjectIndex()) as index:
+    with closing(ProgressLine("verify", quiet=options.quiet)) as progress, closing(ObjectIndex()) as index:
         repository = open_repository(options.place, options.passphrase, options.rclone)
         ids = [snapshot_id] if snapshot_id else repository.snapshot_ids()
         index.add_stored(repository.rclone.files(repository.objects))
@@ -301,7 +301,14 @@ def verify(options: BackupOptions, snapshot_id: str | None, *, read_all: bool) -
                 for message in damage:
                     result.damage.add(f"In the backup {each_id}, {message}.")
         if read_all:
-            _read_objects(repository, index, result, progress)
+            progress.total = index.totals()
+            for batch in index.stored_batches():
+                hashes = repository.rclone.sha256(repository.objects, [named.key for named in batch])
+                for named in batch:
+                    if hashes.get(named.key) != named.sha256:
+                        result.damage.add(f"objects/{named.key} was changed or cut off.")
+                result.read_bytes += sum(named.size_bytes for named in batch)
+                progress.add(batch)
         if snapshot_id is None:
             unused = [stored.size_bytes for stored in index.unnamed_stored()]
             result.unused, result.unused_bytes = len(unused), sum(unused)
@@ -339,17 +346,6 @@ def _check_entries(
         yield NamedObject(entry.key, entry.size_bytes, entry.sha256)
 
 
-def _read_objects(repository: Repository, index: ObjectIndex, result: Verification, progress: ProgressLine) -> None:
-    progress.total = index.totals()
-    for batch in index.stored_batches():
-        hashes = repository.rclone.sha256(repository.objects, [named.key for named in batch])
-        for named in batch:
-            if hashes.get(named.key) != named.sha256:
-                result.damage.add(f"objects/{named.key} was changed or cut off.")
-        result.read_bytes += sum(named.size_bytes for named in batch)
-        progress.add(batch)
-
-
 def prune(options: BackupOptions, *, keep: int) -> Pruned:
     """Keep the latest backups and remove the others, then all objects that no backup names.
 
@@ -361,7 +357,7 @@ def prune(options: BackupOptions, *, keep: int) -> Pruned:
     if keep < 1:
         raise BackupRequestInvalid("--keep must be at least 1: remove the folder itself if you want no backup.")
     repository = open_repository(options.place, options.passphrase, options.rclone)
-    with repository.locked() as confirm_lock, contextlib.closing(ObjectIndex()) as index:
+    with repository.locked() as confirm_lock, closing(ObjectIndex()) as index:
         ids = repository.snapshot_ids()
         old, remaining = ids[:-keep], ids[-keep:]
         index.add_stored(repository.rclone.files(repository.objects))
@@ -395,7 +391,7 @@ def restore(settings: Settings, options: BackupOptions, snapshot_id: str | None)
             "Restoring makes the schema: set KLEINKRAM_MIGRATION_DATABASE_URL, as for `migrate`."
         )
     target = RestoreTarget(plain_dsn(settings.migration_database_url), settings.serving_role, settings.store_id)
-    with _progress("restore", options) as progress:
+    with closing(ProgressLine("restore", quiet=options.quiet)) as progress:
         repository = open_repository(options.place, options.passphrase, options.rclone)
         snapshot = repository.snapshot(snapshot_id)
         database.refuse_unknown_schema(snapshot)
@@ -403,7 +399,7 @@ def restore(settings: Settings, options: BackupOptions, snapshot_id: str | None)
             return _restore(settings, repository, snapshot, target, progress)
         except (psycopg.Error, SQLAlchemyError) as error:
             raise BackupUnreachable(
-                f"The database refused the backup ({_first_line(error)}): the instance is still empty."
+                f"The database refused the backup ({first_line(error)}): the instance is still empty."
             ) from error
 
 
@@ -417,7 +413,7 @@ def _restore(
         raise BackupConflict(f"The database was restored from the backup {earlier} before: restore into an empty one.")
     restored = Restored(snapshot, objects=snapshot.objects, object_bytes=snapshot.object_bytes)
     progress.total = (snapshot.objects, snapshot.object_bytes)
-    with contextlib.closing(ObjectIndex()) as index:
+    with closing(ObjectIndex()) as index:
         index.add_stored(rclone.files(site) if is_continued else [])
         problems: dict[str, ObjectEntry] = {}
 
@@ -480,7 +476,7 @@ def _mark_target(rclone: Rclone, site: str, bucket: str, snapshot: Snapshot) -> 
     Raises:
         BackupConflict: the bucket contains something else.
     """
-    with contextlib.suppress(FileNotFoundError):
+    with suppress(FileNotFoundError):
         noted = json.loads(rclone.read(f"{site}/{_NOTE}"))["snapshot"]
         if noted != snapshot.id:
             raise BackupConflict(
@@ -504,15 +500,6 @@ def _with_site(rclone: Rclone, settings: Settings) -> tuple[Rclone, str]:
     return rclone.with_remotes(remotes), f"kleinsite:{settings.s3_bucket}"
 
 
-@contextlib.contextmanager
-def _progress(what: str, options: BackupOptions) -> Iterator[ProgressLine]:
-    progress = ProgressLine(what, quiet=options.quiet)
-    try:
-        yield progress
-    finally:
-        progress.end()
-
-
 def amount(size_bytes: float) -> str:
     """Return bytes as a person reads them."""
     for unit in ("B", "kB", "MB", "GB"):
@@ -520,7 +507,3 @@ def amount(size_bytes: float) -> str:
             return f"{size_bytes:.0f} {unit}" if unit == "B" else f"{size_bytes:.1f} {unit}"
         size_bytes /= 1000
     return f"{size_bytes:.1f} TB"
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).strip().partition("\n")[0]

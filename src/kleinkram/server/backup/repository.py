@@ -68,7 +68,7 @@ class DumpedTable(_Model):
 
 
 class Snapshot(_Model):
-    """One backup. `revision` is the schema's; `store_id` the name by which the database knows the store.
+    """One backup. `revision` is the schema's; `store_id` the name of the store in the database.
 
     `elsewhere`: how many blobs the database names in other stores, which are in no backup of this one.
     """
@@ -260,7 +260,7 @@ class Repository:
 
     @contextlib.contextmanager
     def read_packed(self, snapshot_id: str, name: str) -> Iterator[IO[bytes]]:
-        """Open a file of a backup; `check_files` says whether it is what was written."""
+        """Open a file of a backup; `check_files` checks its content."""
         try:
             with self.rclone.reader(f"{self.snapshots}/{snapshot_id}/{name}") as packed:
                 unpacked = zstandard.open(cast("BinaryIO", packed), "rb")

@@ -35,7 +35,7 @@ from kleinkram.server.access.visible import (
     visible_files,
     visible_missions,
 )
-from kleinkram.server.db import among, among_given, by_name
+from kleinkram.server.db import among, among_parameter, by_name
 from kleinkram.server.files.topics import topic_rows
 from kleinkram.server.filters.files import filter_files, filter_files_in_order
 from kleinkram.server.filters.missions import filter_missions
@@ -161,7 +161,7 @@ def file_listing(actor: Actor, matching: FileFilter, *, plan: SearchPlan, sort: 
     """Return the visible files that match, in an order."""
     matched = matching_files(actor, matching, plan)
     if plan.matched is not None:
-        matched = matched.where(among_given(file.c.id, "matched_first_ids"))
+        matched = matched.where(among_parameter(file.c.id, "matched_first_ids"))
     return Listing(matched, file_order(sort, by_index=not plan.is_selective), rows_of_found)
 
 

@@ -35,7 +35,7 @@ from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.query import phrases
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
-from kleinkram.server.db import Connection, among_given
+from kleinkram.server.db import Connection, among_parameter
 from kleinkram.server.filters.patterns import ESCAPE
 from kleinkram.server.filters.plan import SearchPlan, SearchWord
 from kleinkram.server.tables import (
@@ -132,7 +132,7 @@ def mission_may_have_topic(*conditions: ColumnElement[bool]) -> ColumnElement[bo
 
 def plan_conditions(plan: SearchPlan) -> Conditions:
     """Return the conditions on files that a plan adds to its filter."""
-    conditions = [] if plan.mission_ids is None else [among_given(file.c.mission_id, "visible_mission_ids")]
+    conditions = [] if plan.mission_ids is None else [among_parameter(file.c.mission_id, "visible_mission_ids")]
     if plan.has_time is None:
         return conditions
     if plan.has_time:
@@ -260,7 +260,7 @@ def _mission_conditions(actor: Actor, word: SearchWord) -> Conditions:
         named = select(project.c.id).where(key_contains(project.c.name_key, word)).correlate(None)
         in_project: Conditions = [mission.c.project_id == any_(func.array(named.scalar_subquery()))]
     else:
-        in_project = [among_given(mission.c.project_id, word.name_of("project_ids"))] if word.project_ids else []
+        in_project = [among_parameter(mission.c.project_id, word.name_of("project_ids"))] if word.project_ids else []
     if not sees_whole_missions(actor):
         return [key_contains(mission.c.name_key, word), *in_project]
     return [*_whole_mission_conditions(word), *in_project]
@@ -300,7 +300,7 @@ def _topic_conditions(word: SearchWord, table: Table) -> Conditions:
 def _is_one_of(column: ColumnElement[str], word: SearchWord, name: str, every: ColumnElement[str]) -> Conditions:
     names = getattr(word, name)
     if names is not None:
-        return [among_given(column, word.name_of(name))] if names else []
+        return [among_parameter(column, word.name_of(name))] if names else []
     named = select(every).where(contains(every, word)).correlate(None)
     return [column == any_(func.array(named.scalar_subquery()))]
 

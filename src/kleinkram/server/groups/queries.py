@@ -8,7 +8,7 @@ from sqlalchemy import ColumnElement, Row, Select, and_, case, func, null, selec
 from kleinkram.contract.access import GroupKind, GroupRead, MemberRead, Right
 from kleinkram.contract.people import PersonRef
 from kleinkram.server.access.actor import Actor, unexpired
-from kleinkram.server.access.visible import knows_addresses, visible_groups
+from kleinkram.server.access.visible import may_see_addresses, visible_groups
 from kleinkram.server.pagination import Order
 from kleinkram.server.tables import access_group, affiliation, affiliation_domain, membership, person, person_email
 
@@ -73,7 +73,7 @@ def members_of(actor: Actor, group_id: uuid.UUID, *, for_editor: bool) -> Select
         select(
             person.c.id,
             person.c.name,
-            (case((knows_addresses(actor), addresses), else_=null()) if for_editor else null()).label("emails"),
+            (case((may_see_addresses(actor), addresses), else_=null()) if for_editor else null()).label("emails"),
             _is_active().label("is_active"),
             membership.c.is_editor,
             membership.c.expires_at,

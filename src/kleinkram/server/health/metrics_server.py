@@ -1,8 +1,7 @@
-"""The port that Prometheus scrapes: a process's own metrics from every process, gauges of the whole site from one.
+"""The port that Prometheus scrapes: metrics of each process, and gauges of the whole server from one process.
 
-It is a port of its own, since a proxy before the API's port would publish whatever that serves. An advisory lock in the
-database decides which process reports the site's gauges: the first process that is scraped takes it, and another one
-once that process ends or is no longer scraped. So sums over all processes are correct.
+A separate port, because a proxy publishes everything on the API's port. An advisory lock in the database decides which
+process reports the gauges: the first that is scraped, and another one once it ends or is no longer scraped.
 """
 
 import asyncio
@@ -29,7 +28,7 @@ from kleinkram.server.settings import Settings, plain_dsn
 from kleinkram.server.tables import blob, scrub, upload
 
 _log = logging.getLogger("kleinkram.metrics")
-# Of one database, whose processes settle by it who reports.
+# An advisory lock of the database.
 _LOCK = 0x6B6C6D65
 _HOLDS_S = 1.0
 # Longer than any usual scrape interval.
@@ -63,11 +62,11 @@ _FINDINGS = ("lost", "corrupt", "findings", "unknown")
 
 
 class MetricsPortUnusable(Exception):
-    """The port for metrics cannot be listened on. The text says which, and what to do."""
+    """The port for metrics cannot be opened. The text has the port, and what to do."""
 
 
 class _SiteGauges:
-    """Gauges of the whole site, as long as this process is the one that reports them."""
+    """Gauges of the whole server, while this process is the one that reports them."""
 
     def __init__(self, settings: Settings, database: Database) -> None:
         self._dsn = make_conninfo(plain_dsn(settings.database_url), **_CONNECTION)
@@ -78,7 +77,7 @@ class _SiteGauges:
         self._releasing: asyncio.Task[None] | None = None
 
     async def look(self) -> list[Metric]:
-        """Return the gauges; none where another process reports them, or the database does not give them."""
+        """Return the gauges; none if another process reports them or the database is not available."""
         async with self._turn:
             try:
                 if not await self._is_reporter():
@@ -90,7 +89,7 @@ class _SiteGauges:
                 return []
 
     async def close(self) -> None:
-        """Leave it to another process."""
+        """Release the lock."""
         if self._release is not None:
             self._release.cancel()
         connection, self._connection = self._connection, None
@@ -118,7 +117,7 @@ class _SiteGauges:
 
 @asynccontextmanager
 async def serve_metrics(settings: Settings, database: Database) -> AsyncIterator[int | None]:
-    """Serve `/metrics` on a port of its own, where one is set; yields the port. Raises MetricsPortUnusable."""
+    """Serve `/metrics` on its own port, if one is set; yields the port. Raises MetricsPortUnusable."""
     if settings.metrics_port is None:
         yield None
         return
@@ -150,7 +149,7 @@ async def serve_metrics(settings: Settings, database: Database) -> AsyncIterator
 
 
 async def _site_metrics(database: Database) -> list[Metric]:
-    """Return the gauges as the database has them, by some queries in one transaction."""
+    """Read the gauges in one transaction."""
     async with database.begin() as db:
         blobs = (await db.execute(_BLOBS)).all()
         uploads = (await db.execute(_UPLOADS)).all()
@@ -168,7 +167,7 @@ async def _site_metrics(database: Database) -> list[Metric]:
     job_counts = GaugeMetricFamily("kleinkram_jobs", "Jobs by task and status.", labels=["task", "status"])
     for task, status, count in jobs:
         job_counts.add_metric([task, status], count)
-    heard_at = workers.last_seen_at.timestamp() if workers.last_seen_at else 0
+    last_seen_at_s = workers.last_seen_at.timestamp() if workers.last_seen_at else 0
     gauges: list[Metric] = [
         _gauge("kleinkram_blobs", "Blobs by state.", "state", states),
         _gauge("kleinkram_stored_bytes", "Bytes by state of their blob.", "state", sizes),
@@ -181,7 +180,9 @@ async def _site_metrics(database: Database) -> list[Metric]:
         ),
         GaugeMetricFamily("kleinkram_workers", "Worker processes that are alive.", value=len(workers.seen_at)),
         GaugeMetricFamily(
-            "kleinkram_worker_last_heartbeat_timestamp_seconds", "When a worker was last heard of.", value=heard_at
+            "kleinkram_worker_last_heartbeat_timestamp_seconds",
+            "When a worker was last heard of.",
+            value=last_seen_at_s,
         ),
         GaugeMetricFamily(
             "kleinkram_oldest_verification_seconds",

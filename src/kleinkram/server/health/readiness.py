@@ -57,7 +57,7 @@ _SECONDS_A_MINUTE = 60
 
 @dataclass(frozen=True)
 class Workers:
-    """When each living worker process was last heard of, latest first, and when any was; by the database's clock."""
+    """The last heartbeats of living workers, latest first, and of any worker; by the database's clock."""
 
     seen_at: list[datetime.datetime]
     last_seen_at: datetime.datetime | None
@@ -65,19 +65,19 @@ class Workers:
 
     @property
     def warning(self) -> str | None:
-        """What is wrong in words where no worker is alive."""
+        """A sentence if no worker is alive."""
         if self.seen_at:
             return None
-        heard = "no worker process was ever heard of"
+        reason = "no worker process was ever heard of"
         if self.last_seen_at is not None:
             silent_s = (self.now - self.last_seen_at).total_seconds()
             minutes = max(1, round(silent_s / _SECONDS_A_MINUTE))
-            heard = f"no worker process was heard of for {minutes} min"
-        return f"{heard}: new files are not read or verified; start `python -m kleinkram.server worker`"
+            reason = f"no worker process was heard of for {minutes} min"
+        return f"{reason}: new files are not read or verified; start `python -m kleinkram.server worker`"
 
 
 async def find_workers(db: Connection) -> Workers:
-    """Return which worker processes are alive."""
+    """Return the living worker processes."""
     process = worker_process.c
     stmt = select(func.now().label("now"), func.max(process.seen_at).label("last_seen_at"))
     whole = (await db.execute(stmt)).one()
@@ -124,9 +124,9 @@ _STORE_TIMEOUT_S = 2
 
 @dataclass(frozen=True)
 class Readiness:
-    """What keeps this process from serving, in words; and what does not, but takes somebody to look at it.
+    """Why this process cannot serve, if so, and warnings.
 
-    Without workers an API process serves all the same: were it "not ready", a load balancer would drop all of them.
+    An API process without workers is ready: otherwise a load balancer would drop all of them.
     """
 
     missing: str | None
@@ -134,10 +134,7 @@ class Readiness:
 
 
 async def readiness(database: Database, storage: Storage) -> Readiness:
-    """Return whether this process can serve.
-
-    Takes one connection, and gives it back before the store is asked.
-    """
+    """Return whether this process can serve; releases its connection before it asks the store."""
     try:
         async with database.begin() as db:
             problem = await schema_problem(db)

@@ -14,7 +14,7 @@ from kleinkram.server.http.headers import seen
 from kleinkram.server.settings import Settings
 from kleinkram.server.tokens.service import default_days
 
-# Probes come without a token: whatever their number, they look no more often than this.
+# Probes need no token, so the result is cached for this long.
 _HOLDS_S = 1
 
 probes = APIRouter(include_in_schema=False)
@@ -23,7 +23,7 @@ router = APIRouter(prefix="/api/v1", tags=["service"])
 
 @probes.get("/health/live")
 async def live(request: Request, settings: CurrentSettings) -> Response:
-    """Say that this process answers; to `check` also how its request reached it."""
+    """Answer; for `check`, with how its request reached this process."""
     if (request_info := seen(request, settings)) is not None:
         return Response(request_info.model_dump_json(), media_type="application/json")
     return PlainTextResponse("live\n")
@@ -33,7 +33,7 @@ async def live(request: Request, settings: CurrentSettings) -> Response:
 async def ready(
     request: Request, database: CurrentDatabase, storage: CurrentStorage, settings: CurrentSettings
 ) -> PlainTextResponse:
-    """Say whether database, schema and store are all there; reasons and warnings are for those who watch the server."""
+    """Return whether database, schema and store are available; reasons and warnings only for monitoring networks."""
     state = request.app.state
     if not hasattr(state, "readiness"):
         state.readiness = Recent(lambda: readiness(database, storage), holds_s=_HOLDS_S)
@@ -46,7 +46,7 @@ async def ready(
 
 
 def _watches(request: Request, settings: Settings) -> bool:
-    """Say whether a request comes from where the server is watched, and not through a proxy that hides who asks."""
+    """Whether a request comes from a monitoring network, and not through an untrusted proxy."""
     if request.client is None or ("x-forwarded-for" in request.headers and not settings.trusted_proxies):
         return False
     address = ipaddress.ip_address(request.client.host)
@@ -55,7 +55,7 @@ def _watches(request: Request, settings: Settings) -> bool:
 
 @router.get("/service", operation_id="get_service")
 async def service(actor: CurrentActor, storage: CurrentStorage, settings: CurrentSettings) -> ServiceRead:
-    """Say what this server is, and who you are to it."""
+    """Return what this server is, and who you are."""
     return ServiceRead(
         name=settings.lab_name,
         version=kleinkram.__version__,

@@ -1,4 +1,4 @@
-"""Home over HTTP."""
+"""Routes of the home page."""
 
 from fastapi import APIRouter
 
@@ -11,11 +11,11 @@ router = APIRouter(prefix="/api/v1", tags=["home"])
 
 @router.get("/home", operation_id="get_home")
 async def get_home(context: CurrentContext, actor: CurrentActor) -> HomeRead:
-    """Return what moved lately, what you left unfinished, and what needs attention."""
+    """Return recent missions, your unfinished uploads, and what needs attention."""
     return await service.get_home(context, actor)
 
 
 @router.get("/home/storage", operation_id="get_home_storage")
 async def get_home_storage(context: CurrentContext, actor: CurrentActor, db: Transaction) -> HomeStorage:
-    """Return what the largest projects take, and, to admins, what the store holds."""
+    """Return the size of the largest projects and, for admins, of the store."""
     return await service.get_storage(db, actor, context.settings)

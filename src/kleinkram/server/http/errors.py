@@ -23,7 +23,7 @@ from kleinkram.contract.errors import (
 from kleinkram.contract.problems import message_of, to_problem
 from kleinkram.server.audit.queries import request_target
 from kleinkram.server.audit.refusals import ALSO_REFUSALS, Refusal, Refusals
-from kleinkram.server.http.pages import app_page, is_original_api_path, wants_page
+from kleinkram.server.http.pages import app_page, is_original_api_path, is_page_request
 from kleinkram.server.settings import Settings
 
 _log = logging.getLogger("kleinkram.http")
@@ -107,7 +107,7 @@ async def _on_http_exception(request: Request, error: Exception) -> Response:
     path = request.url.path
     # The client of the original Kleinkram opens a browser with such an address to sign in.
     is_original_sign_in = path.startswith("/auth/") and request.query_params.get("state", "").startswith("cli")
-    if error.status_code == 404 and wants_page(request) and not is_original_sign_in:
+    if error.status_code == 404 and is_page_request(request) and not is_original_sign_in:
         return app_page(settings, status=404)
     problem: KleinkramError
     if error.status_code == 413:

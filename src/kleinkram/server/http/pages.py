@@ -78,7 +78,7 @@ def brand(settings: Settings) -> str:
     return f'<header><a class="brand" href="/">{icon}{escape(settings.lab_name)}</a></header>'
 
 
-def wants_page(request: Request) -> bool:
+def is_page_request(request: Request) -> bool:
     """Whether a browser requests a page, rather than a program an API response."""
     is_navigation = request.method == "GET" and "text/html" in request.headers.get("accept", "")
     return is_navigation and not request.url.path.startswith(_OF_PROGRAMS)

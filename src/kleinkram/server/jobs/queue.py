@@ -12,7 +12,7 @@ from kleinkram.server.db import Connection
 
 
 class Job(str, enum.Enum):
-    """Every job there is."""
+    """All jobs."""
 
     summarise_blob = "summarise_blob"
     verify_blob = "verify_blob"
@@ -25,26 +25,25 @@ class Job(str, enum.Enum):
 
 
 class Urgency(enum.IntEnum):
-    """What a person waits for goes before what only has to happen, and that before what could as well be later."""
+    """Priority: work that a person waits for, then necessary work, then work that can wait."""
 
     at_leisure = -10
     whenever = 0
     soon = 10
 
 
-# Verifying reads everything once, small files come by the thousand, and grouping waits for uploads to end: each has a
-# lane of its own, so that no summary waits behind them. (A lock would do for grouping, but one mission that is tried
-# again later would hold up all others.)
+# Verification reads everything once, small files come by the thousand, and grouping waits for uploads: each has its own
+# lane, so that summaries do not wait for them. (With a lock for grouping, one retried mission would block all others.)
 VERIFICATION = "verification"
 EXAMINING = "examining"
 GROUPING = "grouping"
 DEFAULT = "default"
 _LANES = {Job.verify_blob: VERIFICATION, Job.examine_blob: EXAMINING, Job.group_recordings: GROUPING}
 
-# The worker gives it a connector of its own; the API enqueues over its own transactions.
+# The worker sets its own connector; the API enqueues in its own transactions.
 queue = App(connector=PsycopgConnector())
 
-# The library's own function, given the ids alone: its client would build, log and dump each job by itself.
+# Calls the library's SQL function: its client would build, log and serialize each job.
 _DEFER = text(
     "SELECT procrastinate_defer_jobs_v1(array_agg(ROW(CAST(:lane AS varchar), CAST(:task AS varchar),"
     " CAST(:priority AS integer), NULL, NULL, jsonb_build_object('ref', ref), now() + CAST(:later AS interval))"
@@ -65,24 +64,24 @@ _START_NOW = text(
 async def enqueue(
     db: Connection, job: Job, *, ids: Sequence[str], urgency: Urgency, later: datetime.timedelta | None = None
 ) -> None:
-    """Enqueue one job for each id, in their order, as part of the caller's transaction; to begin so much later."""
+    """Enqueue a job for each id, in order, in the caller's transaction; with `later`, to start after that time."""
     if ids:
         parameters = {"lane": _LANES.get(job, DEFAULT), "task": job.value, "priority": int(urgency), "ids": [*ids]}
         await db.execute(_DEFER, {**parameters, "later": later})
 
 
 async def hasten(db: Connection, job: Job, ref: uuid.UUID) -> None:
-    """Put the job for one id, if it waits, before those that nobody waits for."""
+    """Raise the priority of the waiting job for an id."""
     await db.execute(_HASTEN, {"task": job.value, "ref": str(ref), "priority": int(Urgency.soon)})
 
 
 async def start_now(db: Connection, job: Job, ref: uuid.UUID) -> None:
-    """Do as `hasten`, also for a job that was to begin later, such as one that waits for its next try."""
+    """Like `hasten`; also start the job now if it is scheduled for later, such as a retry."""
     await hasten(db, job, ref)
     await db.execute(_START_NOW, {"task": job.value, "ref": str(ref)})
 
 
-# By lot, so that two workers seldom take along the same.
+# In random order, so that two workers seldom choose the same.
 _WAITING = text(
     "SELECT args ->> 'ref' FROM procrastinate_jobs WHERE task_name = :task AND status = 'todo'"
     " AND coalesce(scheduled_at, now()) <= now() ORDER BY random() LIMIT :most"
@@ -93,13 +92,13 @@ _SETTLED = text(
 
 
 async def waiting(db: Connection, job: Job, *, most: int) -> list[uuid.UUID]:
-    """Return ids for which a job waits that could begin now: some of them."""
+    """Return at most `most` ids, in random order, whose job could start now."""
     rows = await db.execute(_WAITING, {"task": job.value, "most": most})
     return [uuid.UUID(ref) for ref in rows.scalars()]
 
 
 async def settle(db: Connection, job: Job, ids: Iterable[uuid.UUID]) -> None:
-    """Drop jobs that wait, since the caller's transaction does what they were for."""
+    """Delete waiting jobs whose work the caller's transaction does."""
     await db.execute(_SETTLED, {"task": job.value, "refs": [str(job_id) for job_id in ids]})
 
 
@@ -107,7 +106,7 @@ _ENQUEUED_AT = text("SELECT min(at) FROM procrastinate_events WHERE job_id = :id
 
 
 async def enqueued_at(db: Connection, job_id: int | None) -> datetime.datetime | None:
-    """Return since when a job waits, from before its first try; None where nothing is known of it."""
+    """Return when a job was enqueued; None if unknown."""
     rows: datetime.datetime | None = (await db.execute(_ENQUEUED_AT, {"id": job_id})).scalar()
     return rows
 
@@ -116,8 +115,8 @@ _jobs = table("procrastinate_jobs", column("task_name"), column("status"), colum
 
 
 def has_job(job: Job, ref: ColumnElement[uuid.UUID]) -> ColumnElement[bool]:
-    """Say of a row whether a job for its id waits or runs."""
-    # The literal states are those of the index on this table, which the migration made for this question.
+    """Whether a job for the id of a row waits or runs."""
+    # In the words of the partial index of the migration.
     alive = text("status IN ('todo', 'doing')")
     own = _jobs.c.args.op("->>")("ref") == cast(ref, Text)
     return exists(select(literal(1)).select_from(_jobs).where(_jobs.c.task_name == job.value, alive, own))
@@ -131,10 +130,10 @@ _UPLOADS = text("DELETE FROM upload WHERE cleaned_at < now() - interval '30 days
 
 _CODES = text("DELETE FROM one_time_code WHERE expires_at < now() - interval '30 days'")
 _LOGINS = text("DELETE FROM login_request WHERE expires_at < now() - interval '1 day'")
-_JOURNEYS = text("DELETE FROM oidc_login WHERE expires_at < now()")
+_AUTHORIZATION_REQUESTS = text("DELETE FROM oidc_login WHERE expires_at < now()")
 
 
 async def forget_ended(db: Connection) -> None:
-    """Drop failed jobs after a week; uploads that left nothing behind, and codes, after a month; logins under way."""
-    for statement in (_JOBS, _UPLOADS, _CODES, _LOGINS, _JOURNEYS):
+    """Delete failed jobs after a week, cleaned uploads and codes after a month, and expired logins."""
+    for statement in (_JOBS, _UPLOADS, _CODES, _LOGINS, _AUTHORIZATION_REQUESTS):
         await db.execute(statement)

@@ -19,7 +19,7 @@ from kleinkram.contract.people import Departure, PersonRead, PersonRef
 from kleinkram.server.access.actor import Actor, unexpired
 from kleinkram.server.access.groups import ADMINS_ID, make_admin
 from kleinkram.server.access.rights import ensure_admin_remains, give_to_admins, lock_rights
-from kleinkram.server.access.visible import knows_addresses, visible_people
+from kleinkram.server.access.visible import may_see_addresses, visible_people
 from kleinkram.server.audit.service import Event, record, record_all
 from kleinkram.server.auth.one_time_codes import revoke_codes
 from kleinkram.server.db import Connection
@@ -44,7 +44,7 @@ async def list_people(
             person_email.c.verified_at.is_not(None),
             person_email.c.email_key.contains(name_key(word), autoescape=True),
         )
-        stmt = stmt.where(holds_word(person.c.name, word) | (knows_addresses(actor) & has_address))
+        stmt = stmt.where(holds_word(person.c.name, word) | (may_see_addresses(actor) & has_address))
     if active is not None:
         stmt = stmt.where(person.c.deactivated_at.is_(None) == active)
     return await read_page(db, stmt, _PEOPLE_ORDER, page, _to_person)
@@ -145,7 +145,7 @@ def _people_seen(actor: Actor) -> Select[Any]:
         person_email.c.person_id == person.c.id, person_email.c.verified_at.is_not(None)
     )
     verified = addresses.order_by(person_email.c.email_key).correlate_except(person_email).scalar_subquery()
-    emails = case((knows_addresses(actor), func.array(verified)), else_=None).label("emails")
+    emails = case((may_see_addresses(actor), func.array(verified)), else_=None).label("emails")
     return visible_people(actor).add_columns(is_admin.label("is_admin"), emails)
 
 

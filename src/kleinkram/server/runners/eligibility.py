@@ -94,7 +94,7 @@ def refusal(run: Row[Any] | Needs, known_runner: Row[Any], *, single_person: boo
     if lacking := sorted(set(run.labels) - set(known_runner.labels)):
         return f"it has no label {lacking[0]}"
     if run.needs_images and not abilities.images:
-        return "it has no engine of containers, and the action is an image"
+        return "it has no container engine, and the action is an image"
     if not run.needs_images and not runs_scripts(known_runner, abilities):
         return "it has no image that scripts run on"
     if Network(run.network) not in abilities.networks:

@@ -12,8 +12,8 @@ from kleinkram.server.http.pages import (
     asks_for_json,
     built_file,
     is_original_api_path,
+    is_page_request,
     static_file,
-    wants_page,
 )
 
 # Not part of the API: for people, not for programs.
@@ -26,7 +26,7 @@ async def view(request: Request, settings: CurrentSettings) -> Response:
     Raises:
         HTTPException: 404, for a program.
     """
-    if asks_for_json(request) or (not wants_page(request) and is_original_api_path(request.url.path)):
+    if asks_for_json(request) or (not is_page_request(request) and is_original_api_path(request.url.path)):
         raise HTTPException(404)
     return app_page(settings)
 

@@ -1,6 +1,6 @@
 """Client for the Docker Engine API over a Unix socket, which Podman serves as well.
 
-Every call uses a connection of its own, so threads may share a client.
+Every call uses its own connection, so threads may share a client.
 """
 
 import json
@@ -178,7 +178,7 @@ class DockerClient:
 
     def was_killed(self, name: str) -> bool:
         """Whether the engine remembers that a container was stopped, or sent a signal, by request."""
-        # Podman loses events if asked for those until now; Docker never ends the answer unless it is.
+        # Podman loses events with `until`; Docker never ends the response without it.
         end = {"stream": "false"} if self._is_podman() else {"until": f"{time.time():.6f}"}
         filters = json.dumps({"container": [name], "event": ["kill", "stop"]})
         try:
@@ -223,7 +223,7 @@ class DockerClient:
         try:
             return json.loads(text) if text else None
         except ValueError as error:
-            raise EngineUnavailable(f"The engine of containers at {self.path} stopped in the middle") from error
+            raise EngineUnavailable(f"The container engine at {self.path} stopped in the middle") from error
 
     @contextmanager
     def _open(
@@ -250,7 +250,7 @@ class DockerClient:
                         raise EngineError(status, _message(answer.read()))
                     yield answer
         except OSError as error:
-            raise EngineUnavailable(f"The engine of containers at {self.path} does not answer: {error}") from error
+            raise EngineUnavailable(f"The container engine at {self.path} does not answer: {error}") from error
 
 
 def _read_head(answer: BufferedReader) -> int:

@@ -116,7 +116,7 @@ class DockerExecutor(LocalExecutor):
             raise cannot_start(f"The image {job.image} is not on this runner.", EndReason.image_unavailable)
         if exists:
             # It still writes to directories that are replaced, and its end would be taken for the end of this start.
-            raise cannot_start("The engine of containers does not remove the container of an earlier start.")
+            raise cannot_start("The container engine does not remove the container of an earlier start.")
         user = make_directories(job, own_uid=self._is_root)
         user = os.getuid() if user is None else user
         for number, _ in enumerate(image.volumes):
@@ -267,7 +267,7 @@ class ContainerMonitor:
         return self._poll_exited(container)
 
     def _poll_without_engine(self) -> Ending | None:
-        """Enforce limits while the engine is unavailable; containers go on unless it takes them along."""
+        """Enforce limits while the engine is unavailable; containers continue unless it ends them."""
         self._was_unavailable = True
         now = time.monotonic()
         self._unavailable_since_s = self._unavailable_since_s or now
@@ -319,7 +319,7 @@ class ContainerMonitor:
         self._barrier = containers.open_barrier(self._job.directory)
 
     def _await_death(self) -> None:
-        """Read what the kernel knows of the end of the first process: its control groups vanish a moment later."""
+        """Read why the first process ended: its control groups vanish a moment later."""
         with contextlib.suppress(OSError):
             process = os.pidfd_open(self._pid)
             select.select([process], [], [])
@@ -339,7 +339,7 @@ class ContainerMonitor:
         if due is None or self._limits.reason is None:
             return
         with contextlib.suppress(OSError):
-            # The next runner, or this one where the engine takes long, knows why the container ended.
+            # For the next runner, or this one if the engine takes long: the reason for the end of the container.
             write_atomically(self._job.directory / _STOP_REASON, json.dumps(self._limits.reason))
         try:
             self._client.kill(self._name, due.name)
