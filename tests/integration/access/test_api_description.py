@@ -28,7 +28,7 @@ from tests.integration.openapi_check import assert_is_described
 
 _CHECKS = [not_a_server_error, status_code_conformance, content_type_conformance, response_schema_conformance]
 _MODES = (GenerationMode("positive"), GenerationMode("negative"))
-# Operations in the short round, and requests for each by each of six kinds of principal, in the short and the long round.
+# Operations in the short round; requests for each of them, by each of six kinds of principal, in both rounds.
 # To think of a request takes longer than to answer it.
 _SOME = 30
 _SAMPLE_SIZE, _MANY, _VERY_MANY = 3, 10, 60
