@@ -15,8 +15,7 @@ from kleinkram.server.db import open_database
 from kleinkram.server.jobs.attempts import record_failure
 from kleinkram.server.jobs.back_pressure import BackPressure
 from kleinkram.server.jobs.queue import queue
-from kleinkram.server.recordings.rests import Rests
-from kleinkram.server.recordings.understanding import Understanding
+from kleinkram.server.recordings.jobs import Rests, Understanding
 from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings, plain_dsn
 from tests.integration.api_server import Api

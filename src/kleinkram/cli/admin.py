@@ -145,7 +145,7 @@ def show_scrub(state: ScrubState) -> None:
                 ("compared", f"{last.compared} objects, {size(last.compared_bytes)}"),
                 ("newly lost", last.lost),
                 ("newly corrupt", last.corrupt),
-                ("there again", last.found),
+                ("there again", last.recovered),
                 ("of nobody", last.unknown),
             ]
         )

@@ -115,7 +115,7 @@ def take_flag(arguments: list[str], flag: str) -> bool:
     return bool(positions)
 
 
-def wants_json() -> bool:
+def is_json_requested() -> bool:
     """Say whether the command line asks for JSON; a failure is then JSON, too."""
     end = sys.argv.index("--") if "--" in sys.argv else len(sys.argv)
     return "--json" in sys.argv[:end]

@@ -7,7 +7,7 @@ from typing import Any
 import typer
 from pydantic import ValidationError
 
-from kleinkram.cli.commands import ClickException, wants_json
+from kleinkram.cli.commands import ClickException, is_json_requested
 from kleinkram.cli.render import escape, note, plain
 from kleinkram.client import errors as local
 from kleinkram.client.errors import request_id_of
@@ -139,7 +139,7 @@ def explain(error: Exception) -> int | None:
         usage: Any = error  # the exception of whichever click Typer uses
         if isinstance(error.__cause__, ValidationError):  # newer versions of Typer check values with pydantic
             usage.message = in_plain_words(error.__cause__)
-        if wants_json():
+        if is_json_requested():
             return fail("usage", usage.format_message(), usage.exit_code)
         usage.show()
         return int(usage.exit_code)
@@ -147,7 +147,7 @@ def explain(error: Exception) -> int | None:
         return fail(_code_of(error), str(error), ExitCode.local_file)
     if not isinstance(error, KleinkramError):
         return None
-    if wants_json():
+    if is_json_requested():
         fields = {"request_id": request_id_of(error), **error.fields()}
         return fail(_code_of(error), str(error), EXIT_CODES[type(error)], fields)
     problems = getattr(error, "problems", None)
@@ -163,7 +163,7 @@ def explain(error: Exception) -> int | None:
 def fail(code: str, message: str, exit_code: int, fields: Mapping[str, object] | None = None) -> int:
     """Print why a command failed, as JSON where JSON was asked for, and return the exit code."""
     known = {name: plain(value) for name, value in (fields or {}).items() if value is not None}
-    as_json = wants_json()
+    as_json = is_json_requested()
     text = failure_line(message, code=code, exit_code=int(exit_code), as_json=as_json, fields=known)
     typer.echo(text if as_json else escape(text), err=True)  # JSON has escapes of its own
     return exit_code

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _CONTENTS = {
     Content.indexed: "whole",
-    Content.recovered: "damaged, read as far as it can be",
+    Content.recovered: "damaged, read as far as possible",
     Content.broken: "nothing of it can be read",
     Content.pending: "not read yet",
     Content.opaque: "not a recording",
@@ -130,7 +130,7 @@ def show(one: Inspection) -> None:
         table([*headers, "out of order"] if is_disordered else headers, cells)
     if summary.problems:
         line("")
-        line("To know:")
+        line("Warnings:")
         for problem in summary.problems:
             line(f"  {problem.where}: {problem.message}")
 
@@ -143,7 +143,7 @@ def _lost(summary: RecordingSummary) -> str | None:
         return "nothing"
     # A database has pages where others have chunks.
     piece = "page" if summary.format is RecordingFormat.rosbag2_db3 else "chunk"
-    parts = [count(lost.messages, "message") if lost.messages is not None else "messages, nobody knows how many"]
+    parts = [count(lost.messages, "message") if lost.messages is not None else "an unknown number of messages"]
     if lost.chunks:
         parts.append(f"{lost.chunks} {piece}{'' if lost.chunks == 1 else 's'}")
     if lost.bytes:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kleinkram import connect
-from kleinkram.cli.commands import wants_json
+from kleinkram.cli.commands import is_json_requested
 from kleinkram.cli.errors import EXIT_CODES, ExitCode, Interrupted, exit_code_of, exit_with
 from kleinkram.cli.filters import Choice, select_files, with_choice
 from kleinkram.cli.options import (
@@ -139,7 +139,7 @@ def _upload(
         if not options.create or is_id(mission) or error.noun != "mission":
             raise
     if options.dry_run:
-        if not wants_json():
+        if not is_json_requested():
             rows = [(file.path, size(file.size_bytes), str(file.source)) for file in plan.files]
             table(["path", "size", "from"], rows)
         files = [{"path": file.path, "local": str(file.source), "size_bytes": file.size_bytes} for file in plan.files]

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     AnyPath = str | os.PathLike[str]
 
     from kleinkram.client.actions import Actions
-    from kleinkram.client.files import Files
+    from kleinkram.client.files import Files, Uploads
     from kleinkram.client.missions import Missions, Projects
     from kleinkram.client.people import Access, Groups, People
     from kleinkram.client.recordings import Recordings
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from kleinkram.client.search import Search, Stats
     from kleinkram.client.server import Admin, Audit, Events, Home, Me, Service, Trash
     from kleinkram.client.tokens import Shares, Tokens
-    from kleinkram.client.uploads import Uploads
 
 _log = logging.getLogger("kleinkram")
 
@@ -47,6 +46,7 @@ _MODULES = {
     "runners": "runs",
     "shares": "tokens",
     "stats": "search",
+    "uploads": "files",
     **dict.fromkeys(("admin", "audit", "events", "home", "me", "service", "trash"), "server"),
 }
 

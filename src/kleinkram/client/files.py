@@ -1,18 +1,41 @@
-"""Files and the topics inside them. `if_match` is the ETag that a file must still have, else EditConflict."""
+"""Files, the topics inside them, and the upload protocol. `if_match` is the ETag that a file must still have."""
 
+import datetime
 import uuid
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from typing_extensions import Unpack
 
 from kleinkram.client._http import query_of
-from kleinkram.client._nouns import Listing, NamedResource, Ref, checked, count, known_id, pages, resolve_one
+from kleinkram.client._nouns import (
+    Listing,
+    NamedResource,
+    Ref,
+    RetryingResource,
+    checked,
+    count,
+    known_id,
+    pages,
+    resolve_one,
+)
 from kleinkram.client.missions import Missions
 from kleinkram.client.search import Condition, FileFields, as_filter
 from kleinkram.contract.files import DownloadLinks, DownloadRequest, FileRead, FileSort, FileUpdate, TopicRead
 from kleinkram.contract.projects import Deleted
 from kleinkram.contract.runs import LineageRead
 from kleinkram.contract.search import MAX_LABELLED, FileLabelled, FilesLabelled, LabelChange, TopicFound
+from kleinkram.contract.uploads import (
+    PartsSign,
+    PartToSign,
+    SignedParts,
+    UploadBegin,
+    UploadDecisions,
+    UploadFile,
+    UploadFinish,
+    UploadOutcomes,
+    UploadRead,
+    UploadsComplete,
+)
 
 
 class Files(NamedResource[FileRead]):
@@ -126,3 +149,43 @@ class Files(NamedResource[FileRead]):
 def file_label(file: FileRead) -> str:
     """Return a file as it is listed among candidates."""
     return f"{file.mission.project.name}/{file.mission.name}/{file.path} ({file.id})"
+
+
+class Uploads(RetryingResource):
+    """`client.uploads`: the upload protocol, request by request; `kleinkram.client.transfer` uses it."""
+
+    def with_patience(self, patience_s: float, wait: Callable[[float], object]) -> "Uploads":
+        """Return a client with another retry timeout."""
+        return Uploads(self._api, patience_s=patience_s, wait=wait)
+
+    def now(self) -> datetime.datetime:
+        """Return the time at the server, by which signed URLs expire."""
+        return self._api.now()
+
+    def list(self, mission_id: Ref) -> Listing[UploadRead]:
+        """Yield the uploads into a mission that are under way."""
+        return pages(self._api, f"/missions/{Missions(self._api).id_of(mission_id)}/uploads", UploadRead, [])
+
+    def get(self, upload_id: uuid.UUID) -> UploadRead:
+        """Return an upload with the parts that the store holds."""
+        return self._api.get(f"/uploads/{upload_id}", UploadRead)
+
+    def begin(self, mission_id: uuid.UUID, files: Sequence[UploadFile]) -> UploadDecisions:
+        """Announce up to 200 files and return what to do with each, in the order given."""
+        body = UploadBegin(files=[*files])
+        path = f"/missions/{mission_id}/uploads"
+        return self._repeat(path, UploadDecisions, body)
+
+    def sign(self, parts: Sequence[PartToSign]) -> SignedParts:
+        """Return where to PUT up to 200 parts, in the order given, and renew their leases; UploadGone if one ended."""
+        body = PartsSign(parts=[*parts])
+        return self._repeat("/uploads/parts", SignedParts, body)
+
+    def complete(self, uploads: Sequence[UploadFinish]) -> UploadOutcomes:
+        """Finish up to 200 uploads whose parts are all sent; the store verifies each. In the order given."""
+        body = UploadsComplete(uploads=[*uploads])
+        return self._repeat("/uploads/complete", UploadOutcomes, body)
+
+    def abort(self, upload_id: uuid.UUID) -> None:
+        """End an upload and free its name; its parts are removed."""
+        self._api.delete(f"/uploads/{upload_id}")

@@ -26,8 +26,8 @@ from kleinkram.client._nouns import (
 )
 from kleinkram.client.actions import Actions
 from kleinkram.client.errors import InvalidInput, TimedOut
+from kleinkram.client.files import Uploads
 from kleinkram.client.missions import Missions, Projects
-from kleinkram.client.uploads import Uploads
 from kleinkram.contract.actions import ActionDefinition, ParameterValues
 from kleinkram.contract.files import BlobState, DownloadLink
 from kleinkram.contract.reports import Severity

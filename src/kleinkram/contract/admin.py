@@ -112,7 +112,7 @@ class ScrubRequest(Response):
 class ScrubRead(Response):
     """A comparison of the objects in the store with the database.
 
-    `lost` and `corrupt`: newly detected blobs; `found`: lost ones whose objects are back and are being verified;
+    `lost` and `corrupt`: newly detected blobs; `recovered`: lost ones whose objects are back and are being verified;
     `unknown`: objects that the database does not have. `stopped`: why it marked nothing, or not all. Until `ended_at`,
     the numbers cover what was compared so far.
     """
@@ -127,7 +127,7 @@ class ScrubRead(Response):
     compared_bytes: int
     lost: int
     corrupt: int
-    found: int
+    recovered: int
     unknown: int
 
 

@@ -28,8 +28,7 @@ from kleinkram.server.jobs.attempts import Attempts, record_failure
 from kleinkram.server.jobs.back_pressure import BackPressure
 from kleinkram.server.jobs.queue import DEFAULT, EXAMINING, GROUPING, VERIFICATION, queue
 from kleinkram.server.recordings import jobs as _recording_jobs
-from kleinkram.server.recordings.rests import Rests
-from kleinkram.server.recordings.understanding import Understanding
+from kleinkram.server.recordings.jobs import Rests, Understanding
 from kleinkram.server.runs import jobs as _run_jobs
 from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings, plain_dsn

@@ -68,14 +68,14 @@ def test_many_small_files_are_summarised_in_one_job(start_api: Any, tmp_path: An
     ran = run_jobs(api)
     assert 3 <= ran.count("examine_blob") <= 12, "what is damaged is told by a job of its own, as far as it is one"
     assert "verify_blob" not in ran
-    actual = {item["path"]: item for item in api.all("/files", {"mission_id": mission_id})}
-    states = {path: (item["state"], item["content"]) for path, item in actual.items()}
+    result = {item["path"]: item for item in api.all("/files", {"mission_id": mission_id})}
+    states = {path: (item["state"], item["content"]) for path, item in result.items()}
     damaged = {"bad.bin": ("corrupt", "error"), "gone.bin": ("lost", "error"), "run.mcap": ("verified", "indexed")}
     assert states == dict.fromkeys(bodies, ("verified", "opaque")) | damaged
-    assert actual["run.mcap"]["depth"] == "scan"
+    assert result["run.mcap"]["depth"] == "scan"
     topics = api.all(f"/files/{files['run.mcap']['id']}/topics")
-    assert sum(topic["count"] for topic in topics) == actual["run.mcap"]["message_count"] > 0
-    assert actual["0.bin"]["md5"] == upload_client.checksum("md5", bodies["0.bin"])
+    assert sum(topic["count"] for topic in topics) == result["run.mcap"]["message_count"] > 0
+    assert result["0.bin"]["md5"] == upload_client.checksum("md5", bodies["0.bin"])
 
 
 def test_two_recordings_of_one_stem_are_two(api: Api, mission_id: str, tmp_path: Any) -> None:

@@ -39,7 +39,7 @@ def _scrub(api: Api, **expected: Any) -> Any:
 def _counts(last: Any) -> tuple[int, int, int]:
     assert last["stopped"] is None
     assert last["ended_at"] is not None
-    return last["lost"], last["corrupt"], last["found"]
+    return last["lost"], last["corrupt"], last["recovered"]
 
 
 def _put(api: Api, key: str, body: bytes) -> None:
@@ -198,7 +198,7 @@ def test_blobs_added_and_removed_during_a_scrub_are_not_reported_missing(
 
     monkeypatch.setattr(Storage, "size_pages", pages)
 
-    async def scrub_during_collection(context: AppContext) -> None:
+    async def scrub_during_garbage_collection(context: AppContext) -> None:
         async with context.database.begin() as db:
             await scrub.begin_due_scrub(db, context.settings.model_copy(update={"scrub_hours": 1e-9}))
             row = await scrub.last_scrub(db, context.settings.store_id)
@@ -207,7 +207,7 @@ def test_blobs_added_and_removed_during_a_scrub_are_not_reported_missing(
         await collect_garbage(context)
         await collect_garbage(context)
 
-    on_site(api, scrub_during_collection)
+    on_site(api, scrub_during_garbage_collection)
     last = api.get("/admin/scrub").ok()["last"]
     assert _counts(last) == (0, 0, 0)
     assert _read(api, came[1])["state"] == "stored"

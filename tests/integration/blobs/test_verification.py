@@ -74,7 +74,7 @@ def test_an_object_that_the_store_cannot_return_is_damaged_at_once(
     try:
         run_jobs(troubled)
     finally:
-        middleman.rule = lambda _requested: None
+        middleman.rule = lambda _requests: None
     seen = troubled.get(f"/files/{file['id']}").ok()
     assert seen["state"] == "corrupt"
     assert "serves others" in seen["state_reason"]
@@ -89,7 +89,7 @@ def test_connections_that_break_off_damage_no_object(troubled: Api, middleman: M
     try:
         run_jobs(troubled)
     finally:
-        middleman.rule = lambda _requested: None
+        middleman.rule = lambda _requests: None
     assert troubled.get(f"/files/{file['id']}").ok()["state"] == "stored"
 
 
@@ -103,7 +103,7 @@ def test_a_store_that_returns_nothing_damages_no_object(troubled: Api, middleman
     try:
         run_jobs(troubled)
     finally:
-        middleman.rule = lambda _requested: None
+        middleman.rule = lambda _requests: None
     assert troubled.get(f"/files/{file['id']}").ok()["state"] == "stored"
     [(attempts,)] = troubled.sql(
         "SELECT max(attempts) FROM procrastinate_jobs JOIN file f ON f.blob_id::text = args ->> 'ref' WHERE f.id = %s",

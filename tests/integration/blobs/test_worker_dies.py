@@ -87,7 +87,7 @@ def test_a_recording_whose_reader_died_half_way_is_read_by_the_next(api: Api, re
     settings: Settings = api.app.state.settings
     reading, may_go_on = threading.Event(), threading.Event()
 
-    def lock(requested: ProxiedRequest) -> None:
+    def block(requested: ProxiedRequest) -> None:
         if requested.method != "GET":
             return
         if "range" not in requested.headers:  # verifying reads the content too: it does not come to that
@@ -97,7 +97,7 @@ def test_a_recording_whose_reader_died_half_way_is_read_by_the_next(api: Api, re
             may_go_on.wait(60)
 
     with standing_before(settings.s3_internal_url) as middleman:
-        middleman.rule = lock
+        middleman.rule = block
         with _worker(settings, KLEINKRAM_S3_INTERNAL_URL=middleman.url) as worker:
             assert reading.wait(30), "nobody began to read"
             readers = psutil.Process(worker.pid).children()

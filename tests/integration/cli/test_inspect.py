@@ -57,9 +57,9 @@ def test_a_missing_path_is_a_wrong_use(
     drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(monkeypatch, drive, "/no/such/file.bag") == 2
-    message = capsys.readouterr()
-    assert "/no/such/file.bag" in message.err
-    assert message.out == ""
+    items = capsys.readouterr()
+    assert "/no/such/file.bag" in items.err
+    assert items.out == ""
 
 
 def test_a_folder_without_recordings_says_so(
@@ -80,8 +80,8 @@ def test_losses_and_problems_in_plain_words(capsys: pytest.CaptureFixture[str]) 
     )
     show(Inspection("a.db3", InspectionKind.file, ("a.db3",), summary))
     shown = capsys.readouterr().out
-    assert "messages, nobody knows how many, 1 page, 2.0 kB" in shown
-    assert "To know:" in shown
+    assert "an unknown number of messages, 1 page, 2.0 kB" in shown
+    assert "Warnings:" in shown
     assert "\x1b" not in shown
     assert "\x07" not in shown
 
@@ -97,9 +97,9 @@ def test_a_file_that_cannot_be_read_is_named_and_the_others_are_shown(
 ) -> None:
     (drive.parent / "gone.mcap").symlink_to(drive.parent / "nowhere")
     assert run(monkeypatch, drive.parent) == 8
-    message = capsys.readouterr()
-    assert "indexed (whole)" in message.out
-    assert "gone.mcap: cannot be read" in message.err
+    items = capsys.readouterr()
+    assert "indexed (whole)" in items.out
+    assert "gone.mcap: cannot be read" in items.err
     assert run(monkeypatch, "--json", drive.parent) == 8
-    shown = {Path(item["path"]).name: item["content"] for item in json.loads(capsys.readouterr().out)["items"]}
+    shown = {Path(row["path"]).name: row["content"] for row in json.loads(capsys.readouterr().out)["items"]}
     assert shown == {"drive.mcap": "indexed", "gone.mcap": "error"}

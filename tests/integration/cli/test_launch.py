@@ -76,7 +76,7 @@ def test_launching_on_many_missions_needs_confirmation() -> None:
     assert "Run look on 2 missions: alps/day, alps/dusk?" in ran.stderr
     with scripted(page(*several), page(action_read("look")), RunsCreated(items=[])) as script:
         klein(script, "action", "run", "look", "--query", "alps", "--yes", "--force")
-    assert script.requests[2].body["mission_ids"] == [str(item.id) for item in several]
+    assert script.requests[2].body["mission_ids"] == [str(mission.id) for mission in several]
     assert script.requests[2].body["force"] is True
 
 
@@ -98,9 +98,9 @@ def test_parameters_are_read_as_their_types() -> None:
     deep = Parameter(name="deep", type=ParameterType.boolean, default=False)
     definition = ActionDefinition(name="look", script="", parameters=[rate, deep])
     assert parameter_values(definition, ["rate=2.5", "deep=true"]) == {"rate": 2.5, "deep": True}
-    for text, why in (("rate=-1", "at least 0"), ("rate", "NAME=VALUE"), ("deep=maybe", "true or false")):
+    for assignments, why in (("rate=-1", "at least 0"), ("rate", "NAME=VALUE"), ("deep=maybe", "true or false")):
         with pytest.raises(InvalidInput, match=why):
-            parameter_values(definition, [text])
+            parameter_values(definition, [assignments])
 
 
 def test_a_version_stands_behind_the_last_at() -> None:

@@ -25,12 +25,12 @@ def test_after_a_lost_connection_missed_events_are_requested(
     monkeypatch: pytest.MonkeyPatch, first: bytes, came_back_with: str
 ) -> None:
     monkeypatch.setattr(server, "_PAUSE_S", 0.01)
-    received: list[Change | Refetch] = []
+    events: list[Change | Refetch] = []
     with scripted(first, REFETCH) as script, Client(Endpoint("x", script.url, "t", EndpointSource.argument)) as client:
         for item in client.events.follow(for_s=20):
-            received.append(item)
+            events.append(item)
             if isinstance(item, Refetch):
                 break
-    assert [type(item) for item in received] == [Change] * first.count(b"change\n") + [Refetch]
+    assert [type(item) for item in events] == [Change] * first.count(b"change\n") + [Refetch]
     assert "after=" not in script.requests[0].path
     assert f"after={came_back_with}&" in script.requests[1].path + "&"

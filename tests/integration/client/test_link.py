@@ -79,7 +79,7 @@ def test_a_slow_but_steady_link_gets_one_more_and_gives_it_back_when_it_does_not
     assert window.limit_bytes == PART
 
 
-def test_after_a_lost_connection_one_part_is_sent_at_a_time(clock: Clock) -> None:
+def test_a_lost_connection_leaves_one_part_and_the_link_grows_again(clock: Clock) -> None:
     window = Window(_CONNECTIONS, clock=clock)
     for _ in range(_CONNECTIONS):
         window.arrived(PART, 0.05)
@@ -149,8 +149,8 @@ def test_a_part_with_trouble_of_its_own_lets_others_go_first() -> None:
 
 
 def _watch(clock: Clock) -> tuple[LinkMonitor, list[str]]:
-    text: list[str] = []
-    return LinkMonitor(text.append, clock=clock), text
+    messages: list[str] = []
+    return LinkMonitor(messages.append, clock=clock), messages
 
 
 def _backoff() -> Backoff:
@@ -158,22 +158,22 @@ def _backoff() -> Backoff:
 
 
 def test_a_silent_network_is_reported_once_for_all_connections(clock: Clock) -> None:
-    watch, text = _watch(clock)
+    watch, messages = _watch(clock)
     for _ in range(4):
         watch.lost("http://store:9000/b/k?signature=x", _backoff(), TimeoutError(), "it took too long")
-    assert text == ["no answer for 15 s from store:9000, reconnecting"]
+    assert messages == ["no answer for 15 s from store:9000, reconnecting"]
     clock.now += 20
     watch.arrived()
-    assert text[1:] == ["connected again after 35 s"]
+    assert messages[1:] == ["connected again after 35 s"]
     assert watch.report() == LinkReport(connections_lost=4, longest_outage_s=35.0)
 
 
 def test_a_changed_address_is_reported_and_reconnected_from_at_once(clock: Clock) -> None:
-    watch, text = _watch(clock)
+    watch, messages = _watch(clock)
     watch.moved("10.0.0.7")
     assert watch.has_moved()
     watch.lost("http://store", _backoff(), ConnectionResetError(), "reset", resent_bytes=1_500_000)
-    assert text == ["this machine no longer has the address 10.0.0.7 (another network?), reconnecting"]
+    assert messages == ["this machine no longer has the address 10.0.0.7 (another network?), reconnecting"]
     clock.now += 2
     assert not watch.has_moved()
     advice = watch.report().advice()
@@ -183,10 +183,10 @@ def test_a_changed_address_is_reported_and_reconnected_from_at_once(clock: Clock
 
 
 def test_a_connection_that_is_replaced_at_once_is_not_worth_a_word_while_it_lasts(clock: Clock) -> None:
-    watch, text = _watch(clock)
+    watch, messages = _watch(clock)
     watch.lost("http://store", _backoff(), ConnectionResetError(), "reset")
     watch.arrived()
-    assert text == []
+    assert messages == []
 
 
 def test_a_good_link_needs_no_advice() -> None:
@@ -223,9 +223,9 @@ def _unconnected(cause: OSError) -> BaseException:
 
 
 def test_a_store_that_refuses_connections_is_not_silent(clock: Clock) -> None:
-    watch, text = _watch(clock)
+    watch, messages = _watch(clock)
     watch.lost("http://store:9000/b/k", _backoff(), _refused(), "Connection refused")
-    assert text == []
+    assert messages == []
     clock.now += 20
     watch.arrived()
     assert watch.report().longest_outage_s == 20
@@ -240,14 +240,16 @@ def test_a_store_that_refuses_connections_is_not_silent(clock: Clock) -> None:
     ],
 )
 def test_a_missing_network_is_reported(clock: Clock, cause: OSError, monkeypatch: pytest.MonkeyPatch) -> None:
-    watch, text = _watch(clock)
+    watch, messages = _watch(clock)
     backoff = _backoff()
     error = _unconnected(cause)
     watch.lost("http://store:9000/b/k", backoff, error, str(cause.strerror))
-    assert text == [], "this may pass in a moment"
+    assert messages == [], "this may pass in a moment"
     monkeypatch.setattr(backoff, "lasting_s", lambda: 6.0)
     watch.lost("http://store:9000/b/k", backoff, error, str(cause.strerror))
-    assert text == [f"this machine cannot reach store:9000 ({cause.strerror}): it may have no network; trying again"]
+    assert messages == [
+        f"this machine cannot reach store:9000 ({cause.strerror}): it may have no network; trying again"
+    ]
 
 
 def test_an_error_that_wraps_silence_is_silence() -> None:
@@ -256,7 +258,7 @@ def test_an_error_that_wraps_silence_is_silence() -> None:
     assert is_silence(wrapping)
 
 
-def test_the_addresses_of_this_machine_are_found() -> None:
+def test_addresses_of_this_machine_are_recognised() -> None:
     assert has_address(("127.0.0.1", 1234))
     assert not has_address(("192.0.2.77", 1234))
 
@@ -327,8 +329,8 @@ def listening() -> Iterator[Callable[[], str]]:
         return f"http://127.0.0.1:{sockets[-1].getsockname()[1]}/bucket"
 
     yield listen
-    for item in sockets:
-        item.close()
+    for connection in sockets:
+        connection.close()
 
 
 def test_the_diagnosis_names_what_does_not_answer(listening: Callable[[], str]) -> None:
@@ -346,16 +348,16 @@ def test_a_transfer_that_ends_before_its_first_byte_says_what_does_not_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server = f"http://127.0.0.1:{choose_port()}"
-    message: list[str] = []
+    messages: list[str] = []
 
-    class Received(Watcher):
+    class MessageRecorder(Watcher):
         def notify(self, text: str) -> None:
-            message.append(text)
+            messages.append(text)
 
     def links(_: object) -> Sequence[DownloadLink]:
         raise ServerUnreachable(url=server, reason="Connection refused")
 
     monkeypatch.setattr(sys.modules["kleinkram.client.transfer.download"], "PATIENCE_S", 0.0)
     with pytest.raises(ServerUnreachable):
-        fetch(links, server, plan_download([file_read("a")], tmp_path), watcher=Received())
-    assert "cannot be reached: Connection refused" in message[-1]
+        fetch(links, server, plan_download([file_read("a")], tmp_path), watcher=MessageRecorder())
+    assert "cannot be reached: Connection refused" in messages[-1]

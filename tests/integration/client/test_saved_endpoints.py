@@ -51,7 +51,7 @@ def test_the_file_is_for_its_owner_alone() -> None:
 
 
 @pytest.mark.parametrize("exposed", [0o644, 0o640, 0o604, 0o620, 0o660])
-def test_a_file_accessible_to_others_is_refused_until_its_mode_is_fixed(exposed: int) -> None:
+def test_a_file_that_others_may_read_or_change_is_refused(exposed: int) -> None:
     add_endpoint("lab", LAB)
     endpoints_file().chmod(exposed)
     for touch in (load_endpoints, lambda: add_endpoint("field", FIELD), lambda: remove_endpoint("lab")):

@@ -58,19 +58,26 @@ ME = MeRead.model_validate(
 def test_a_device_code_is_requested_without_a_token() -> None:
     with scripted(CODE) as server:
         assert begin_device(server.url, "klein on anymal-3") == CODE
-    (requested,) = server.requests
-    assert (requested.method, requested.path, requested.authorization) == ("POST", "/api/v1/auth/device", None)
-    assert requested.body == {"client": "klein on anymal-3"}
+    (request,) = server.requests
+    assert (request.method, request.path, request.authorization) == ("POST", "/api/v1/auth/device", None)
+    assert request.body == {"client": "klein on anymal-3"}
 
 
 def test_polling_waits_for_the_requested_interval() -> None:
     waited: list[float] = []
     limited = RateLimited(what="sign-ins", limit=10, window_s=60, retry_after_s=7)
-    text = [SignInPending(interval_s=5), SlowDown(interval_s=10), SignInPending(interval_s=5), limited, None, SIGNED_IN]
-    with scripted(*text) as server:
+    answers = [
+        SignInPending(interval_s=5),
+        SlowDown(interval_s=10),
+        SignInPending(interval_s=5),
+        limited,
+        None,
+        SIGNED_IN,
+    ]
+    with scripted(*answers) as server:
         assert wait_for_device(server.url, CODE, waited.append) == SIGNED_IN
     assert waited == [5, 5, 10, 10, 7, 10, 20], "not sooner after it was slowed down, longer while nobody answers"
-    assert {(requested.path, requested.body["device_code"]) for requested in server.requests} == {
+    assert {(request.path, request.body["device_code"]) for request in server.requests} == {
         ("/api/v1/auth/device/token", CODE.device_code)
     }
 
@@ -92,28 +99,28 @@ def test_a_device_does_not_wait_for_ever() -> None:
 def test_the_browser_brings_a_code_that_only_this_process_can_use() -> None:
     with scripted(SIGNED_IN) as server, begin_browser(f"{server.url}/", "klein on anymal-3") as waiting:
         page = urlsplit(waiting.url)
-        text = {name: value for name, (value,) in parse_qs(page.query).items()}
+        query = {name: value for name, (value,) in parse_qs(page.query).items()}
         assert f"{page.scheme}://{page.netloc}{page.path}" == f"{server.url}/sign-in/cli"
-        assert text["client"] == "klein on anymal-3"
-        visit = f"http://127.0.0.1:{text['port']}/?code={'c' * 30}&state={text['state']}"
+        assert query["client"] == "klein on anymal-3"
+        visit = f"http://127.0.0.1:{query['port']}/?code={'c' * 30}&state={query['state']}"
         with urllib3.PoolManager(retries=False, timeout=5) as pool:
             browser = threading.Thread(target=lambda: pool.request("GET", visit))
             browser.start()
             assert waiting.wait(10) == SIGNED_IN
             browser.join()
-    (requested,) = server.requests
-    digest = hashlib.sha256(requested.body["code_verifier"].encode()).digest()
-    assert base64.urlsafe_b64encode(digest).decode().rstrip("=") == text["code_challenge"]
-    assert requested.body["code"] == "c" * 30
-    assert requested.body["code_verifier"] not in waiting.url
-    assert requested.body["code_verifier"] not in repr(waiting)
+    (request,) = server.requests
+    digest = hashlib.sha256(request.body["code_verifier"].encode()).digest()
+    assert base64.urlsafe_b64encode(digest).decode().rstrip("=") == query["code_challenge"]
+    assert request.body["code"] == "c" * 30
+    assert request.body["code_verifier"] not in waiting.url
+    assert request.body["code_verifier"] not in repr(waiting)
 
 
 def test_no_two_logins_have_the_same_secrets() -> None:
     with begin_browser("http://lab", "klein") as one, begin_browser("http://lab", "klein") as other:
-        text = [parse_qs(urlsplit(login.url).query) for login in (one, other)]
+        answers = [parse_qs(urlsplit(login.url).query) for login in (one, other)]
     for name in ("state", "code_challenge", "port"):
-        assert text[0][name] != text[1][name]
+        assert answers[0][name] != answers[1][name]
 
 
 def test_a_token_that_is_brought_along_is_tried() -> None:
@@ -137,11 +144,11 @@ def test_a_token_that_is_refused_says_how_to_get_another(monkeypatch: pytest.Mon
 def test_ending_a_token_revokes_that_very_one() -> None:
     with scripted(ME, b"") as server:
         assert end_token(server.url, "mine") is True
-    assert [(requested.method, requested.path) for requested in server.requests] == [
+    assert [(request.method, request.path) for request in server.requests] == [
         ("GET", "/api/v1/me"),
-        ("DELETE", f"/api/v1/tokens/{ME.credential.id}?made=kept"),
+        ("DELETE", f"/api/v1/tokens/{ME.credential.id}?made=valid"),
     ]
-    assert {requested.authorization for requested in server.requests} == {"Bearer mine"}
+    assert {request.authorization for request in server.requests} == {"Bearer mine"}
 
 
 def test_a_token_that_is_good_for_nothing_needs_no_ending() -> None:

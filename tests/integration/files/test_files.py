@@ -84,23 +84,21 @@ def test_renaming_to_itself_or_another_case_works(api: Api, sample: Sample, miss
     ],
 )
 def test_a_path_that_is_taken_is_refused(
-    api: Api, sample: Sample, mission: str, there: str, expected: str, code: str
+    api: Api, sample: Sample, mission: str, there: str, required: str, code: str
 ) -> None:
     sample.file(mission, there)
     file_id = sample.file(mission, "mine.mcap")
-    problem = api.patch(f"/files/{file_id}", {"path": expected}).refused(409, code)
+    problem = api.patch(f"/files/{file_id}", {"path": required}).refused(409, code)
     assert problem.get("other", there) == there
     assert api.get(f"/files/{file_id}").ok()["path"] == "mine.mcap"
     assert api.events(file_id) == []
 
 
-@pytest.mark.parametrize(
-    ("there", "expected"), [("a.b", "a"), ("a", "a.b"), ("a-/x", "a"), ("a0", "a/b"), ("b/a", "a")]
-)
-def test_a_path_beside_a_similar_one_is_fine(api: Api, sample: Sample, mission: str, there: str, expected: str) -> None:
+@pytest.mark.parametrize(("there", "wanted"), [("a.b", "a"), ("a", "a.b"), ("a-/x", "a"), ("a0", "a/b"), ("b/a", "a")])
+def test_a_path_beside_a_similar_one_is_fine(api: Api, sample: Sample, mission: str, there: str, required: str) -> None:
     sample.file(mission, there)
     file_id = sample.file(mission, "mine.mcap")
-    assert api.patch(f"/files/{file_id}", {"path": expected}).ok()["path"] == expected
+    assert api.patch(f"/files/{file_id}", {"path": required}).ok()["path"] == required
 
 
 @pytest.mark.parametrize(
@@ -211,8 +209,8 @@ def test_requesting_a_verification_enqueues_it(api: Api, sample: Sample, mission
     blob_id = sample.blob()
     file_id = sample.link(mission, "a.mcap", blob_id)
     assert api.post(f"/files/{file_id}/verify").ok(202)["id"] == file_id
-    actual = api.sql("SELECT count(*) FROM procrastinate_jobs WHERE args ->> 'ref' = %s", blob_id)
-    assert actual == [(1,)]
+    results = api.sql("SELECT count(*) FROM procrastinate_jobs WHERE args ->> 'ref' = %s", blob_id)
+    assert results == [(1,)]
 
 
 def test_two_who_want_paths_that_exclude_each_other_cannot_both_have_them(

@@ -73,8 +73,8 @@ def test_all_problems_are_reported_at_once_with_their_place(api: Api, project_id
     )
     body = {"name": "never", "metadata_yaml": text}
     problem = api.post(f"/projects/{project_id}/missions", body).refused(422, "metadata_invalid")
-    message = [(one["field"], one.get("line"), one.get("column")) for one in problem["problems"]]
-    assert message == [
+    reply = [(one["field"], one.get("line"), one.get("column")) for one in problem["problems"]]
+    assert reply == [
         ("robt", 1, 1),
         ("operator", 2, 1),
         ("temperature", 3, 1),
@@ -113,14 +113,14 @@ def test_all_problems_are_reported_at_once_with_their_place(api: Api, project_id
 )
 def test_a_wrong_value_is_named(api: Api, project_id: str, line: str, field: str, word: str) -> None:
     good = {"robot": "robot: spot", "operator": "operator: ada"}
-    values = [text for name, text in good.items() if name != line.split(":")[0].lower()]
+    passed = [text for name, text in good.items() if name != line.split(":")[0].lower()]
     problem = api.post(
-        f"/projects/{project_id}/missions", {"name": "never", "metadata_yaml": "\n".join([*values, line])}
+        f"/projects/{project_id}/missions", {"name": "never", "metadata_yaml": "\n".join([*passed, line])}
     ).refused(422, "metadata_invalid")
     first = problem["problems"][0]
     assert first["field"] == field
     assert word in first["message"]
-    assert first["line"] == len(values) + 1
+    assert first["line"] == len(passed) + 1
 
 
 @pytest.mark.parametrize(

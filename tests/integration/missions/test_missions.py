@@ -99,8 +99,8 @@ def test_moves_to_another_project_and_is_judged_there(api: Api, sample: Sample) 
         {},
         {"project": target["name"]},
     )
-    corrected = api.patch(f"/missions/{made['id']}", {"metadata_yaml": "robot: spot\n"}).ok()
-    assert (corrected["metadata"], corrected["metadata_problems"]) == ({"robot": "spot"}, [])
+    repaired = api.patch(f"/missions/{made['id']}", {"metadata_yaml": "robot: spot\n"}).ok()
+    assert (repaired["metadata"], repaired["metadata_problems"]) == ({"robot": "spot"}, [])
 
 
 def test_does_not_move_onto_a_name_or_into_nothing(api: Api) -> None:

@@ -15,11 +15,11 @@ def test_files_come_with_their_times_and_recordings(api: Api, sample: Sample) ->
     other = sample.file(mission, "a.yaml", content="opaque", format="yaml")
     recording = sample.recording(mission, "b", [first])
     api.sql("UPDATE mission SET start_ns = %s, end_ns = %s WHERE id = %s", T0, T0 + 5, mission)
-    actual = api.get(f"/missions/{mission}/timeline").ok()
-    assert (actual["start_ns"], actual["end_ns"], actual["next"]) == (T0, T0 + 5, None)
+    result = api.get(f"/missions/{mission}/timeline").ok()
+    assert (result["start_ns"], result["end_ns"], result["next"]) == (T0, T0 + 5, None)
     bare = {"recording_id": None, "start_ns": None, "end_ns": None, "size_bytes": 100, "state": "stored"}
     timed = {"recording_id": recording, "start_ns": T0, "end_ns": T0 + 5, "size_bytes": 7, "state": "stored"}
-    assert actual["items"] == [
+    assert result["items"] == [
         {"id": other, "path": "a.yaml", "content": "opaque", **bare},
         {"id": first, "path": "b/one.mcap", "content": "indexed", **timed},
     ]

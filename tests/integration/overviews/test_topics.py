@@ -44,8 +44,8 @@ def _span(api: Api, mission_id: str, start_ns: int, end_ns: int) -> None:
     api.sql("UPDATE mission SET start_ns = %s, end_ns = %s WHERE id = %s", start_ns, end_ns, mission_id)
 
 
-def _by_key(actual: Any) -> dict[tuple[str, str], Any]:
-    return {(item["name"], item["message_type"]): item for item in actual["items"]}
+def _by_key(result: Any) -> dict[tuple[str, str], Any]:
+    return {(item["name"], item["message_type"]): item for item in result["items"]}
 
 
 def test_topics_of_several_recordings_are_one(api: Api, sample: Sample, mission_id: str) -> None:
@@ -56,17 +56,17 @@ def test_topics_of_several_recordings_are_one(api: Api, sample: Sample, mission_
     silent = {"name": "/imu", "message_type": "a/msg/B", "count": 0, "first_ns": None, "last_ns": None}
     _put(sample, mission_id, "c.mcap", {**silent, "stored_bytes": 0})
     _span(api, mission_id, first[0], later[-1])
-    actual = api.get(f"/missions/{mission_id}/topics").ok()
-    assert [item["name"] for item in actual["recordings"]] == ["b.mcap", "a.mcap", "c.mcap"]
-    assert actual["is_current"]
-    topics = _by_key(actual)
+    result = api.get(f"/missions/{mission_id}/topics").ok()
+    assert [item["name"] for item in result["recordings"]] == ["b.mcap", "a.mcap", "c.mcap"]
+    assert result["is_current"]
+    topics = _by_key(result)
     assert topics.keys() == {("/imu", "a/msg/B"), ("/odd", "a/msg/B"), ("/odd", "c/msg/D")}
     imu = topics["/imu", "a/msg/B"]
     assert (imu["count"], imu["file_count"], imu["recording_count"]) == (1500, 3, 2)
     assert (imu["recordings"], imu["other_types"]) == ([[0, 1]], [])
     assert (imu["first_ns"], imu["last_ns"], imu["longest_gap_ns"]) == (first[0], later[-1], S // 10)
     assert imu["rate_hz"] == pytest.approx(10)
-    axis = actual["axis"]
+    axis = result["axis"]
     assert 128 <= axis["bins"] <= 256
     counted = Counter((stamp - axis["start_ns"]) // axis["bin_ns"] for stamp in [*first, *later])
     assert imu["counts"] == [counted[number] for number in range(axis["bins"])]
@@ -86,23 +86,23 @@ def test_the_worker_derives_the_same_topics(api: Api, sample: Sample, mission_id
     path = f"/missions/{mission_id}/topics"
     added_up = api.get(path).ok()
     run_jobs(api)
-    remaining = api.get(path).ok()
+    stored = api.get(path).ok()
     assert api.sql("SELECT count(*) FROM mission_topic WHERE mission_id = %s", mission_id) == [(5,)]
     # The recording of the deleted file was still there.
     assert [{**item, "recordings": None} for item in added_up["items"]] == [
-        {**item, "recordings": None} for item in remaining["items"]
+        {**item, "recordings": None} for item in stored["items"]
     ]
-    assert _by_key(remaining)["/imu", "a/msg/B"]["recordings"] == [[0, 0], [2, 3]]
-    assert (remaining["axis"], remaining["is_current"], remaining["next"]) == (added_up["axis"], True, None)
-    assert [item["name"] for item in remaining["recordings"]] == ["0.mcap", "3.mcap", "1.mcap", "2.mcap"]
-    assert {item["name"] for item in remaining["items"]} == {"/imu", "/only0", "/only1", "/only2"}
-    assert _by_key(remaining)["/imu", "other/msg/T"]["other_types"] == ["a/msg/B"]
+    assert _by_key(stored)["/imu", "a/msg/B"]["recordings"] == [[0, 0], [2, 3]]
+    assert (stored["axis"], stored["is_current"], stored["next"]) == (added_up["axis"], True, None)
+    assert [item["name"] for item in stored["recordings"]] == ["0.mcap", "3.mcap", "1.mcap", "2.mcap"]
+    assert {item["name"] for item in stored["items"]} == {"/imu", "/only0", "/only1", "/only2"}
+    assert _by_key(stored)["/imu", "other/msg/T"]["other_types"] == ["a/msg/B"]
     pages = [api.get(path, {"limit": "2"}).ok()]
     while pages[-1]["next"]:
         pages.append(api.get(path, {"limit": "2", "cursor": pages[-1]["next"]}).ok())
-    assert [item for page in pages for item in page["items"]] == remaining["items"]
+    assert [item for page in pages for item in page["items"]] == stored["items"]
     with connect(api.url, api.token) as client:
-        assert client.missions.topics(uuid.UUID(mission_id)).model_dump(mode="json") == remaining
+        assert client.missions.topics(uuid.UUID(mission_id)).model_dump(mode="json") == stored
     api.sql("UPDATE mission SET files_revision = files_revision + 1 WHERE id = %s", mission_id)
     assert api.get(path).ok()["is_current"] is False
 
@@ -113,9 +113,9 @@ def test_fewer_bins_are_sums(api: Api, sample: Sample, mission_id: str) -> None:
     _span(api, mission_id, stamps[0], stamps[-1])
     path = f"/missions/{mission_id}/topics"
     for bins in (1, 2, 40, 512):
-        actual = api.get(path, {"bins": str(bins)}).ok()
-        assert actual["axis"]["bins"] == len(actual["items"][0]["counts"]) <= bins
-        assert sum(actual["items"][0]["counts"]) == 5000
+        result = api.get(path, {"bins": str(bins)}).ok()
+        assert result["axis"]["bins"] == len(result["items"][0]["counts"]) <= bins
+        assert sum(result["items"][0]["counts"]) == 5000
     bare = api.get(path, {"bins": "0"}).ok()
     assert (bare["axis"], bare["items"][0]["counts"]) == (None, None)
     api.get(path, {"bins": "513"}).refused(422, "invalid_request")
@@ -130,18 +130,18 @@ def test_unknown_values_are_null_and_unset_clocks_do_not_widen_the_span(
     _put(sample, mission_id, "new.mcap", _times("/both", [stamp + 200 * S for stamp in stamps]))
     _put(sample, mission_id, "1970.mcap", _times("/both", [5, 6, 7]))
     _span(api, mission_id, T0, T0 + 299 * S)
-    actual = api.get(f"/missions/{mission_id}/topics").ok()
-    topics = _by_key(actual)
+    result = api.get(f"/missions/{mission_id}/topics").ok()
+    topics = _by_key(result)
     assert topics["/old", "a/msg/B"]["counts"] is None
     both = topics["/both", "a/msg/B"]
     assert (both["count"], sum(both["counts"]), both["first_ns"]) == (203, 100, T0)
     assert both["recordings"] == [[0, 2]]
-    assert actual["axis"]["start_ns"] > T0 - 10 * S
+    assert result["axis"]["start_ns"] > T0 - 10 * S
 
 
 def test_a_mission_without_anything_has_no_topics(api: Api, mission_id: str) -> None:
-    actual = api.get(f"/missions/{mission_id}/topics").ok()
-    assert (actual["items"], actual["axis"], actual["recordings"]) == ([], None, [])
+    result = api.get(f"/missions/{mission_id}/topics").ok()
+    assert (result["items"], result["axis"], result["recordings"]) == ([], None, [])
     api.get(f"/missions/{uuid.uuid4()}/topics").refused(404, "not_found")
 
 
@@ -153,9 +153,9 @@ def test_a_link_to_some_files_shows_topics_of_these(api: Api, sample: Sample, mi
     until = (datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(hours=1)).isoformat()
     expected = {"name": "one", "expires_at": until, "file_ids": [shown]}
     link = api.post(f"/missions/{mission_id}/shares", expected).ok(201)
-    actual = api.as_(link["secret"]).get(f"/missions/{mission_id}/topics").ok()
-    assert {(item["name"], item["count"]) for item in actual["items"]} == {("/imu", 10), ("/a", 10)}
-    assert [item["name"] for item in actual["recordings"]] == ["a.mcap"]
+    result = api.as_(link["secret"]).get(f"/missions/{mission_id}/topics").ok()
+    assert {(item["name"], item["count"]) for item in result["items"]} == {("/imu", 10), ("/a", 10)}
+    assert [item["name"] for item in result["recordings"]] == ["a.mcap"]
 
 
 def test_a_file_says_how_densely_its_messages_lie(api: Api, sample: Sample, mission_id: str) -> None:
@@ -172,10 +172,10 @@ def test_a_recording_that_is_uploaded_gets_its_density(api: Api, mission_id: str
     generate_mcap(tmp_path / "a.mcap", size_bytes=1_000_000, seed=1)
     upload_all(api, mission_id, {"a.mcap": (tmp_path / "a.mcap").read_bytes()})
     run_jobs(api)
-    actual = api.get(f"/missions/{mission_id}/topics").ok()
-    assert actual["is_current"]
-    assert all(sum(item["counts"]) == item["count"] > 0 for item in actual["items"])
-    assert len(actual["items"]) > 1
+    result = api.get(f"/missions/{mission_id}/topics").ok()
+    assert result["is_current"]
+    assert all(sum(item["counts"]) == item["count"] > 0 for item in result["items"])
+    assert len(result["items"]) > 1
 
 
 def test_topics_that_were_never_derived_are_caught_up_with(api: Api, sample: Sample, mission_id: str) -> None:

@@ -13,9 +13,10 @@ from kleinkram.recordings import Depth
 from kleinkram.recordings.inspect import Inspection, InspectionKind, inspect_paths
 from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.back_pressure import BackPressure
-from kleinkram.server.recordings import deriving, understanding
-from kleinkram.server.recordings.deriving import Derived
-from kleinkram.server.recordings.rests import Rests
+from kleinkram.server.recordings import derive as derivation
+from kleinkram.server.recordings import jobs as recording_jobs
+from kleinkram.server.recordings.derive import Derived
+from kleinkram.server.recordings.jobs import Rests
 from tests.integration.api_server import Api
 from tests.integration.corpus import Corpus
 from tests.integration.jobs import drain, on_site, run_jobs
@@ -83,7 +84,7 @@ def test_deriving_takes_as_many_queries_for_many_recordings_as_for_one(api: Api,
         seen: list[str] = []
         event.listen(context.database.engine.sync_engine, "before_cursor_execute", lambda *named: seen.append(named[2]))
         async with context.database.begin() as db:
-            actual = await deriving.derive(db, await deriving.live_files(db, uuid.UUID(mission_id)), {})
+            actual = await derivation.derive(db, await derivation.live_files(db, uuid.UUID(mission_id)), {})
         counts.append(len(seen))
         return actual
 
@@ -187,7 +188,7 @@ def test_a_metadata_is_read_by_a_child_alone(api: Api, mission_id: str, monkeypa
 def test_metadata_that_takes_too_long_to_read_is_reported(
     api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(understanding, "_LIMIT_S", 0.001)
+    monkeypatch.setattr(recording_jobs, "_LIMIT_S", 0.001)
     upload_all(api, mission_id, {"run/metadata.yaml": _METADATA + b"# slow", "run/run_0.mcap": b"\x89MCAP0\r\n"})
     run_jobs(api)
     (recording,) = api.all(f"/missions/{mission_id}/recordings")

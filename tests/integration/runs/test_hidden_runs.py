@@ -84,7 +84,7 @@ def _addresses(ids: dict[str, list[str]]) -> list[tuple[str, str, dict[str, str]
     return match
 
 
-def test_no_route_reveals_files_that_moved_to_hidden_projects(world: World) -> None:
+def test_no_route_shows_files_that_moved_out_of_sight(world: World) -> None:
     seen = 0
     for api in (world.reader, world.outsider):
         for path, requested, query in _addresses(world.ids):
@@ -98,7 +98,7 @@ def test_no_route_reveals_files_that_moved_to_hidden_projects(world: World) -> N
     assert seen > 50, "the sweep met too few answers to be one"
 
 
-def test_lineage_shows_visible_files(world: World) -> None:
+def test_lineage_still_shows_visible_files(world: World) -> None:
     (reader,) = world.reader.get(f"/files/{world.visible_file_id}/lineage").ok()["read_by"]
     assert (reader["run"]["id"], reader["artifact_count"]) == (world.run_id, 1)
     assert [entry["path"] for entry in reader["inputs"]] == ["drive.bin", "notes/day.txt"]

@@ -24,10 +24,10 @@ def test_inputs_stay_as_long_as_a_run_may_read_them(lab: Api, runner: Played, pl
     file_id = place.files["drive.bin"]["id"]
     lab.sql("UPDATE run_input SET file_id = NULL WHERE file_id = %s", file_id)
     (blob_id,) = lab.sql("DELETE FROM file WHERE id = %s RETURNING blob_id", file_id)[0]
-    on_site(lab, _collect)
+    on_site(lab, _collect_garbage)
     assert lab.sql("SELECT marked_for_deletion_at FROM blob WHERE id = %s", blob_id) == [(None,)]
     lab.post(f"/runs/{made['id']}/cancel").ok()
-    on_site(lab, _collect)
+    on_site(lab, _collect_garbage)
     assert lab.sql("SELECT marked_for_deletion_at IS NOT NULL FROM blob WHERE id = %s", blob_id) in ([(True,)], [])
 
 
@@ -42,14 +42,14 @@ def test_artifacts_of_a_run_remain_until_its_mission_is_deleted(lab: Api, runner
     runner.finish(claim).ok()
     blobs = _blobs(lab, claim["run_id"])
     assert len(blobs) == 2
-    on_site(lab, _collect)
+    on_site(lab, _collect_garbage)
     assert lab.sql("SELECT count(*) FROM blob WHERE id = ANY(%s) AND marked_for_deletion_at IS NULL", blobs) == [(2,)]
     assert lab.sql("SELECT count(*) FROM log_chunk WHERE run_id = %s", claim["run_id"]) == [(0,)], "joined"
     lab.delete(f"/missions/{place.mission['id']}").ok()
     lab.sql("UPDATE upload SET cleaned_at = now() WHERE mission_id = %s", place.mission["id"])
     lab.sql("UPDATE mission SET deleted_at = now() - interval '1 year' WHERE id = %s", place.mission["id"])
     for _ in range(3):
-        on_site(lab, _collect)
+        on_site(lab, _collect_garbage)
     assert lab.sql("SELECT count(*) FROM run WHERE id = %s", claim["run_id"]) == [(0,)]
     assert lab.sql("SELECT count(*) FROM blob WHERE id = ANY(%s) AND marked_for_deletion_at IS NULL", blobs) == [(0,)]
     assert lab.sql("SELECT count(*) FROM token WHERE kind = 'run' AND run_id IS NULL AND revoked_at IS NOT NULL")[0][0]
@@ -188,7 +188,7 @@ def _blobs(lab: Api, run_id: str) -> list[uuid.UUID]:
     return [row[0] for row in left + lab.sql("SELECT log_blob_id FROM run WHERE id = %s", run_id)]
 
 
-async def _collect(context: AppContext) -> None:
+async def _collect_garbage(context: AppContext) -> None:
     await maintain_runs_once(context)
     await collect_garbage(context)
 

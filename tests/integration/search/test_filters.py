@@ -102,8 +102,8 @@ FRONT, NOTES, REAR = "Bags/front.mcap", "notes_1.txt", "rear.bag"
         ({"text": "5_%"}, []),
     ],
 )
-def test_files(api: Api, project: Any, query: Query, actual: list[str]) -> None:
-    assert _files(api, project, query) == " ".join(actual)
+def test_files(api: Api, project: Any, query: Query, result: list[str]) -> None:
+    assert _files(api, project, query) == " ".join(result)
 
 
 @pytest.mark.parametrize(
@@ -124,21 +124,21 @@ def test_files(api: Api, project: Any, query: Query, actual: list[str]) -> None:
         ({"text": "imu"}, ""),
     ],
 )
-def test_missions(api: Api, project: Any, query: dict[str, str], actual: str) -> None:
+def test_missions(api: Api, project: Any, query: dict[str, str], result: str) -> None:
     items = api.all("/missions", {"project_id": project["id"], **query})
-    assert " ".join(item["name"] for item in items) == actual
+    assert " ".join(item["name"] for item in items) == result
 
 
 @pytest.mark.parametrize("by", ["project_id", "project"])
 def test_missions_are_counted_within_their_project(api: Api, by: str) -> None:
-    several, many = api.project(), api.project()
-    for project in (several, many, many, many):
+    some, many = api.project(), api.project()
+    for project in (some, many, many, many):
         api.mission(project["id"])
     reader = people.person(api)
-    for project in (several, many):
+    for project in (some, many):
         people.grant(api, reader, Right.read, project_id=project["id"])
     for who in (api, api.as_(reader.token)):
-        for project, count in ((several, 1), (many, 3)):
+        for project, count in ((some, 1), (many, 3)):
             expected = {by: project["id"] if by == "project_id" else project["name"], "count": "true", "limit": "1"}
             assert who.get("/missions", expected).ok()["total"] == count
 
@@ -162,9 +162,9 @@ def test_a_project_is_selected_by_name_or_pattern(api: Api, project: Any) -> Non
         ("-start", [REAR, FRONT, NOTES]),
     ],
 )
-def test_files_sort_page_by_page(api: Api, project: Any, sort: str, actual: list[str]) -> None:
+def test_files_sort_page_by_page(api: Api, project: Any, sort: str, result: list[str]) -> None:
     listed = api.all("/files", {"project_id": project["id"], "sort": sort, "limit": "1"})
-    assert [item["path"] for item in listed] == actual
+    assert [item["path"] for item in listed] == result
 
 
 def test_files_are_counted_on_request(api: Api, project: Any) -> None:
@@ -210,15 +210,15 @@ def test_a_forged_cursor_of_files_by_path_is_refused_or_leads_nowhere_else(
     api: Api, project: Any, sort: str, place: int, value: str
 ) -> None:
     query = {"project_id": project["id"], "sort": sort, "limit": "1"}
-    actual = {one["id"] for one in api.all("/files", query)}
+    result = {one["id"] for one in api.all("/files", query)}
     real = api.get("/files", query).ok()["next"]
-    text = json.loads(base64.urlsafe_b64decode(real + "=" * (-len(real) % 4)))
-    text[place] = value
-    answer = api.get("/files", {**query, "cursor": base64.urlsafe_b64encode(json.dumps(text).encode()).decode()})
+    shown = json.loads(base64.urlsafe_b64decode(real + "=" * (-len(real) % 4)))
+    shown[place] = value
+    answer = api.get("/files", {**query, "cursor": base64.urlsafe_b64encode(json.dumps(shown).encode()).decode()})
     if answer.status != 200:
         answer.refused(422, "invalid_cursor")
     else:
-        assert {one["id"] for one in answer.ok()["items"]} <= actual
+        assert {one["id"] for one in answer.ok()["items"]} <= result
 
 
 def test_a_list_of_files_takes_the_same_number_of_queries_however_long(api: Api, sample: Sample) -> None:
@@ -271,16 +271,16 @@ def test_a_list_continues_when_the_number_of_visible_missions_changes(
     ids += [sample.file(mission, f"{number}.bag", start_ns=number, end_ns=number) for number in range(2)]
     reader = people.person(api)
     people.grant(api, reader, Right.read, mission_id=mission)
-    theirs, actual, query = api.as_(reader.token), list[str](), {"sort": sort, "limit": "1"}
+    theirs, result, query = api.as_(reader.token), list[str](), {"sort": sort, "limit": "1"}
     for most in itertools.cycle((missions_service.MAX_VISIBLE_IDS, 0)):
         monkeypatch.setattr(missions_service, "MAX_VISIBLE_IDS", most)
         page = theirs.get("/files", query).ok()
-        actual += _ids(page["items"])
+        result += _ids(page["items"])
         if page["next"] is None:
             break
         query["cursor"] = page["next"]
-    assert actual == _ids(api.all("/files", {"sort": sort, "mission_id": mission}))
-    assert sorted(actual) == sorted(ids)
+    assert result == _ids(api.all("/files", {"sort": sort, "mission_id": mission}))
+    assert sorted(result) == sorted(ids)
 
 
 def test_both_execution_plans_find_the_same_files(api: Api, sample: Sample, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -316,7 +316,9 @@ def _statements_naming_missions(api: Api, token: str) -> list[bool]:
     with api.statements() as statements:
         api.as_(token).get("/search", {"query": ""}).ok()
         api.as_(token).get("/search/facets", {"query": ""}).ok()
-    return ["file.mission_id = ANY" in item for item in statements if "JOIN mission" in item and "FROM file" in item]
+    return [
+        "file.mission_id = ANY" in entry for entry in statements if "JOIN mission" in entry and "FROM file" in entry
+    ]
 
 
 def test_topics_are_found_across_files(api: Api, project: Any, sample: Sample) -> None:

@@ -54,7 +54,7 @@ def lab(start_api: StartApi) -> Api:
     return api
 
 
-def _results(lab: Api, text: str) -> Any:
+def _result(lab: Api, text: str) -> Any:
     return lab.get("/search", {"query": text}).ok()
 
 
@@ -110,7 +110,7 @@ def _names(page: Any, name: str = "name") -> list[str]:
     ],
 )
 def test_a_query_finds_files(lab: Api, text: str, files: list[str]) -> None:
-    page = _results(lab, text)["files"]
+    page = _result(lab, text)["files"]
     assert (_names(page, "path"), page["total"]) == (files, len(files))
     assert sorted(item["path"] for item in lab.all("/files", {"query": text, "limit": "1"})) == files
 
@@ -132,38 +132,38 @@ def test_a_query_finds_files(lab: Api, text: str, files: list[str]) -> None:
     ],
 )
 def test_a_query_finds_missions_by_what_they_say_and_by_their_files(lab: Api, text: str, missions: list[str]) -> None:
-    page = _results(lab, text)["missions"]
+    page = _result(lab, text)["missions"]
     assert (_names(page), page["total"]) == (missions, len(missions))
     assert sorted(item["name"] for item in lab.all("/missions", {"query": text, "limit": "1"})) == missions
 
 
 def test_a_query_finds_topics_once_each(lab: Api) -> None:
-    topics = _results(lab, "")["topics"]
-    assert [(item["name"], item["file_count"], item["message_count"]) for item in topics["items"]] == [
+    topics = _result(lab, "")["topics"]
+    assert [(entry["name"], entry["file_count"], entry["message_count"]) for entry in topics["items"]] == [
         ("/imu", 2, 400),
         ("/cam/front", 1, 10),
         ("/cam/rear", 1, 10),
         ("/odd", 1, None),
     ]
     assert topics["total"] == 4
-    assert _names(_results(lab, "topic:/cam/*")["topics"]) == ["/cam/front", "/cam/rear"]
-    of_type = _results(lab, "image")["topics"]["items"]
-    assert [item["name"] for item in of_type][:2] == ["/cam/front", "/cam/rear"], "those of that type come first"
-    assert _results(lab, "rear")["topics"]["items"][0]["name"] == "/cam/rear", "what holds the word comes first"
-    assert _results(lab, "no such thing")["topics"] == {"items": [], "next": None, "total": 0}
+    assert _names(_result(lab, "topic:/cam/*")["topics"]) == ["/cam/front", "/cam/rear"]
+    of_type = _result(lab, "image")["topics"]["items"]
+    assert [entry["name"] for entry in of_type][:2] == ["/cam/front", "/cam/rear"], "those of that type come first"
+    assert _result(lab, "rear")["topics"]["items"][0]["name"] == "/cam/rear", "what holds the word comes first"
+    assert _result(lab, "no such thing")["topics"] == {"items": [], "next": None, "total": 0}
 
 
 def test_the_text_comes_back_in_its_own_spelling_and_with_what_it_means(lab: Api) -> None:
-    actual = _results(lab, " -label:wet   label:night size>=1000MB alps ")
-    assert actual["query"] == "alps label:night size>=1GB -label:wet"
-    assert actual["filter"]["min_size_bytes"] == 10**9
-    assert _results(lab, actual["query"])["files"] == actual["files"]
+    result = _result(lab, " -label:wet   label:night size>=1000MB alps ")
+    assert result["query"] == "alps label:night size>=1GB -label:wet"
+    assert result["filter"]["min_size_bytes"] == 10**9
+    assert _result(lab, result["query"])["files"] == result["files"]
 
 
 def test_a_query_and_filters_are_combined(lab: Api) -> None:
-    assert [item["path"] for item in lab.all("/files", {"query": "label:night", "content": "opaque"})] == [LOG]
+    assert [entry["path"] for entry in lab.all("/files", {"query": "label:night", "content": "opaque"})] == [LOG]
     assert lab.get("/stats", {"query": "label:night", "text": "rained"}).ok()["total"]["files"] == 2
-    assert {item["name"] for item in lab.all("/topics", {"query": "alps", "topic": "/i*"})} == {"/imu"}
+    assert {entry["name"] for entry in lab.all("/topics", {"query": "alps", "topic": "/i*"})} == {"/imu"}
     problem = lab.get("/files", {"query": "project:Town", "project": "Alps"}).refused(422, "invalid_query")
     assert "said at column 1 already" in problem["detail"]
 
@@ -186,9 +186,9 @@ def test_a_search_has_so_many_words_and_no_more(lab: Api, path: str) -> None:
 
 
 def _facets(api: Api, text: str) -> dict[str, dict[str, int]]:
-    actual = api.get("/search/facets", {"query": text}).ok()
+    result = api.get("/search/facets", {"query": text}).ok()
     return {
-        item["name"]: {value["value"]: value["file_count"] for value in item["values"]} for item in actual["facets"]
+        entry["name"]: {value["value"]: value["file_count"] for value in entry["values"]} for entry in result["facets"]
     }
 
 
@@ -216,7 +216,7 @@ def test_choosing_a_value_finds_as_many_files_as_it_says(lab: Api) -> None:
         for facet in answer["facets"]:
             chosen = [value for value in facet["values"] if value["is_chosen"]]
             for value in facet["values"]:
-                total = _results(lab, value["query"])["files"]["total"]
+                total = _result(lab, value["query"])["files"]["total"]
                 if not chosen:
                     assert total == value["file_count"], (text, facet["name"], value)
                 if value["is_chosen"]:
@@ -224,30 +224,32 @@ def test_choosing_a_value_finds_as_many_files_as_it_says(lab: Api) -> None:
 
 
 def test_a_facet_of_which_something_is_chosen_still_shows_the_others(lab: Api) -> None:
-    actual = lab.get("/search/facets", {"query": "meta.robot:spot label:night"}).ok()
-    facets = {item["name"]: item["values"] for item in actual["facets"]}
-    robots = [(item["value"], item["file_count"], item["is_chosen"], item["query"]) for item in facets["meta.robot"]]
+    result = lab.get("/search/facets", {"query": "meta.robot:spot label:night"}).ok()
+    facets = {entry["name"]: entry["values"] for entry in result["facets"]}
+    robots = [
+        (entry["value"], entry["file_count"], entry["is_chosen"], entry["query"]) for entry in facets["meta.robot"]
+    ]
     assert robots == [
         ("anymal", 2, False, "meta.robot:anymal label:night"),
         ("spot", 0, True, "label:night"),
     ]
-    assert (actual["file_count"], actual["is_whole"]) == (0, True)
+    assert (result["file_count"], result["is_whole"]) == (0, True)
 
 
 def test_hidden_files_are_in_no_count(lab: Api) -> None:
     member = people.person(lab)
     theirs = lab.as_(member.token)
     assert _facets(theirs, "") == {}
-    assert _results(theirs, "imu")["files"]["total"] == 0
+    assert _result(theirs, "imu")["files"]["total"] == 0
     town = lab.get("/projects", {"name": "Town"}).ok()["items"][0]["id"]
     people.grant(lab, member, Right.read, project_id=town)
-    actual = _results(theirs, "")
-    assert [actual[item]["total"] for item in ("missions", "files", "topics")] == [1, 1, 3]
+    result = _result(theirs, "")
+    assert [result[entry]["total"] for entry in ("missions", "files", "topics")] == [1, 1, 3]
     facets = _facets(theirs, "")
     assert (facets["project"], facets["topic"]["/imu"]) == ({"Town": 1}, 1)
     assert "meta.site" not in facets
     lake = lab.get("/missions", {"name": "Lake"}).ok()["items"][0]["id"]
-    (file_id,) = (item["id"] for item in lab.all("/files", {"query": "lake"}))
+    (file_id,) = (entry["id"] for entry in lab.all("/files", {"query": "lake"}))
     guest = lab.as_(people.share(lab, lake, file_ids=[file_id]).secret)
     assert not any(name.startswith("meta.") for name in _facets(guest, "")), "a link to files shows no metadata"
     guest.get("/search/facets", {"query": "meta.robot:spot"}).refused(422, "invalid_query")
@@ -266,14 +268,14 @@ def test_labels_are_put_on_many_files_each_by_its_own_right(lab: Api) -> None:
     theirs = lab.as_(member.token)
     requested = [*files, seen, unseen, nobodys]
     answer = theirs.post("/files/labels", {"file_ids": requested, "add": ["new", "new"], "remove": ["old", "new"]}).ok()
-    message = [(item["file_id"], item["labels"], (item["problem"] or {}).get("code")) for item in answer["items"]]
-    assert message == [
+    reply = [(entry["file_id"], entry["labels"], (entry["problem"] or {}).get("code")) for entry in answer["items"]]
+    assert reply == [
         *((file_id, ["kept", "new"], None) for file_id in files),
         (seen, None, "forbidden"),
         (unseen, None, "not_found"),
         (nobodys, None, "not_found"),
     ]
-    assert [lab.get(f"/files/{item}").ok()["labels"] for item in files] == [["kept", "new"]] * 3
+    assert [lab.get(f"/files/{entry}").ok()["labels"] for entry in files] == [["kept", "new"]] * 3
     rows = lab.sql(
         "SELECT noun_id::text, before, after FROM audit_event WHERE actor_id = %s AND operation = 'file.update'",
         member.id,

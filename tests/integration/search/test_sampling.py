@@ -56,18 +56,18 @@ def _sampled(monkeypatch: pytest.MonkeyPatch) -> int:
 
 
 def test_a_small_number_of_files_is_counted_exactly(full: Api) -> None:
-    actual = full.get("/search", {"query": "drive"}).ok()
-    assert (actual["is_whole"], actual["files"]["total"], actual["missions"]["total"]) == (True, _FILES - _RARE, 1)
-    assert actual["topics"]["items"][0]["file_count"] == _FILES - _RARE
+    result = full.get("/search", {"query": "drive"}).ok()
+    assert (result["is_whole"], result["files"]["total"], result["missions"]["total"]) == (True, _FILES - _RARE, 1)
+    assert result["topics"]["items"][0]["file_count"] == _FILES - _RARE
 
 
 def test_an_estimated_total_of_very_many_files_is_declared_as_one(full: Api, sampled: int) -> None:
-    actual = full.get("/search", {"query": "drive", "limit": "5"}).ok()
-    assert not actual["is_whole"]
+    result = full.get("/search", {"query": "drive", "limit": "5"}).ok()
+    assert not result["is_whole"]
     # Ids are random: of 120 files, the 60th id lies near the middle, and seldom beyond these.
-    assert _FILES / 2 < actual["files"]["total"] < _FILES * 2
-    assert [item["start_ns"] for item in actual["files"]["items"]] == [*range(_FILES, _FILES - 5, -1)]
-    assert [item["name"] for item in actual["topics"]["items"]] == ["/imu"]
+    assert _FILES / 2 < result["files"]["total"] < _FILES * 2
+    assert [item["start_ns"] for item in result["files"]["items"]] == [*range(_FILES, _FILES - 5, -1)]
+    assert [item["name"] for item in result["topics"]["items"]] == ["/imu"]
     for query in ("drive", "", "drive topic:/imu", "project:many*"):
         facets = full.get("/search/facets", {"query": query}).ok()
         assert not facets["is_whole"]
@@ -77,8 +77,8 @@ def test_an_estimated_total_of_very_many_files_is_declared_as_one(full: Api, sam
 
 
 def test_a_rare_word_among_very_many_files_finds_all_its_files(full: Api, sampled: int) -> None:
-    actual = full.get("/search", {"query": "rarely"}).ok()
-    assert (actual["is_whole"], actual["files"]["total"]) == (True, _RARE)
+    result = full.get("/search", {"query": "rarely"}).ok()
+    assert (result["is_whole"], result["files"]["total"]) == (True, _RARE)
     assert full.get("/search", {"query": "zzyzx"}).ok()["files"] == {"items": [], "next": None, "total": 0}
     facets = full.get("/search/facets", {"query": "rarely"}).ok()
     assert (facets["is_whole"], facets["file_count"]) == (True, _RARE)
@@ -87,20 +87,20 @@ def test_a_rare_word_among_very_many_files_finds_all_its_files(full: Api, sample
 @pytest.mark.parametrize("timed_by", ["nothing", "path", "label", "topic", "mission", "project"])
 @pytest.mark.usefixtures("sampled")
 def test_files_without_a_time_come_last_among_very_many(start_api: StartApi, timed_by: str) -> None:
-    api, text = (
+    api, reported = (
         start_api(),
         dict.fromkeys(["path", "label", "topic", "mission", "project"], "plain") | {timed_by: "sheet"},
     )
     sample, mission = Sample(api), api.mission(api.project(name="of many")["id"], name="of many")["id"]
     ids = [sample.file(mission, f"a/sheet_{number}.yaml") for number in range(_FILES)]
-    project = api.project(name=f"{text['project']} project")["id"]
+    project = api.project(name=f"{reported['project']} project")["id"]
     timed = sample.file(
-        api.mission(project, name=f"{text['mission']} mission")["id"],
-        f"a/{text['path']}.mcap",
+        api.mission(project, name=f"{reported['mission']} mission")["id"],
+        f"a/{reported['path']}.mcap",
         start_ns=5,
         end_ns=6,
-        labels=(f"of {text['label']}",),
-        topics=[{"name": f"/{text['topic']}"}],
+        labels=(f"of {reported['label']}",),
+        topics=[{"name": f"/{reported['topic']}"}],
     )
     in_order = ([] if timed_by == "nothing" else [timed]) + sorted(ids, reverse=True)
     for query, shown in (
@@ -108,11 +108,11 @@ def test_files_without_a_time_come_last_among_very_many(start_api: StartApi, tim
         ("sheet sheet_1", _holding(api, "sheet_1")),
         ("a sheet", set(in_order)),
     ):
-        actual = api.get("/search", {"query": query, "limit": "5"}).ok()
-        assert [item["id"] for item in actual["files"]["items"]] == [item for item in in_order if item in shown][:5], (
+        result = api.get("/search", {"query": query, "limit": "5"}).ok()
+        assert [item["id"] for item in result["files"]["items"]] == [item for item in in_order if item in shown][:5], (
             query
         )
-        assert query == "sheet sheet_1" or actual["is_whole"] == (timed_by != "nothing")
+        assert query == "sheet sheet_1" or result["is_whole"] == (timed_by != "nothing")
     assert api.get("/search", {"query": "sheet", "sort": "size", "limit": "1"}).ok()["files"]["items"]
 
 
@@ -129,10 +129,10 @@ def test_very_many_files_in_one_mission_find_that_mission(start_api: StartApi, m
         sample.file(full, f"sheet_{number}.mcap", start_ns=number + 1, end_ns=number + 2)
     sampled_first = str(api.sql("SELECT id FROM mission ORDER BY id LIMIT 1")[0][0])
     _set_limit(monkeypatch, missions_service, "SAMPLED_MISSIONS", 1)
-    actual = api.get("/search", {"query": "sheet"}).ok()
-    assert not actual["is_whole"]
-    assert [item["id"] for item in actual["missions"]["items"]] == [full]
-    assert actual["missions"]["total"] == 1 or sampled_first == full
+    result = api.get("/search", {"query": "sheet"}).ok()
+    assert not result["is_whole"]
+    assert [item["id"] for item in result["missions"]["items"]] == [full]
+    assert result["missions"]["total"] == 1 or sampled_first == full
 
 
 @pytest.mark.parametrize("globs", [["*sheet*"], ["*sheet*", "*notes*"]])
@@ -141,14 +141,14 @@ def test_globs_of_paths_use_both_trigram_indexes(start_api: StartApi, globs: lis
     Sample(api).file(api.mission(api.project(name="of paths")["id"])["id"], "sheet.mcap")
     requested = [("sort", "size"), *(("path", glob) for glob in globs)]
     with api.statements() as statements:
-        (actual,) = api.get(f"/files?{urlencode(requested)}").ok()["items"]
-    assert actual["path"] == "sheet.mcap"
+        (result,) = api.get(f"/files?{urlencode(requested)}").ok()["items"]
+    assert result["path"] == "sheet.mcap"
     (listed,) = (item for item in statements if "path_key LIKE" in item)
     assert listed.count("start_ns IS NULL AND") == listed.count("start_ns IS NOT NULL AND") == len(globs)
 
 
 def _holding(api: Api, word: str) -> set[str]:
-    return {str(actual) for (actual,) in api.sql("SELECT id FROM file WHERE path_key LIKE %s", f"%{word}%")}
+    return {str(result) for (result,) in api.sql("SELECT id FROM file WHERE path_key LIKE %s", f"%{word}%")}
 
 
 @pytest.mark.parametrize("query", ["imu", "topic:/imu", "type:Imu", "imu drive"])
@@ -161,10 +161,10 @@ def test_stored_topics_exclude_a_mission_only_where_current_and_complete(
     full.sql("UPDATE topic SET message_type = 'Imu' WHERE name = '/imu'")
 
     def is_found() -> bool:
-        actual = full.get("/search", {"query": query}).ok()
-        assert not actual["is_whole"]
-        in_missions = {item["id"] for item in actual["missions"]["items"]}
-        in_files = {item["mission"]["id"] for item in actual["files"]["items"]}
+        result = full.get("/search", {"query": query}).ok()
+        assert not result["is_whole"]
+        in_missions = {item["id"] for item in result["missions"]["items"]}
+        in_files = {item["mission"]["id"] for item in result["files"]["items"]}
         assert (str(mission_id) in in_missions) == (str(mission_id) in in_files)
         return str(mission_id) in in_missions
 
@@ -177,7 +177,7 @@ def test_stored_topics_exclude_a_mission_only_where_current_and_complete(
         full.sql("UPDATE mission_topic SET name = '/gps', message_type = 'Fix' WHERE mission_id = %s", mission_id)
         assert not is_found()
         with monkeypatch.context() as patch:
-            _set_limit(patch, text_filters, "MOST_KEPT_TOPICS", 1)
+            _set_limit(patch, text_filters, "MAX_STORED_TOPICS", 1)
             assert is_found()
         full.sql("UPDATE mission SET files_revision = 1 WHERE id = %s", mission_id)
         assert is_found()
@@ -239,10 +239,10 @@ def test_a_search_finds_the_same_whichever_plan_it_follows(
     _set_limit(monkeypatch, module, name, value)
     queries = ((word, 21, 13), (f"{word} imu", 9, 9), (f"{word} {word}_1", 1, 1), (f"-{word}", 3, 3))
     for query, files, missions in queries:
-        actual = api.get("/search", {"query": query, "limit": "50"}).ok()
-        assert (actual["files"]["total"], actual["missions"]["total"]) == (files, missions), query
-        assert len(actual["files"]["items"]) == files
-        assert len(actual["missions"]["items"]) == missions
+        result = api.get("/search", {"query": query, "limit": "50"}).ok()
+        assert (result["files"]["total"], result["missions"]["total"]) == (files, missions), query
+        assert len(result["files"]["items"]) == files
+        assert len(result["missions"]["items"]) == missions
 
 
 def test_a_common_word_lists_what_a_rare_one_does(spread: tuple[Api, str], monkeypatch: pytest.MonkeyPatch) -> None:

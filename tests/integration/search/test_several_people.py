@@ -18,7 +18,7 @@ _READERS, _TOPICS = 2, ("/imu", "/gps")
 @pytest.fixture(name="readers", params=[True, False], ids=["sees many", "sees few"])
 def _readers(start_api: StartApi, request: pytest.FixtureRequest) -> Iterator[list[tuple[Api, str, str]]]:
     """People who each see one mission, its id, and the word that names it alone."""
-    api, actual = start_api(), []
+    api, result = start_api(), []
     sample = Sample(api)
     for number in range(_READERS):
         word = f"w{uuid.uuid4().hex[:12]}"
@@ -27,11 +27,11 @@ def _readers(start_api: StartApi, request: pytest.FixtureRequest) -> Iterator[li
         sample.file(mission, "drive.mcap", labels=(word,), topics=[{"name": _TOPICS[number]}])
         reader = people.person(api)
         people.grant(api, reader, Right.read, project_id=project)
-        actual.append((api.as_(people.token(api, reader).secret), mission, word))
+        result.append((api.as_(people.token(api, reader).secret), mission, word))
     with pytest.MonkeyPatch.context() as patch:
         if request.param:
             patch.setattr(missions_service, "MAX_VISIBLE_IDS", 0)
-        yield actual
+        yield result
 
 
 @pytest.mark.parametrize("query", ["{}", "drive", "drive {}", "meta.robot={}", "{} -word_0", "label:{}", ""])
@@ -40,10 +40,10 @@ def test_everyone_finds_only_what_their_own_query_and_rights_allow(
 ) -> None:
     for api, mission, word in [*readers, *readers]:
         for sort in ("-start", "path"):
-            actual = api.get("/search", {"query": query.format(word), "sort": sort}).ok()
-            assert [item["mission"]["id"] for item in actual["files"]["items"]] == [mission]
-            assert {item["id"] for item in actual["missions"]["items"]} <= {mission}
-            assert (actual["files"]["total"], actual["topics"]["total"], actual["is_whole"]) == (1, 1, True)
+            result = api.get("/search", {"query": query.format(word), "sort": sort}).ok()
+            assert [item["mission"]["id"] for item in result["files"]["items"]] == [mission]
+            assert {item["id"] for item in result["missions"]["items"]} <= {mission}
+            assert (result["files"]["total"], result["topics"]["total"], result["is_whole"]) == (1, 1, True)
         facets = api.get("/search/facets", {"query": query.format(word)}).ok()
         assert facets["file_count"] == 1
         (labels,) = (item["values"] for item in facets["facets"] if item["name"] == "label")

@@ -61,11 +61,11 @@ def project_id(api: Api, sample: Sample) -> str:
         ("robot=:x %(y)s", ""),
     ],
 )
-def test_compares(api: Api, project_id: str, expression: str, actual: str) -> None:
+def test_compares(api: Api, project_id: str, expression: str, result: str) -> None:
     query = {"project_id": project_id, "where": expression}
-    assert " ".join(mission["name"] for mission in api.all("/missions", query)) == actual
+    assert " ".join(mission["name"] for mission in api.all("/missions", query)) == result
     files = sorted(file["mission"]["name"] for file in api.all("/files", query))
-    assert " ".join(files) == actual
+    assert " ".join(files) == result
 
 
 def test_all_comparisons_must_be_true(api: Api, project_id: str) -> None:
@@ -108,11 +108,11 @@ def test_values_outside_the_range_of_the_database_are_refused(api: Api, query: d
         ("meta.site.latitude", ["one"]),
     ],
 )
-def test_a_list_is_sorted_by_metadata_page_by_page(api: Api, project_id: str, sort: str, actual: list[str]) -> None:
+def test_a_list_is_sorted_by_metadata_page_by_page(api: Api, project_id: str, sort: str, result: list[str]) -> None:
     """Missions without the field come last in both directions, and pages neither repeat nor skip one."""
     query = {"project_id": project_id, "sort": sort, "limit": "1"}
     names = [mission["name"] for mission in api.all("/missions", query)]
-    assert names[: len(actual)] == actual
+    assert names[: len(result)] == result
     assert sorted(names) == sorted(MISSIONS)
 
 

@@ -65,7 +65,7 @@ def live(life: Machine, history: str) -> None:
         **{f"object {what}": partial(life.lie, 0, what) for what in ("gone", "cut", "altered", "whole")},
         **{
             rule.__name__: rule
-            for rule in (life.end_leases, life.expire, life.collect_garbage, life.verify, life.scrub)
+            for rule in (life.expire_lease, life.expire, life.collect_garbage, life.verify, life.scrub)
         },
         "empty trash": life.empty_trash,
     }
@@ -128,12 +128,12 @@ FAULTS = [
         "bring, delete, announce, send, restore, complete",
     ),
     Fault(
-        "a lapsed lease still holds the name",
+        "an expired lease still reserves the name",
         rules._decide_with_upload,
         "other.has_lease or",
         "True or",
         "_begin",
-        "announce, end_leases, announce another",
+        "announce, expire_lease, announce another",
     ),
     Fault(
         "who takes a name over leaves the other's upload",
@@ -141,10 +141,10 @@ FAULTS = [
         "state=UploadState.aborted.value",
         "state=UploadState.open.value",
         "_begin",
-        "announce, end_leases, announce another",
+        "announce, expire_lease, announce another",
     ),
     Fault(
-        "the collect_garbage takes what is in the trash",
+        "garbage collection takes what is in the trash",
         queries.is_referenced,
         _FILES_REFER,
         "exists().where(file.c.blob_id == blob.c.id, file.c.deleted_at.is_(None))",
@@ -152,7 +152,7 @@ FAULTS = [
         "bring, delete, collect_garbage",
     ),
     Fault(
-        "the collect_garbage takes what a second file refers to",
+        "garbage collection takes what a second file refers to",
         queries.is_referenced,
         _FILES_REFER,
         "exists().where(file.c.blob_id == blob.c.id, file.c.origin == 'upload')",
@@ -160,7 +160,7 @@ FAULTS = [
         "bring, bring twin, delete, empty trash",
     ),
     Fault(
-        "the collect_garbage leaves the object",
+        "garbage collection leaves the object",
         jobs.collect_garbage,
         _THE_OBJECT_GOES,
         "pass\n",

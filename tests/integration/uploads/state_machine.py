@@ -33,10 +33,10 @@ def documented(heading: str) -> set[tuple[str, str]]:
 
 def _reached(edges: set[tuple[str, str]]) -> set[tuple[str, str]]:
     """Several changes may lie between two looks."""
-    actual = set(edges)
-    while more := {(a, d) for a, b in actual for c, d in actual if b == c} - actual:
-        actual |= more
-    return actual
+    result = set(edges)
+    while more := {(a, d) for a, b in result for c, d in result if b == c} - result:
+        result |= more
+    return result
 
 
 class Machine(RuleBasedStateMachine):
@@ -141,29 +141,29 @@ class Machine(RuleBasedStateMachine):
     # What time and jobs do.
 
     @rule()
-    def end_leases(self) -> None:
+    def expire_lease(self) -> None:
         """Let all names go that are held for uploads; these can go on until another takes the name."""
         self.api.sql("UPDATE upload SET lease_ends_at = now() - interval '1 hour' WHERE state = 'open'")
 
     @rule()
     def expire(self) -> None:
-        """End all leases and clean up: then no name is reserved."""
-        self.end_leases()
+        """Let all that is under way expire, and clean up after it; then nothing is reserved."""
+        self.expire_lease()
         self.api.sql("UPDATE upload SET expires_at = now() WHERE state = 'open'")
         self.context.run(lambda context: maintain_uploads(context, stale_after_s=0))
-        message = self.api.get(f"/projects/{self.project_id}").ok()
-        assert (message["used_files"], message["used_bytes"]) == (message["file_count"], message["size_bytes"])
+        reply = self.api.get(f"/projects/{self.project_id}").ok()
+        assert (reply["used_files"], reply["used_bytes"]) == (reply["file_count"], reply["size_bytes"])
 
     @rule()
     def empty_trash(self) -> None:
-        """Expire the trash and collect garbage."""
+        """Let what is in the trash be old enough, and collect garbage."""
         self.api.sql("UPDATE file SET deleted_at = now() - interval '31 days' WHERE deleted_at IS NOT NULL")
         self.trashed.clear()
         self.collect_garbage()
 
     @rule()
     def collect_garbage(self) -> None:
-        """Doom what nothing refers to, then delete it."""
+        """Mark what nothing refers to, then delete it."""
         for _ in range(2):
             self.context.run(jobs.collect_garbage)
 
@@ -171,14 +171,14 @@ class Machine(RuleBasedStateMachine):
     def verify(self) -> None:
         """Read every blob; afterwards each says what was done to it."""
         self.context.run(verify_all)
-        self._check_events({"whole": "verified", "gone": "lost", "cut": "corrupt", "altered": "corrupt"})
+        self._check_answer({"whole": "verified", "gone": "lost", "cut": "corrupt", "altered": "corrupt"})
 
     @rule()
     def scrub(self) -> None:
         """Compare the store's list; afterwards each blob says whether its object is there, and of its size."""
         scrub_id = uuid.UUID(self.api.post("/admin/scrub", {"believe": True}).ok(202)["id"])
         self.context.run(lambda context: scrub_store(context, scrub_id))
-        self._check_events({"gone": "lost", "cut": "corrupt"})
+        self._check_answer({"gone": "lost", "cut": "corrupt"})
 
     # What a store does that lies.
 
@@ -248,17 +248,17 @@ class Machine(RuleBasedStateMachine):
     @invariant()
     def what_is_used_adds_up(self) -> None:
         """Files and uploads under way, each once."""
-        message = self.api.get(f"/projects/{self.project_id}").ok()
+        reply = self.api.get(f"/projects/{self.project_id}").ok()
         sizes = [file["size_bytes"] for file in self._files()]
         under_way = "SELECT size_bytes FROM upload WHERE mission_id = %s AND state IN ('open', 'completing')"
         coming = [row[0] for row in self.api.sql(under_way, self.mission_id)]
         assert len(coming) <= len(_PATHS), "a name is held twice"
-        assert (message["file_count"], message["size_bytes"]) == (len(sizes), sum(sizes))
-        assert (message["used_files"], message["used_bytes"]) == (len(sizes + coming), sum(sizes + coming))
+        assert (reply["file_count"], reply["size_bytes"]) == (len(sizes), sum(sizes))
+        assert (reply["used_files"], reply["used_bytes"]) == (len(sizes + coming), sum(sizes + coming))
 
     @invariant()
     def states_move_along_documented_edges(self) -> None:
-        """As `docs/states.md` has them; and a blob that is doomed stays so."""
+        """As `docs/states.md` has them; and a marked blob stays marked."""
         now = {("upload", row[0]): row[1] for row in self.api.sql("SELECT id::text, state FROM upload")}
         now |= {("blob", row[0]): row[1] for row in self.api.sql("SELECT id::text, state FROM blob")}
         for what, state in now.items():
@@ -316,10 +316,10 @@ class Machine(RuleBasedStateMachine):
         [file] = [item for item in self._files() if item["path"] == path]
         assert (file["sha256"], file["state"] in {"stored", "verified"}) == (sha256(body), True)
 
-    def _check_events(self, text: dict[str, str]) -> None:
+    def _check_answer(self, shown: dict[str, str]) -> None:
         for state, key, *_ in self._blobs():
             done = self.done_to.get(key, "whole")
-            assert state == text.get(done, state), (done, state)
+            assert state == shown.get(done, state), (done, state)
 
 
 async def _delete(context: AppContext, key: str) -> None:

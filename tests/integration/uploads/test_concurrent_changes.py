@@ -9,7 +9,7 @@ from tests.integration.api_server import Api
 from tests.integration.races import racing
 from tests.integration.upload_client import begin, complete, send, sha256, upload
 
-_LOCK = "SELECT 1 FROM mission WHERE id = %s FOR UPDATE"
+_BLOCK = "SELECT 1 FROM mission WHERE id = %s FOR UPDATE"
 
 
 def _sent(api: Api, mission_id: str, path: str) -> tuple[Any, bytes]:
@@ -22,7 +22,7 @@ def _sent(api: Api, mission_id: str, path: str) -> tuple[Any, bytes]:
 @pytest.mark.parametrize("delete_first", [True, False])
 def test_a_mission_deleted_while_an_upload_is_completed(api: Api, mission_id: str, delete_first: bool) -> None:
     started, body = _sent(api, mission_id, "run.bin")
-    with racing(api, _LOCK, mission_id) as send_one:
+    with racing(api, _BLOCK, mission_id) as send_one:
         if delete_first:
             deleted = send_one(api.delete, f"/missions/{mission_id}")
             completed = send_one(complete, api, started, body)
@@ -44,7 +44,7 @@ def test_a_mission_deleted_while_an_upload_is_completed(api: Api, mission_id: st
 def test_a_file_moved_to_where_an_upload_is_completed(api: Api, mission_id: str, move_first: bool) -> None:
     other = upload(api, mission_id, "other.bin", os.urandom(100))
     started, body = _sent(api, mission_id, "run.bin")
-    with racing(api, _LOCK, mission_id) as send_one:
+    with racing(api, _BLOCK, mission_id) as send_one:
         if move_first:
             moved = send_one(api.patch, f"/files/{other['id']}", {"path": "run.bin"})
             completed = send_one(complete, api, started, body)
@@ -52,12 +52,12 @@ def test_a_file_moved_to_where_an_upload_is_completed(api: Api, mission_id: str,
             completed = send_one(complete, api, started, body)
             moved = send_one(api.patch, f"/files/{other['id']}", {"path": "run.bin"})
     outcome = completed.result(30)
-    actual = {file["path"]: file["sha256"] for file in api.all("/files", {"mission_id": mission_id})}
+    results = {file["path"]: file["sha256"] for file in api.all("/files", {"mission_id": mission_id})}
     if move_first:
         moved.result(30).ok()
         assert (outcome["outcome"], outcome["problem"]["code"]) == ("refused", "file_exists")
-        assert actual == {"run.bin": other["sha256"]}
+        assert results == {"run.bin": other["sha256"]}
     else:
         moved.result(30).refused(409, "name_taken")
         assert outcome["outcome"] == "completed"
-        assert actual == {"run.bin": sha256(body), "other.bin": other["sha256"]}
+        assert results == {"run.bin": sha256(body), "other.bin": other["sha256"]}

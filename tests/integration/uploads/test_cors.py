@@ -33,12 +33,12 @@ def _preflight(url: str, origin: str, method: str, headers: str = "") -> Mapping
     requested = {"Origin": origin, "Access-Control-Request-Method": method}
     requested |= {"Access-Control-Request-Headers": headers} if headers else {}
     answer = urllib3.request("OPTIONS", url, headers=requested, retries=False)
-    message = {name.lower(): value.lower() for name, value in answer.headers.items()}
-    names = {name.strip() for name in message.get("access-control-allow-headers", "").split(",")}
-    allowed = message.get("access-control-allow-origin") == origin and method.lower() in {
-        name.strip() for name in message.get("access-control-allow-methods", "").split(",")
+    reply = {name.lower(): value.lower() for name, value in answer.headers.items()}
+    names = {name.strip() for name in reply.get("access-control-allow-headers", "").split(",")}
+    allowed = reply.get("access-control-allow-origin") == origin and method.lower() in {
+        name.strip() for name in reply.get("access-control-allow-methods", "").split(",")
     }
-    return message if answer.status < 300 and allowed and names >= set(filter(None, headers.split(","))) else None
+    return reply if answer.status < 300 and allowed and names >= set(filter(None, headers.split(","))) else None
 
 
 def _shown(answer: "urllib3.BaseHTTPResponse") -> set[str]:
@@ -94,7 +94,7 @@ def test_rules_of_somebody_else_are_left(start_api: StartApi, store: RunningStor
     assert later.app.state.pages_may_send is False
 
 
-def test_a_store_without_cors_rules_is_accepted(
+def test_a_store_without_such_rules_is_used_all_the_same(
     start_api: StartApi, store: RunningStore, caplog: pytest.LogCaptureFixture
 ) -> None:
     def rule(requested: ProxiedRequest) -> Reply | None:
@@ -110,10 +110,10 @@ def test_a_store_without_cors_rules_is_accepted(
 
 
 def test_pages_receive_the_address_of_the_store(lab: Api, store: RunningStore) -> None:
-    text = lab.as_(None).get("/service").ok()
-    assert text["store_origin"] == store.endpoint
-    assert text["name"] == "Kleinkram"
-    assert text["has_local_accounts"] is True
-    assert text["viewers"] == [{"name": "Viewer", "url": f"{_VIEWER}/?ds=remote-file&ds.url={{url}}"}]
-    assert text["person"] is None
+    shown = lab.as_(None).get("/service").ok()
+    assert shown["store_origin"] == store.endpoint
+    assert shown["name"] == "Kleinkram"
+    assert shown["has_local_accounts"] is True
+    assert shown["viewers"] == [{"name": "Viewer", "url": f"{_VIEWER}/?ds=remote-file&ds.url={{url}}"}]
+    assert shown["person"] is None
     assert lab.get("/service").ok()["person"]["name"] == "owner"

@@ -44,9 +44,9 @@ class _Sha256Alone:
         if requested.method != "GET" or "uploadId" not in requested.query:
             return body
 
-        def listed(actual: "re.Match[str]") -> str:
-            checksum = self._parts[requested.query["uploadId"], actual[1]]
-            return f"{actual[0]}<ChecksumSHA256>{checksum}</ChecksumSHA256>"
+        def listed(result: "re.Match[str]") -> str:
+            checksum = self._parts[requested.query["uploadId"], result[1]]
+            return f"{result[0]}<ChecksumSHA256>{checksum}</ChecksumSHA256>"
 
         return re.sub(r"<PartNumber>(\d+)</PartNumber>", listed, body.decode()).encode()
 

@@ -191,8 +191,8 @@ def test_a_client_resumes_by_its_upload_and_learns_what_the_store_holds(api: Api
 
 def test_a_repeated_begin_returns_the_same_upload(api: Api, mission_id: str, one: bytes) -> None:
     wished = str(uuid.uuid4())
-    text = [begin(api, mission_id, {"run.bin": one}, upload_id=wished)[0] for _ in range(2)]
-    assert [item["upload"]["id"] for item in text] == [wished, wished], "the first answer may have been lost"
+    shown = [begin(api, mission_id, {"run.bin": one}, upload_id=wished)[0] for _ in range(2)]
+    assert [item["upload"]["id"] for item in shown] == [wished, wished], "the first answer may have been lost"
     other = begin(api, mission_id, {"other.bin": one}, upload_id=wished)[0]["upload"]
     assert other["id"] != wished, "an id is used once"
     assert begin(api, mission_id, {"run.bin": one})[0]["problem"]["code"] == "name_leased"
@@ -279,11 +279,11 @@ def test_one_part_is_signed_for_one_checksum_only(api: Api, mission_id: str, one
 def test_a_small_file_announced_by_both_hashes_is_signed_for_at_once(
     api: Api, mission_id: str, one: bytes, two: bytes
 ) -> None:
-    [text] = begin(api, mission_id, {"run.bin": one}, crc64nvme=crc64(one))
-    started = text["upload"]
+    [shown] = begin(api, mission_id, {"run.bin": one}, crc64nvme=crc64(one))
+    started = shown["upload"]
     sign(api, started, [(1, two)]).refused(410, "upload_gone")
     again = begin(api, mission_id, {"run.bin": one}, crc64nvme=crc64(one), upload_id=started["id"])[0]
-    assert again["part"]["headers"] == text["part"]["headers"]
+    assert again["part"]["headers"] == shown["part"]["headers"]
     assert put(again["part"], two) >= 400
     assert put(again["part"], one) == 200
     assert complete(api, started, one)["outcome"] == "completed"

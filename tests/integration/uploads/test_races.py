@@ -12,7 +12,7 @@ from tests.integration.api_server import Api
 from tests.integration.races import racing
 from tests.integration.upload_client import begin, complete, fetch, send, upload
 
-_LOCK = "SELECT 1 FROM mission WHERE id = %s FOR UPDATE"
+_BLOCK = "SELECT 1 FROM mission WHERE id = %s FOR UPDATE"
 
 
 @pytest.fixture(name="twin")
@@ -31,7 +31,7 @@ def _read(api: Api, mission_id: str) -> list[tuple[str, bytes]]:
 
 def _race(api: Api, mission_id: str, works: "list[Callable[[], Any]]") -> list[Any]:
     """Do these at once, in the order given as far as they wait for the same mission; return what they return."""
-    with racing(api, _LOCK, mission_id) as send_one:
+    with racing(api, _BLOCK, mission_id) as send_one:
         futures: list[Future[Any]] = [send_one(work) for work in works]
     return [future.result(30) for future in futures]
 
@@ -111,9 +111,9 @@ def test_a_lost_file_that_is_found_again_while_it_is_to_be_linked_is_present(
     real = queries.lock_duplicates
 
     async def lock_and_heal(*of: Any) -> Any:
-        actual = await real(*of)
+        results = await real(*of)
         api.sql("UPDATE blob SET state = 'verified', md5 = %s, verified_at = now() WHERE id = %s", bytes(16), blob_id)
-        return actual
+        return results
 
     monkeypatch.setattr(queries, "lock_duplicates", lock_and_heal)
     (decision,) = begin(api, mission_id, {"run.bin": duplicate})

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from kleinkram.client import connect
+from kleinkram.client.files import Uploads
 from kleinkram.client.transfer import Outcome, plan_upload, upload
 from kleinkram.client.transfer.journal import journals_dir
-from kleinkram.client.uploads import Uploads
 from kleinkram.contract.uploads import UploadFinish
 from tests.integration.api_server import Api
 from tests.integration.upload_client import begin, complete, send, wait_until
@@ -26,13 +26,13 @@ def test_resuming_lists_small_files_already_uploaded(api: Api, mission_id: str, 
         send(api, first[path], bodies[path])
     again = [{"path": path, "size_bytes": len(body), "upload_id": first[path]["id"]} for path, body in bodies.items()]
     for decision in api.post(f"/missions/{mission_id}/uploads", {"files": again}).ok()["items"]:
-        message = decision["upload"]
+        answer = decision["upload"]
         assert decision["decision"] == "send"
-        assert message["id"] == first[message["path"]]["id"]
-        size_bytes = len(bodies[message["path"]])
-        locked = [(part["number"], part["size_bytes"]) for part in message["parts"]]
-        assert locked == ([(1, size_bytes)] if message["path"] in sent else [])
-        assert api.get(f"/uploads/{message['id']}").ok()["parts"] == message["parts"]
+        assert answer["id"] == first[answer["path"]]["id"]
+        size_bytes = len(bodies[answer["path"]])
+        locked = [(part["number"], part["size_bytes"]) for part in answer["parts"]]
+        assert locked == ([(1, size_bytes)] if answer["path"] in sent else [])
+        assert api.get(f"/uploads/{answer['id']}").ok()["parts"] == answer["parts"]
     for path in sent:
         assert complete(api, first[path], bodies[path])["outcome"] == "completed"
 

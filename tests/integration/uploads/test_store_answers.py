@@ -49,8 +49,8 @@ def _api(start_api: StartApi, middleman: Middleman) -> Api:
 @pytest.fixture(autouse=True)
 def _honest_again(middleman: Middleman) -> Iterator[None]:
     yield
-    middleman.rule = lambda _requested: None
-    middleman.edit = lambda _requested, content: content
+    middleman.rule = lambda _requests: None
+    middleman.edit = lambda _requests, content: content
 
 
 @pytest.fixture(name="client")
@@ -72,17 +72,17 @@ def _is_multipart(requested: ProxiedRequest) -> bool:
     return "uploadId" in requested.query
 
 
-@pytest.mark.parametrize("text", [item for item in _PASSING if isinstance(item, Reply)], ids=repr)
+@pytest.mark.parametrize("said", [item for item in _PASSING if isinstance(item, Reply)], ids=repr)
 def test_a_store_that_cannot_now_does_not_end_an_upload(
-    api: Api, middleman: Middleman, mission_id: str, text: Reply
+    api: Api, middleman: Middleman, mission_id: str, shown: Reply
 ) -> None:
     body = os.urandom(_PART + 100)
     started = begin(api, mission_id, {"run.bin": body})[0]["upload"]
     send(api, started, body)
-    middleman.rule = lambda requested: text if _is_multipart(requested) else None
+    middleman.rule = lambda requested: shown if _is_multipart(requested) else None
     finish = {"upload_id": started["id"], "sha256": sha256(body), "crc64nvme": crc64(body)}
     api.post("/uploads/complete", {"uploads": [finish]}).refused(503, "store_unavailable")
-    middleman.rule = lambda _requested: None
+    middleman.rule = lambda _requests: None
     assert complete(api, started, body)["outcome"] == "completed"
 
 
@@ -97,7 +97,7 @@ def test_a_proxy_that_finds_nothing_does_not_end_an_upload(
     middleman.rule = lambda requested: Reply(404) if requested.method == "HEAD" else None
     finish = {"upload_id": started["id"], "sha256": sha256(body), "crc64nvme": crc64(body)}
     api.post("/uploads/complete", {"uploads": [finish]}).refused(503, "store_unavailable")
-    middleman.rule = lambda _requested: None
+    middleman.rule = lambda _requests: None
     assert complete(api, started, body)["outcome"] == "completed"
 
 
@@ -129,7 +129,7 @@ def test_one_that_sees_parts_vanish_while_another_joins_them_ends_nothing(
         if requested.method == "POST" and _is_multipart(requested) and not seconds:
             middleman.edit = fewer
             seconds.append(complete(api, started, body))
-            middleman.edit = lambda _requested, content: content
+            middleman.edit = lambda _requests, content: content
 
     middleman.rule = interrupt
     first = complete(api, started, body)
@@ -150,10 +150,10 @@ def test_a_client_goes_on_sending_until_the_store_can(
     file = tmp_path / "run.bin"
     file.write_bytes(os.urandom(size_bytes))
     os.utime(file, (1_700_000_000, 1_700_000_000))
-    for text in _PASSING:
-        middleman.rule = _once(lambda requested: requested.method == "PUT", [text])
+    for shown in _PASSING:
+        middleman.rule = _once(lambda requested: requested.method == "PUT", [shown])
         result = _sent(client, mission_id, file)
-        assert result.outcome is Outcome.uploaded, (text, result)
+        assert result.outcome is Outcome.uploaded, (shown, result)
         assert result.file_id is not None
         client.files.delete(result.file_id)
 

@@ -51,10 +51,10 @@ def test_a_name_that_another_server_has_is_refused_before_anybody_signs_in() -> 
 
 
 @pytest.mark.parametrize(
-    ("url", "is_reported"), [("http://10.0.0.3:8000", True), ("http://127.0.0.1:8000", False), (LAB, False)]
+    ("url", "is_warned"), [("http://10.0.0.3:8000", True), ("http://127.0.0.1:8000", False), (LAB, False)]
 )
-def test_an_unencrypted_connection_is_reported(url: str, is_reported: bool) -> None:
-    assert ("not encrypted" in klein("login", url).output) == is_reported
+def test_an_unencrypted_connection_is_reported(url: str, is_warned: bool) -> None:
+    assert ("not encrypted" in klein("login", url).output) == is_warned
 
 
 def test_the_list_says_who_one_is_and_until_when() -> None:
@@ -71,8 +71,8 @@ def test_the_list_says_who_one_is_and_until_when() -> None:
     assert rows["new"].split()[1:] == ["https://new", "Ben", "2100-01-01T00:00:00Z"]
     assert rows["robot"].endswith("no end")
     assert rows["added"].split()[1:] == ["https://added", "-", "-"]
-    message = {row["name"]: row for row in json.loads(klein("endpoint", "list", "--json").output)["items"]}
-    assert {name: row["expired"] for name, row in message.items()} == {
+    rows_by_name = {row["name"]: row for row in json.loads(klein("endpoint", "list", "--json").output)["items"]}
+    assert {name: row["expired"] for name, row in rows_by_name.items()} == {
         "old": True,
         "new": False,
         "robot": False,

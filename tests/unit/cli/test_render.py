@@ -25,8 +25,8 @@ def test_terminal_control_sequences_are_escaped(hostile: str, shown: str) -> Non
 def test_output_is_escaped_once(capsys: pytest.CaptureFixture[str]) -> None:
     line("a\x1b]52;c;eA==\x07")
     note("Moved " + escape("b\u202e") + " and c\r")
-    text = capsys.readouterr()
-    assert (text.out, text.err) == ("a\\x1b]52;c;eA==\\x07\n", "Moved b\\u202e and c\\x0d\n")
+    output = capsys.readouterr()
+    assert (output.out, output.err) == ("a\\x1b]52;c;eA==\\x07\n", "Moved b\\u202e and c\\x0d\n")
 
 
 def test_columns_are_aligned_and_numbers_are_at_the_right(capsys: pytest.CaptureFixture[str]) -> None:
@@ -41,9 +41,9 @@ def test_columns_are_aligned_and_numbers_are_at_the_right(capsys: pytest.Capture
 
 def test_an_empty_table_says_so_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
     table(["name"], [])
-    text = capsys.readouterr()
-    assert text.out == ""
-    assert text.err
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err
 
 
 def test_details_leave_out_what_is_not_known(capsys: pytest.CaptureFixture[str]) -> None:

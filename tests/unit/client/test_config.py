@@ -47,8 +47,8 @@ def test_the_order_of_places(local: Path, monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setenv("KLEINKRAM_URL", "http://env:1")
     monkeypatch.setenv("KLEINKRAM_TOKEN", "env-token")
     assert (find_endpoint().source, find_endpoint().token) == (EndpointSource.environment, "env-token")
-    values = find_endpoint("http://arg:1", "arg-token")
-    assert (values.source, values.token) == (EndpointSource.argument, "arg-token")
+    endpoint = find_endpoint("http://arg:1", "arg-token")
+    assert (endpoint.source, endpoint.token) == (EndpointSource.argument, "arg-token")
 
 
 def test_a_token_is_only_used_for_the_server_it_is_for(local: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -62,9 +62,9 @@ def test_a_token_is_only_used_for_the_server_it_is_for(local: Path, monkeypatch:
 
 
 def test_the_address_of_a_link_is_a_server_and_a_secret(monkeypatch: pytest.MonkeyPatch) -> None:
-    values = find_endpoint("https://lab/s#klein_link_x")
-    assert (values.url, values.token) == ("https://lab", "klein_link_x")
-    assert "klein_link_x" not in repr(values)
+    endpoint = find_endpoint("https://lab/s#klein_link_x")
+    assert (endpoint.url, endpoint.token) == ("https://lab", "klein_link_x")
+    assert "klein_link_x" not in repr(endpoint)
     monkeypatch.setenv("KLEINKRAM_URL", "https://lab/below/s#klein_link_y")
     monkeypatch.setenv("KLEINKRAM_TOKEN", "of-another-server")
     assert (find_endpoint().url, find_endpoint().token) == ("https://lab/below", "klein_link_y")

@@ -28,7 +28,7 @@ def day(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("values", "paths"),
+    ("argument", "planned"),
     [
         ("{day}", ["day/bag/metadata.yaml", "day/cam.mcap"]),
         ("{day}/", ["bag/metadata.yaml", "cam.mcap"]),
@@ -38,8 +38,8 @@ def day(tmp_path: Path) -> Path:
         ("{day}/bag/metadata.yaml", ["metadata.yaml"]),
     ],
 )
-def test_a_folder_keeps_its_tree_and_a_slash_means_its_contents(day: Path, values: str, paths: list[str]) -> None:
-    assert [file.path for file in plan_upload([values.format(day=day)]).files] == paths
+def test_a_folder_keeps_its_tree_and_a_slash_means_its_contents(day: Path, argument: str, planned: list[str]) -> None:
+    assert [file.path for file in plan_upload([argument.format(day=day)]).files] == planned
 
 
 def test_a_point_means_the_contents_of_this_folder(day: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,17 +22,17 @@ def _recorded() -> set[str]:
     """Return what the server's code calls the acts that it records, of the nouns that have acts."""
     nouns = {act.partition(".")[0] for act in _worded("operations")}
     code = [path.read_text() for path in (_ROOT / "src/kleinkram/server").rglob("*.py") if path.parent.name != "tables"]
-    actual = {actual for text in code for actual in re.findall(r'"([a-z]+\.[a-z_]+)"', text)}
+    result = {result for text in code for result in re.findall(r'"([a-z]+\.[a-z_]+)"', text)}
     return {
-        act for act in actual if act.partition(".")[0] in nouns and act.rpartition(".")[2] not in {"id", "css", "js"}
+        act for act in result if act.partition(".")[0] in nouns and act.rpartition(".")[2] not in {"id", "css", "js"}
     }
 
 
 def test_every_audited_read_has_a_description() -> None:
     routes = [route for router in ROUTERS for route in router.routes if isinstance(route, APIRoute)]
     read = {route.operation_id for route in routes if "GET" in (route.methods or ())}
-    looks = {operation for operation in OPERATIONS if operation in read and is_admin_read(operation)}
-    assert _worded("looks").keys() == looks
+    reads = {operation for operation in OPERATIONS if operation in read and is_admin_read(operation)}
+    assert _worded("reads").keys() == reads
 
 
 def test_every_audited_operation_has_a_description() -> None:

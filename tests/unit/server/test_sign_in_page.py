@@ -13,9 +13,9 @@ SIGN_IN = (DOCS / "sign-in.md").read_text()
 
 
 def example(page: str, variable: str) -> str:
-    actual = re.search(rf"export {variable}='(.*?)'", page, re.DOTALL)
-    assert actual is not None
-    return actual[1]
+    result = re.search(rf"export {variable}='(.*?)'", page, re.DOTALL)
+    assert result is not None
+    return result[1]
 
 
 def test_the_provider_that_is_set_up_step_by_step_is_understood() -> None:
@@ -26,8 +26,8 @@ def test_the_provider_that_is_set_up_step_by_step_is_understood() -> None:
 
 
 def test_every_field_of_a_provider_is_named_and_no_other() -> None:
-    message = SIGN_IN.partition("All fields of a provider:")[2].partition("Several providers")[0]
-    names = set(re.findall(r"`([a-z_]+)`", message)) - {"client_secret_basic", "client_secret_post", "none"}
+    answer = SIGN_IN.partition("All fields of a provider:")[2].partition("Several providers")[0]
+    names = set(re.findall(r"`([a-z_]+)`", answer)) - {"client_secret_basic", "client_secret_post", "none"}
     assert names == set(OidcProvider.model_fields)
     assert all(f"`{way.value}`" in SIGN_IN for way in OpenTo)
 

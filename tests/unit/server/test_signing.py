@@ -43,8 +43,8 @@ REQUESTS = [
 
 
 def _settings(store: str) -> Settings:
-    text = {"database_url": "postgresql://a@b/c", "s3_internal_url": store, "s3_bucket": "buck-et"}
-    return Settings.model_validate({**text, "s3_access_key": "AK/ID+", "s3_secret_key": "se/cr+et"})
+    shown = {"database_url": "postgresql://a@b/c", "s3_internal_url": store, "s3_bucket": "buck-et"}
+    return Settings.model_validate({**shown, "s3_access_key": "AK/ID+", "s3_secret_key": "se/cr+et"})
 
 
 async def _by_library(store: str, operation: str, parameters: dict[str, object], key: str) -> str:
@@ -72,13 +72,13 @@ def test_the_library_signs_the_same(
 ) -> None:
     key = "batch/a b+c~%é.bin"
     theirs = urlsplit(asyncio.run(_by_library(store, operation, parameters, key)))
-    text = parse_qs(theirs.query, strict_parsing=True)
-    at = datetime.datetime.strptime(text["X-Amz-Date"][0], "%Y%m%dT%H%M%S%z")
+    shown = parse_qs(theirs.query, strict_parsing=True)
+    at = datetime.datetime.strptime(shown["X-Amz-Date"][0], "%Y%m%dT%H%M%S%z")
     method = "GET" if operation == "get_object" else "PUT"
     url = Presigner(_settings(store), store).sign(method, key, query=query, headers=headers, expires_s=900, at=at)
     ours = urlsplit(url)
     assert (ours.scheme, ours.netloc, ours.path) == (theirs.scheme, theirs.netloc.lower(), theirs.path)
-    assert parse_qs(ours.query, strict_parsing=True) == text
+    assert parse_qs(ours.query, strict_parsing=True) == shown
 
 
 def test_the_key_of_one_day_does_not_sign_the_next() -> None:
@@ -100,8 +100,8 @@ def test_addresses_are_signed_for_the_time_at_the_store() -> None:
         return format_datetime(datetime.datetime.now(datetime.timezone.utc) + ahead, usegmt=True)
 
     def ahead() -> datetime.timedelta:
-        text = parse_qs(urlsplit(signer.sign("GET", "a", query={}, headers={}, expires_s=60)).query)["X-Amz-Date"][0]
-        signed = datetime.datetime.strptime(text, "%Y%m%dT%H%M%S%z")
+        shown = parse_qs(urlsplit(signer.sign("GET", "a", query={}, headers={}, expires_s=60)).query)["X-Amz-Date"][0]
+        signed = datetime.datetime.strptime(shown, "%Y%m%dT%H%M%S%z")
         return signed - datetime.datetime.now(datetime.timezone.utc)
 
     second, hour = datetime.timedelta(seconds=1), datetime.timedelta(hours=1)

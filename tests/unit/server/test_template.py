@@ -4,8 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kleinkram.contract.metadata import FieldType, Metadata, MetadataField, MetadataFields, Undeclared
-from kleinkram.server.missions.metadata import read_metadata, satisfying
-from kleinkram.server.missions.template import carried_over, defaults, write_template
+from kleinkram.server.missions.metadata import carried_over, defaults, read_metadata, satisfying, write_template
 
 _TEXT = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), max_size=40)
 _SCALAR = (

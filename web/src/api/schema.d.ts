@@ -2344,7 +2344,7 @@ export interface paths {
         post?: never;
         /**
          * Revoke Token
-         * @description Revoke a token and all that were created with it, from the next request on; with `made=kept`, only itself.
+         * @description Revoke a token and all that were created with it, from the next request on; with `made=valid`, only itself.
          */
         delete: operations["revoke_token"];
         options?: never;
@@ -3152,7 +3152,7 @@ export interface components {
          * @description What happens to the tokens that were created with a revoked token.
          * @enum {string}
          */
-        DerivedTokens: "ended" | "kept";
+        DerivedTokens: "ended" | "valid";
         /**
          * DeviceBegin
          * @description Request a code to type on another machine: `POST /auth/device`.
@@ -5826,7 +5826,7 @@ export interface components {
          * ScrubRead
          * @description A comparison of the objects in the store with the database.
          *
-         *     `lost` and `corrupt`: newly detected blobs; `found`: lost ones whose objects are back and are being verified;
+         *     `lost` and `corrupt`: newly detected blobs; `recovered`: lost ones whose objects are back and are being verified;
          *     `unknown`: objects that the database does not have. `stopped`: why it marked nothing, or not all. Until `ended_at`,
          *     the numbers cover what was compared so far.
          */
@@ -5844,8 +5844,6 @@ export interface components {
             created_at: string;
             /** Ended At */
             ended_at: string | null;
-            /** Found */
-            found: number;
             /**
              * Id
              * Format: uuid
@@ -5853,6 +5851,8 @@ export interface components {
             id: string;
             /** Lost */
             lost: number;
+            /** Recovered */
+            recovered: number;
             /**
              * Seen At
              * Format: date-time

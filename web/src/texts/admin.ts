@@ -44,7 +44,7 @@ export const texts = {
       done: "All objects were compared",
     },
     facts: {
-      began: "Started", ended: "Ended", compared: "Compared", lost: "Newly lost", corrupt: "Newly corrupt", found: "Recovered", unknown: "Unknown",
+      began: "Started", ended: "Ended", compared: "Compared", lost: "Newly lost", corrupt: "Newly corrupt", recovered: "Recovered", unknown: "Unknown",
     },
     unknownWhy: "objects that the database does not know; they are not changed",
     compared: (count: number, size: string) => `${counted(count, "object")}, ${size}`,

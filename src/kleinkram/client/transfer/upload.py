@@ -13,6 +13,7 @@ from pathlib import Path
 
 from kleinkram.client._client import Client
 from kleinkram.client.errors import FileChanged, FileUnreadable, TransferFailed, UploadElsewhere
+from kleinkram.client.files import Uploads
 from kleinkram.client.transfer.journal import Journal, JournalHead, Journals
 from kleinkram.client.transfer.link import LinkMonitor
 from kleinkram.client.transfer.local_file import FileHashes, OpenFile
@@ -29,7 +30,6 @@ from kleinkram.client.transfer.report import (
 from kleinkram.client.transfer.store import PATIENCE_S
 from kleinkram.client.transfer.threads import RateLimit, Stop, check_limits
 from kleinkram.client.transfer.upload_pipeline import FileUpload, UploadPipeline
-from kleinkram.client.uploads import Uploads
 from kleinkram.contract.errors import KleinkramError, NameLeased, QuotaExceeded, UploadGone
 from kleinkram.contract.problems import from_problem
 from kleinkram.contract.uploads import (

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 from kleinkram.client._http import Backoff
 from kleinkram.client.errors import FileChanged, FileUnreadable, TransferFailed
+from kleinkram.client.files import Uploads
 from kleinkram.client.transfer.journal import Journal, JournalPart
 from kleinkram.client.transfer.link import Lane, LinkMonitor, Window
 from kleinkram.client.transfer.local_file import FileHashes, FileSlice, OpenFile, new_checksum
@@ -21,7 +22,6 @@ from kleinkram.client.transfer.plan import LocalFile
 from kleinkram.client.transfer.report import Outcome, TransferResult, Watcher
 from kleinkram.client.transfer.store import PATIENCE_S, PutResult, StoreAnswer, StoreClient
 from kleinkram.client.transfer.threads import Budget, RateLimit, Stop, WorkQueue
-from kleinkram.client.uploads import Uploads
 from kleinkram.contract.errors import KleinkramError, NotFound, UploadGone, UploadIncomplete
 from kleinkram.contract.problems import from_problem
 from kleinkram.contract.uploads import ChecksumKind, NotCompleted, PartToSign, Send, SignedPart, UploadFinish

@@ -41,13 +41,13 @@ class ScrubStopped(Exception):
 
 @dataclass
 class ScrubCounts:
-    """Blobs compared and their bytes; lost, corrupt and found again; objects that no row knows."""
+    """Blobs compared and their bytes; lost, corrupt and recovered; objects that no row knows."""
 
     compared: int = 0
     compared_bytes: int = 0
     lost: int = 0
     corrupt: int = 0
-    found: int = 0
+    recovered: int = 0
     unknown: int = 0
 
 
@@ -61,13 +61,13 @@ class ScrubRow(NamedTuple):
     ended_at: datetime.datetime | None
     seen_at: datetime.datetime | None
     believes: bool
-    asked_by_id: uuid.UUID | None
+    requested_by_id: uuid.UUID | None
     stopped: str | None
     compared: int
     compared_bytes: int
     lost: int
     corrupt: int
-    found: int
+    recovered: int
     unknown: int
     now: datetime.datetime
 
@@ -163,7 +163,7 @@ async def _lock(db: Connection) -> None:
 
 async def _queue(db: Connection, store_id: str, *, by_id: uuid.UUID | None, believes: bool, urgency: Urgency) -> None:
     # The clock and not the transaction's start, which may be before that of the previous scrub.
-    values = {"created_at": func.clock_timestamp(), "asked_by_id": by_id, "believes": believes}
+    values = {"created_at": func.clock_timestamp(), "requested_by_id": by_id, "believes": believes}
     scrub_id = uuid.uuid4()
     await db.execute(insert(scrub).values(id=scrub_id, store_id=store_id, **values))
     await enqueue(db, Job.scrub, ids=[str(scrub_id)], urgency=urgency)
@@ -312,4 +312,4 @@ async def _record(comparison: _Comparison, row: ExpectedBlob, stored_bytes: int 
         elif row.state in _DAMAGED:
             # Its size is right. Whether its bytes are is for the verification to find out.
             await service.verify_again(db, row.id)
-            counts.found += row.state == BlobState.lost.value
+            counts.recovered += row.state == BlobState.lost.value

@@ -22,10 +22,10 @@ async def path_conflicts(
         queries.files_at(mission_id, {key for keys in above.values() for key in keys}, except_id=except_id)
     )
     files = {row.path_key: row.path for row in blocking}
-    found = {path: files[key] for path, keys in above.items() for key in keys if key in files}
+    blocked = {path: files[key] for path, keys in above.items() for key in keys if key in files}
     keys = sorted({name_key(path) for path in paths})
     below = {row.key: row.path for row in await db.execute(queries.files_below(mission_id, keys, except_id=except_id))}
-    return found | {path: below[name_key(path)] for path in paths if name_key(path) in below}
+    return blocked | {path: below[name_key(path)] for path in paths if name_key(path) in below}
 
 
 def folder_keys(path: str) -> list[str]:

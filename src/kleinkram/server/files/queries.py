@@ -1,4 +1,4 @@
-"""What is asked of files. Functions return selects; they touch no connection."""
+"""Statements and rows of files and their topics. Functions return selects; they touch no connection."""
 
 import datetime
 import functools
@@ -27,22 +27,41 @@ from sqlalchemy import (
 )
 
 from kleinkram.contract.access import Right
-from kleinkram.contract.files import FileFilter, FileRead, FileSort
+from kleinkram.contract.files import Density, FileFilter, FileRead, FileSort, TopicRead
 from kleinkram.contract.missions import MissionFilter
+from kleinkram.recordings.density import unpack
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import (
-    joined_files,
-    visible_files,
-    visible_missions,
-)
+from kleinkram.server.access.visible import joined_files, visible_files, visible_missions
 from kleinkram.server.db import among, among_parameter, by_name
-from kleinkram.server.files.topics import topic_rows
 from kleinkram.server.filters.files import filter_files, filter_files_in_order
 from kleinkram.server.filters.missions import filter_missions
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
 from kleinkram.server.missions.amounts import file_amounts
-from kleinkram.server.pagination import Listing, Order
+from kleinkram.server.pagination import Order, PagedQuery
 from kleinkram.server.tables import blob, file, mission, person, project, run, run_artifact, run_input, topic
+
+
+def topic_rows(stmt: Select[Any]) -> Select[Any]:
+    """Return the topics of the files of a select that began with `visible_files`, as `to_topics` reads them."""
+    columns = [column for column in topic.c if column.name not in {"id", "blob_id", "density"}]
+    narrowed = stmt.with_only_columns(file.c.id.label("file_id"), *columns, maintain_column_froms=True)
+    return narrowed.join(topic, topic.c.blob_id == file.c.blob_id)
+
+
+TOPIC_ORDER = Order([topic.c.name, topic.c.id, file.c.id])
+
+
+def to_topics(rows: Sequence[Row[Any]]) -> list[TopicRead]:
+    """Return the topics that rows of `topic_rows` stand for, with their density where the rows have that too."""
+    return [_to_topic(values) for values in by_name(rows)]
+
+
+def _to_topic(values: dict[str, Any]) -> TopicRead:
+    if values.get("density") is not None:
+        known = unpack(values["density"])
+        values["density"] = Density(start_ns=known.start_ns, bin_ns=known.bin_ns, counts=[*known.counts])
+    return TopicRead.model_validate(values)
+
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
 _WALKS = {FileSort.start_desc, FileSort.created, FileSort.created_desc}
@@ -110,7 +129,7 @@ def _rows_of_all() -> Select[Any]:
 
 def to_files(rows: Sequence[Row[Any]]) -> list[FileRead]:
     """Return the files that rows of `file_rows` stand for."""
-    return [_to_file(said) for said in by_name(rows)]
+    return [_to_file(values) for values in by_name(rows)]
 
 
 def to_file(row: Row[Any]) -> FileRead:
@@ -118,13 +137,13 @@ def to_file(row: Row[Any]) -> FileRead:
     return to_files([row])[0]
 
 
-def _to_file(said: dict[str, Any]) -> FileRead:
-    in_project = {"id": said["project_id"], "name": said["project_name"]}
-    said["mission"] = {"id": said["mission_id"], "name": said["mission_name"], "project": in_project}
-    said["uploaded_by"] = {"id": said["uploaded_by_id"], "name": said["uploaded_by_name"]}
+def _to_file(values: dict[str, Any]) -> FileRead:
+    in_project = {"id": values["project_id"], "name": values["project_name"]}
+    values["mission"] = {"id": values["mission_id"], "name": values["mission_name"], "project": in_project}
+    values["uploaded_by"] = {"id": values["uploaded_by_id"], "name": values["uploaded_by_name"]}
     for name in ("sha256", "md5", "crc64nvme"):
-        said[name] = _hex(said[name])
-    return FileRead.model_validate(said)
+        values[name] = _hex(values[name])
+    return FileRead.model_validate(values)
 
 
 def _hex(digest: bytes | None) -> str | None:
@@ -157,12 +176,12 @@ def matching_files(actor: Actor, matching: FileFilter, plan: SearchPlan = NO_PLA
     return narrow(actor, visible_files(actor), matching, plan)
 
 
-def file_listing(actor: Actor, matching: FileFilter, *, plan: SearchPlan, sort: FileSort) -> Listing:
+def file_listing(actor: Actor, matching: FileFilter, *, plan: SearchPlan, sort: FileSort) -> PagedQuery:
     """Return the visible files that match, in an order."""
     matched = matching_files(actor, matching, plan)
     if plan.matched is not None:
         matched = matched.where(among_parameter(file.c.id, "matched_first_ids"))
-    return Listing(matched, file_order(sort, by_index=not plan.is_selective), rows_of_found)
+    return PagedQuery(matched, file_order(sort, by_index=not plan.is_selective), rows_of_found)
 
 
 @functools.cache
@@ -238,8 +257,8 @@ def set_labels() -> Update:
 
 def files_at(mission_id: uuid.UUID, keys: Collection[str], *, except_id: uuid.UUID | None = None) -> Select[Any]:
     """Return `path_key` and `path` of a mission's files under the given keys."""
-    found = _in_mission(mission_id, except_id).with_only_columns(file.c.path_key, file.c.path)
-    return found.where(among(file.c.path_key, keys))
+    files = _in_mission(mission_id, except_id).with_only_columns(file.c.path_key, file.c.path)
+    return files.where(among(file.c.path_key, keys))
 
 
 def files_below(mission_id: uuid.UUID, keys: Sequence[str], *, except_id: uuid.UUID | None = None) -> Select[Any]:

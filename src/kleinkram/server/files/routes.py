@@ -17,7 +17,7 @@ from kleinkram.contract.files import (
 from kleinkram.contract.projects import Deleted
 from kleinkram.contract.query import whole
 from kleinkram.contract.search import FileQuery, FilesLabelled, LabelChange
-from kleinkram.server.files import labels, service
+from kleinkram.server.files import service
 from kleinkram.server.http.dependencies import CurrentActor, CurrentContext, Reading, Transaction
 from kleinkram.server.http.headers import IfMatch
 from kleinkram.server.pagination import PageRequest
@@ -42,16 +42,16 @@ async def list_files(query: Annotated[FileListQuery, Query()], db: Reading, acto
 
 
 @router.post("/files/download", operation_id="download_files")
-async def download_files(wanted: DownloadRequest, context: CurrentContext, actor: CurrentActor) -> DownloadLinks:
+async def download_files(request: DownloadRequest, context: CurrentContext, actor: CurrentActor) -> DownloadLinks:
     """Return where to read the bytes of files; who asked is noted, and for what."""
-    links = await service.link_files(context, actor, file_ids=wanted.file_ids, purpose=wanted.purpose)
+    links = await service.link_files(context, actor, file_ids=request.file_ids, purpose=request.purpose)
     return DownloadLinks(items=links)
 
 
 @router.post("/files/labels", operation_id="label_files")
 async def label_files(change: LabelChange, db: Transaction, actor: CurrentActor) -> FilesLabelled:
     """Put labels on many files and take labels off them; says for each file how it went."""
-    return FilesLabelled(items=await labels.label_files(db, actor, change=change))
+    return FilesLabelled(items=await service.label_files(db, actor, change=change))
 
 
 @router.get("/files/{file_id}", operation_id="get_file")

@@ -1,4 +1,4 @@
-"""What may be done with files. Renaming and moving change rows; no object in the store is ever touched."""
+"""Operations on files. Renaming and moving change rows; no object in the store is ever touched."""
 
 import datetime
 import uuid
@@ -8,8 +8,9 @@ from typing import Any
 
 from sqlalchemy import Row, func
 
+from kleinkram.contract.access import Right
 from kleinkram.contract.base import Page
-from kleinkram.contract.errors import FileUnavailable, NotFound
+from kleinkram.contract.errors import FieldProblem, FileUnavailable, Forbidden, InvalidRequest, KleinkramError, NotFound
 from kleinkram.contract.files import (
     BlobState,
     DownloadLink,
@@ -23,7 +24,9 @@ from kleinkram.contract.files import (
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.missions import MissionFilter
 from kleinkram.contract.names import name_key
+from kleinkram.contract.problems import to_problem
 from kleinkram.contract.projects import Deleted
+from kleinkram.contract.search import FileLabelled, LabelChange
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.service import Event, record, record_all
@@ -32,7 +35,7 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from kleinkram.server.files import queries
 from kleinkram.server.files.paths import check_path_free
-from kleinkram.server.files.topics import TOPIC_ORDER, to_topics
+from kleinkram.server.files.queries import TOPIC_ORDER, to_topics
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
 from kleinkram.server.filters.prepared import prepare
 from kleinkram.server.http.headers import require_match
@@ -199,8 +202,8 @@ async def delete_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, dry_r
         before: Metadata = {"path": row.path, "mission": row.mission_name}
         await record(db, actor, _event("file.delete", row, before, takes=takes))
     runs, made = await _come_of_it(db, actor, file_id)
-    said = {"size_bytes": row.size_bytes, "dry_run": dry_run, "read_by_runs": runs, "made_from_it": made}
-    return Deleted(missions=0, files=1, **said)
+    summary = {"size_bytes": row.size_bytes, "dry_run": dry_run, "read_by_runs": runs, "made_from_it": made}
+    return Deleted(missions=0, files=1, **summary)
 
 
 async def _come_of_it(db: Connection, actor: Actor, file_id: uuid.UUID) -> tuple[int, list[str]]:
@@ -243,11 +246,11 @@ async def verify_file(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> Fi
 
 
 async def _rows(db: Connection, actor: Actor, file_ids: Sequence[uuid.UUID]) -> list[Row[Any]]:
-    found = {row.id: row for row in await rows_by_id(db, actor, file_ids)}
+    rows = {row.id: row for row in await rows_by_id(db, actor, file_ids)}
     for file_id in file_ids:
-        if file_id not in found:
+        if file_id not in rows:
             raise NotFound(noun="file", ref=str(file_id))
-    return [found[file_id] for file_id in file_ids]
+    return [rows[file_id] for file_id in file_ids]
 
 
 async def _row(db: Connection, actor: Actor, file_id: uuid.UUID) -> Row[Any]:
@@ -258,10 +261,10 @@ async def _locked_row(db: Connection, actor: Actor, file_id: uuid.UUID, *also: u
     """Return a file as it stays until the transaction ends: its mission is locked, and the missions `also` with it."""
     row = await _row(db, actor, file_id)
     while True:
-        held = {row.mission_id, *also}
-        await missions.lock_missions(db, held)
+        locked = {row.mission_id, *also}
+        await missions.lock_missions(db, locked)
         row = await _row(db, actor, file_id)
-        if row.mission_id in held:
+        if row.mission_id in locked:
             return row
         # Moved while it was waited for. What is held already is held out of order now; should that meet another who
         # does the same the other way round, the database ends one of the two, who is told to try again.
@@ -269,8 +272,8 @@ async def _locked_row(db: Connection, actor: Actor, file_id: uuid.UUID, *also: u
 
 async def _check_move(db: Connection, actor: Actor, old: Row[Any], *, mission_id: uuid.UUID, path: str) -> None:
     await check_path_free(db, mission_id, path, except_id=old.id)
-    for each in sorted({old.mission_id, mission_id}):
-        await regroup(db, each)
+    for affected_id in sorted({old.mission_id, mission_id}):
+        await regroup(db, affected_id)
 
 
 def _event(
@@ -320,3 +323,55 @@ def _link(context: AppContext, row: Row[Any]) -> DownloadLink:
         url=url,
         expires_at=expires_at,
     )
+
+
+# As many as one file may carry.
+MAX_LABELS = 50
+
+
+async def label_files(db: Connection, actor: Actor, *, change: LabelChange) -> list[FileLabelled]:
+    """Put labels on files and take labels off them; return the outcome for each, in the order of the request.
+
+    A file that is not there, or may not be changed by this actor, keeps no other from being labelled.
+    """
+    locked: set[uuid.UUID] = set()
+    while True:
+        rows = {row.id: row for row in await rows_by_id(db, actor, change.file_ids)}
+        unlocked = {row.mission_id for row in rows.values()} - locked
+        if not unlocked:
+            break
+        await missions.lock_missions(db, unlocked)
+        locked |= unlocked
+    writable = {row.id for row in await db.execute(queries.ids_among(actor, rows, Right.write))}
+    outcomes = {file_id: _new_labels(rows.get(file_id), file_id, writable, change) for file_id in change.file_ids}
+    new = {file_id: labels for file_id, labels in outcomes.items() if isinstance(labels, list)}
+    changed = {file_id: labels for file_id, labels in new.items() if labels != rows[file_id].labels}
+    if changed:
+        values = [{"ref": file_id, "new_labels": labels} for file_id, labels in changed.items()]
+        await db.execute(queries.set_labels(), values)
+    events = [
+        _event("file.update", rows[file_id], {"labels": rows[file_id].labels}, {"labels": [*labels]})
+        for file_id, labels in changed.items()
+    ]
+    await record_all(db, actor, events)
+    return [
+        FileLabelled(file_id=file_id, labels=outcome, problem=None)
+        if isinstance(outcome := outcomes[file_id], list)
+        else FileLabelled(file_id=file_id, labels=None, problem=to_problem(outcome, actor.request_id))
+        for file_id in change.file_ids
+    ]
+
+
+def _new_labels(
+    row: Row[Any] | None, file_id: uuid.UUID, writable: Collection[uuid.UUID], change: LabelChange
+) -> list[str] | KleinkramError:
+    if row is None:
+        return NotFound(noun="file", ref=str(file_id))
+    if file_id not in writable:
+        return Forbidden(noun="mission", operation="label files", needs=Right.write.value)
+    removed = set(change.remove) - set(change.add)
+    labels = [label for label in dict.fromkeys([*row.labels, *change.add]) if label not in removed]
+    if len(labels) > MAX_LABELS:
+        message = f"{row.path} would have {len(labels)} labels; {MAX_LABELS} are allowed"
+        return InvalidRequest(problems=[FieldProblem(field="add", message=message)])
+    return labels

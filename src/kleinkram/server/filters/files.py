@@ -121,11 +121,11 @@ def filter_files_in_order(
         InvalidQuery: a `where` cannot be used.
     """
     words = [word_in_mission(actor, plan, word) for word in words_of(matching.text)]
-    columns = [each.label(f"about_{number}") for number, each in enumerate(itertools.chain(*words))]
+    columns = [condition.label(f"about_{number}") for number, condition in enumerate(itertools.chain(*words))]
     has_topics = bool(matching.topic or matching.message_type)
     if has_topics:
-        kept = mission_may_have_topic(*topic_conditions(matching, mission_topic))
-        columns.append(kept.label("may_have_topic"))
+        may_have_topic = mission_may_have_topic(*topic_conditions(matching, mission_topic))
+        columns.append(may_have_topic.label("may_have_topic"))
     if not columns:
         return filter_files(actor, stmt, matching, plan)
     of_mission = select(*columns)
@@ -250,6 +250,6 @@ def _starts_in(month: str) -> ColumnElement[bool]:
 
 
 def _has_label(labels: Sequence[str]) -> ColumnElement[bool]:
-    held = type_coerce(file.c.labels, ARRAY(Text))
-    any_of: ColumnElement[bool] = held.overlap([normalize("NFC", label) for label in labels])
+    labels_of_file = type_coerce(file.c.labels, ARRAY(Text))
+    any_of: ColumnElement[bool] = labels_of_file.overlap([normalize("NFC", label) for label in labels])
     return any_of

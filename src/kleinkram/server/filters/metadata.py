@@ -29,15 +29,15 @@ def metadata_condition(expression: str) -> ColumnElement[bool]:
     Raises:
         InvalidQuery: it is not a comparison, or its value cannot be compared that way.
     """
-    found = WHERE_EXPRESSION.fullmatch(expression.strip())
-    if found is None:
+    comparison = WHERE_EXPRESSION.fullmatch(expression.strip())
+    if comparison is None:
         reason = "it is not a comparison; write FIELD=VALUE, or one of != < <= > >= ~ between them"
         raise InvalidQuery(expression=expression, reason=reason)
-    path = found["field"].split(".")
+    path = comparison["field"].split(".")
     if "" in path:
         raise InvalidQuery(expression=expression, reason="the field has an empty part; write it like site.latitude")
-    value = found["value"].strip()
-    operator = found["operator"]
+    value = comparison["value"].strip()
+    operator = comparison["operator"]
     if operator == "~":
         return _text_at(path).ilike(like_pattern(value), escape="\\")
     if operator in {"=", "!="}:
@@ -113,6 +113,6 @@ def _ordered(expression: str, path: Sequence[str], operator: str, value: str) ->
         )
     if text is None and value.lower() in {"true", "false"}:
         raise InvalidQuery(expression=expression, reason="true and false have no order; use = or !=")
-    wanted = text if text is not None else iso_text(value) or value
+    compared = text if text is not None else iso_text(value) or value
     stored = func.coalesce(_text_at(path), "").collate("C")
-    return and_(kind == "string", stored.op(operator, is_comparison=True)(wanted))
+    return and_(kind == "string", stored.op(operator, is_comparison=True)(compared))

@@ -74,15 +74,15 @@ def filter_missions_by_files(
         by_files = _has_matching_file(actor, matching, plan)
         return stmt.where(by_files if own is None else or_(by_files, and_(true(), *own)))
     if plan.matched is not None:
-        found = select(func.unnest(bindparam("matched_mission_ids", type_=Written("UUID"))))
+        mission_ids = select(func.unnest(bindparam("matched_mission_ids", type_=Written("UUID"))))
     else:
         files = filter_files(actor, visible_files(actor), matching, plan)
-        found = files.with_only_columns(file.c.mission_id, maintain_column_froms=True).correlate(None)
+        mission_ids = files.with_only_columns(file.c.mission_id, maintain_column_froms=True).correlate(None)
     if own is None:
-        return stmt.where(mission.c.id.in_(found))
+        return stmt.where(mission.c.id.in_(mission_ids))
     # Each looked up by itself: with OR, PostgreSQL would look at every mission.
     by_itself = select(mission.c.id).join(project, project.c.id == mission.c.project_id).where(*own)
-    return stmt.where(mission.c.id.in_(union_all(found, by_itself.correlate(None))))
+    return stmt.where(mission.c.id.in_(union_all(mission_ids, by_itself.correlate(None))))
 
 
 def _has_matching_file(actor: Actor, matching: FileFilter, plan: SearchPlan) -> ColumnElement[bool]:

@@ -39,7 +39,7 @@ from kleinkram.server.db import Connection, among_parameter
 from kleinkram.server.filters.patterns import ESCAPE
 from kleinkram.server.filters.plan import SearchPlan, SearchWord
 from kleinkram.server.tables import (
-    MOST_KEPT_TOPICS,
+    MAX_STORED_TOPICS,
     file,
     mission,
     mission_topic,
@@ -126,7 +126,7 @@ def mission_may_have_topic(*conditions: ColumnElement[bool]) -> ColumnElement[bo
     current = select(true()).where(
         mission_topics.c.mission_id == mission.c.id, mission_topics.c.revision == mission.c.files_revision
     )
-    is_cut_off = row_exists(its_own.offset(MOST_KEPT_TOPICS - 1))
+    is_cut_off = row_exists(its_own.offset(MAX_STORED_TOPICS - 1))
     return or_(row_exists(its_own.where(*conditions)), ~row_exists(current.correlate(mission)), is_cut_off)
 
 
@@ -163,12 +163,12 @@ def topics_of_blob() -> Select[tuple[bool]]:
     return select(true()).where(topic.c.blob_id == file.c.blob_id).correlate(file)
 
 
-def row_exists(found: Select[tuple[bool]]) -> ColumnElement[bool]:
+def row_exists(rows: Select[tuple[bool]]) -> ColumnElement[bool]:
     """Return whether a correlated select has a row, looked up for each row around it.
 
     With EXISTS, PostgreSQL may turn it into a join and read all topics of a common name.
     """
-    return func.coalesce(found.limit(1).scalar_subquery(), false())
+    return func.coalesce(rows.limit(1).scalar_subquery(), false())
 
 
 async def look_up_words(db: Connection, words: Sequence[str]) -> dict[str, SearchWord]:
@@ -205,10 +205,10 @@ def _look_up(
     """Return the ids of all files of which one condition holds, each looked up in an index of its own."""
     by_mission = select(file.c.id).join(mission, mission.c.id == file.c.mission_id)
     by_topic = select(file.c.id).join(topic, topic.c.blob_id == file.c.blob_id)
-    found = [select(file.c.id).where(each) for each in in_file]
-    found += [by_mission.where(or_(*in_mission))] if in_mission else []
-    found += [by_topic.where(each) for each in in_topics]
-    return union_all(*(each.where(*of_all).correlate(None) for each in found))
+    lookups = [select(file.c.id).where(condition) for condition in in_file]
+    lookups += [by_mission.where(or_(*in_mission))] if in_mission else []
+    lookups += [by_topic.where(condition) for condition in in_topics]
+    return union_all(*(condition.where(*of_all).correlate(None) for condition in lookups))
 
 
 async def occur_somewhere(db: Connection, words: Iterable[SearchWord]) -> bool:
@@ -310,8 +310,8 @@ def _message_types() -> CTE:
     first = select(func.min(topic.c.message_type).label("message_type"))
     types = first.cte("message_types", recursive=True)
     following = select(func.min(topic.c.message_type)).where(topic.c.message_type > types.c.message_type)
-    each = select(following.correlate(types).scalar_subquery()).where(types.c.message_type.is_not(None))
-    return types.union_all(each.limit(_MAX_MESSAGE_TYPES))
+    next_type = select(following.correlate(types).scalar_subquery()).where(types.c.message_type.is_not(None))
+    return types.union_all(next_type.limit(_MAX_MESSAGE_TYPES))
 
 
 _MESSAGE_TYPES = _message_types()

@@ -58,7 +58,7 @@ _OLDEST_VERIFICATION = select(func.coalesce(func.extract("epoch", func.now() - f
     blob.c.state == BlobState.verified.value, blob.c.marked_for_deletion_at.is_(None)
 )
 _SCRUB = select(scrub).where(scrub.c.ended_at.is_not(None)).order_by(scrub.c.ended_at.desc()).limit(1)
-_FINDINGS = ("lost", "corrupt", "findings", "unknown")
+_FINDINGS = ("lost", "corrupt", "recovered", "unknown")
 
 
 class MetricsPortUnusable(Exception):

@@ -44,7 +44,7 @@ _IS_KNOWN = mission.c.file_count.is_not(None)
 
 def amounts(actor: Actor) -> ColumnElement[Any]:
     """Return number, bytes and messages of each `mission`'s files, and how many wait to be read, as one array."""
-    return _kept_amounts() if sees_whole_missions(actor) else _added_amounts(shown_files(actor))
+    return _stored_or_added_amounts() if sees_whole_missions(actor) else _added_amounts(shown_files(actor))
 
 
 def _added_amounts(shown: ColumnElement[bool]) -> ColumnElement[Any]:
@@ -53,10 +53,10 @@ def _added_amounts(shown: ColumnElement[bool]) -> ColumnElement[Any]:
 
 
 @cache  # the same for whoever sees all that is in the missions they see
-def _kept_amounts() -> ColumnElement[Any]:
-    kept = _whole_numbers(mission.c.file_count, mission.c.size_bytes, mission.c.message_count, mission.c.unread_count)
+def _stored_or_added_amounts() -> ColumnElement[Any]:
+    stored = _whole_numbers(mission.c.file_count, mission.c.size_bytes, mission.c.message_count, mission.c.unread_count)
     # Whether a file still waits may end without its mission being derived anew; where none does, none begins to.
-    return case((and_(_IS_KNOWN, mission.c.unread_count == 0), kept), else_=_added_amounts(true()))
+    return case((and_(_IS_KNOWN, mission.c.unread_count == 0), stored), else_=_added_amounts(true()))
 
 
 def file_amounts(actor: Actor) -> tuple[ColumnElement[Any], ColumnElement[Any]]:
@@ -87,14 +87,14 @@ def keep(mission_id: uuid.UUID, **values: object) -> Update:
     read = (func.coalesce(func.sum(blob.c.message_count), 0), func.count().filter(_UNREAD))
     inside = select(_numbers(*numbers, *read)).join_from(file, blob, blob.c.id == file.c.blob_id)
     inside = inside.where(file.c.mission_id == mission_id, file.c.deleted_at.is_(None))
-    found = inside.cte("found")
+    added = inside.cte("found")
     lasted = select(func.coalesce(func.sum(recording.c.end_ns - recording.c.start_ns), 0))
-    kept = {name: select(found.c.numbers[place]).scalar_subquery() for place, name in enumerate(_KEPT, start=1)}
-    kept["duration_ns"] = lasted.where(recording.c.mission_id == mission_id).scalar_subquery()
-    return update(mission).where(mission.c.id == mission_id).values(**values, **kept)
+    derived = {name: select(added.c.numbers[place]).scalar_subquery() for place, name in enumerate(_STORED, start=1)}
+    derived["duration_ns"] = lasted.where(recording.c.mission_id == mission_id).scalar_subquery()
+    return update(mission).where(mission.c.id == mission_id).values(**values, **derived)
 
 
-_KEPT = ("file_count", "size_bytes", "message_count", "unread_count")
+_STORED = ("file_count", "size_bytes", "message_count", "unread_count")
 
 
 def _live(shown: ColumnElement[bool], what: ColumnElement[Any]) -> ColumnElement[Any]:

@@ -1,10 +1,11 @@
-"""Judging metadata: whether what a mission says of itself satisfies the fields that its project declares.
+"""Metadata of missions: judging it by the fields that a project declares, and the YAML template to fill in. Pure.
 
-Pure. All that is wrong is found at once. What is accepted comes back in the form in which it is stored: numbers
-without their unit, times in UTC, absent fields filled from their defaults.
+All problems are found at once. Accepted values are returned as they are stored: numbers without their unit, times in
+UTC, absent fields with their defaults.
 """
 
 import difflib
+import json
 import math
 import re
 import unicodedata
@@ -18,7 +19,7 @@ from kleinkram.contract.amounts import iso_text
 from kleinkram.contract.errors import FieldProblem, MetadataInvalid, YamlInvalid
 from kleinkram.contract.metadata import FieldType, Location, Metadata, MetadataField, MetadataFields, Undeclared
 from kleinkram.contract.problems import in_plain_words
-from kleinkram.server.yaml_text import Document, Path, read_yaml
+from kleinkram.server.yaml_text import Document, Path, read_yaml, resolve_plain
 
 _WITH_UNIT = re.compile(
     r"([-+]?(?:\d{1,300}(?:\.\d{0,300})?|\.\d{1,300})(?:[eE][-+]?\d{1,3})?)\s*([^\s\d.].*)", re.ASCII
@@ -41,11 +42,11 @@ class Near:
 
     def hint(self) -> str:
         """Return the candidate that is closest, as a question; nothing where none is close, or the text is long."""
-        short = [each for each in self.candidates if len(each) <= _HINT_CHARACTERS]
+        short = [candidate for candidate in self.candidates if len(candidate) <= _HINT_CHARACTERS]
         if len(self.written) > _HINT_CHARACTERS:
             return ""
-        found = difflib.get_close_matches(self.written, short[:_HINT_CANDIDATES], n=1)
-        return f"; did you mean {found[0]!r}?" if found else ""
+        closest = difflib.get_close_matches(self.written, short[:_HINT_CANDIDATES], n=1)
+        return f"; did you mean {closest[0]!r}?" if closest else ""
 
 
 class Wrong(ValueError):
@@ -81,14 +82,14 @@ class Judge:
 
     def judge(self, document: Document) -> Judgement:
         """Return what to store of a document whose value is a mapping, and every problem in it, by place."""
-        given = document.value if isinstance(document.value, dict) else {}
+        values = document.value if isinstance(document.value, dict) else {}
         metadata: Metadata = {}
         problems: list[FieldProblem] = []
-        for key, value in given.items():
+        for key, value in values.items():
             if problem := self._keep(metadata, key, value, document, hinting=len(problems) < _HINTS):
                 problems.append(problem)
         problems.sort(key=lambda problem: (problem.line or 0, problem.column or 0))
-        self._complete(given, metadata, problems)
+        self._complete(values, metadata, problems)
         return Judgement(metadata, problems)
 
     def accept(self, name: str, value: JsonValue) -> JsonValue:
@@ -132,15 +133,15 @@ class Judge:
             raise Wrong("is not a field of this project", near=Near(key, tuple(self._fields)))
         return _finite(value, ())
 
-    def _complete(self, given: Mapping[str, JsonValue], metadata: Metadata, problems: list[FieldProblem]) -> None:
+    def _complete(self, values: Mapping[str, JsonValue], metadata: Metadata, problems: list[FieldProblem]) -> None:
         for name, field in self._fields.items():
-            if given.get(name) not in (None, ""):
+            if values.get(name) not in (None, ""):
                 continue
             default = self.accept_default(field)
             if default is not None:
                 metadata[name] = default
             elif field.required:
-                how = "is required but empty" if name in given else "is required but missing"
+                how = "is required but empty" if name in values else "is required but missing"
                 problems.append(FieldProblem(field=name, message=f"{how}; it takes {describe(field)}"))
 
 
@@ -212,11 +213,11 @@ def _kind(value: JsonValue) -> str:
     return "empty" if value is None else _KINDS.get(type(value), "a mapping")
 
 
-def _text(value: JsonValue, wanted: str) -> str:
+def _text(value: JsonValue, expected: str) -> str:
     if isinstance(value, str):
         return value
     hint = "; put it in quotes" if isinstance(value, bool | int | float) else ""
-    raise Wrong(f"is {_kind(value)}, but {wanted} is wanted{hint}")
+    raise Wrong(f"is {_kind(value)}, but {expected} is wanted{hint}")
 
 
 def _string(pattern: str | None) -> Acceptor:
@@ -241,15 +242,15 @@ def _number(value: JsonValue, unit: str | None) -> JsonValue:
         raise Wrong(f"is {_kind(value)}, but a number is wanted")
     if not isinstance(value, str):
         return _finite(value, ())
-    found = _WITH_UNIT.fullmatch(value.strip())
-    if found is None:
+    match = _WITH_UNIT.fullmatch(value.strip())
+    if match is None:
         raise Wrong(f"is the text {value!r}, but a number is wanted")
-    given = unicodedata.normalize("NFC", found[2].strip())
+    unit_in_text = unicodedata.normalize("NFC", match[2].strip())
     if unit is None:
-        raise Wrong(f"is given in {given!r}, but this field has no unit")
-    if given != unicodedata.normalize("NFC", unit):
-        raise Wrong(f"is given in {given!r}, but this field is in {unit!r}")
-    number = found[1]
+        raise Wrong(f"is given in {unit_in_text!r}, but this field has no unit")
+    if unit_in_text != unicodedata.normalize("NFC", unit):
+        raise Wrong(f"is given in {unit_in_text!r}, but this field is in {unit!r}")
+    number = match[1]
     return _finite(int(number) if number.lstrip("+-").isdigit() else float(number), ())
 
 
@@ -316,3 +317,101 @@ def _finite(value: JsonValue, path: Path) -> JsonValue:
         for key, item in value.items():
             _finite(item, (*path, key))
     return value
+
+
+_PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*( [A-Za-z0-9_.-]+)*")
+_DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
+_DATED = re.compile(r"\d{4}-\d{2}-\d{2}([T ].*)?")
+# Fields that say what differs from one mission to the next, whatever their type.
+_OF_ONE_MISSION = frozenset({"date", "day", "time", "weather", "operator", "operators", "driver", "pilot"})
+_NAME_PARTS = re.compile(r"[a-z]+|[A-Z][a-z]*")
+
+
+def defaults(fields: MetadataFields) -> Metadata:
+    """Return the values that the project itself says to begin with."""
+    judge = Judge(fields)
+    values = {field.name: judge.accept_default(field) for field in fields.fields}
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def carried_over(fields: MetadataFields, last: Metadata) -> Metadata:
+    """Return the values of the last mission that still fit. Whoever makes the next mission has to confirm them.
+
+    Dates, weather and operator are left out: they differ, and a wrong one would look as if somebody had entered it.
+    """
+    judge = Judge(fields)
+    begun = defaults(fields)
+    declared = {field.name: field for field in fields.fields}
+    known = {name.casefold() for name in declared}
+    carried: Metadata = {}
+    for name, value in last.items():
+        field = declared.get(name)
+        if value is None or _differs(name, value) or (field is not None and field.type is FieldType.date):
+            continue
+        if field is not None:
+            try:
+                carried[name] = judge.accept(name, value)
+            except Wrong:
+                continue
+        elif fields.undeclared is Undeclared.accept and name.casefold() not in known:
+            carried[name] = value
+    return {name: value for name, value in carried.items() if begun.get(name) != value}
+
+
+def _differs(name: str, value: JsonValue) -> bool:
+    parts = {part.lower() for part in _NAME_PARTS.findall(name)}
+    return not parts.isdisjoint(_OF_ONE_MISSION) or (isinstance(value, str) and _DATED.fullmatch(value) is not None)
+
+
+def write_template(
+    fields: MetadataFields, values: Metadata, carried: Metadata, *, project: str, source: str | None
+) -> str:
+    """Return a document that parses, and that satisfies the fields once the required ones are filled in.
+
+    `values` are those to begin with. `carried` are those of the mission called `source`: they stand in comments, so
+    that nothing of an earlier mission is taken over unless somebody writes it.
+    """
+    lines = [f"# Metadata of a mission in project {_comment(project)}."]
+    lines.append("# Fill in what is required; what is optional may stay empty or be deleted.")
+    mission = _comment(source or "")
+    for field in fields.fields:
+        lines += ["", *_explained(field)]
+        if field.name in carried:
+            lines.append(f"#   In mission {mission}: {_yaml(carried[field.name])}")
+        lines.append(_line(field.name, values.get(field.name)))
+    declared = {field.name for field in fields.fields}
+    others = {key: value for key, value in carried.items() if key not in declared}
+    if others:
+        lines += ["", f"# Not declared by the project, but given for mission {mission}. Remove the # to say it again:"]
+        lines += [f"# {_line(key, value)}" for key, value in others.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _explained(field: MetadataField) -> list[str]:
+    need = "required" if field.required else "optional"
+    lines = [f"# {field.name} ({need}): {_comment(describe(field))}"]
+    return lines + [f"#   {_comment(line)}" for line in field.description.splitlines() if line.strip()]
+
+
+def _line(key: str, value: JsonValue) -> str:
+    return f"{_yaml(key)}:" if value is None else f"{_yaml(key)}: {_yaml(value)}"
+
+
+def _yaml(value: JsonValue) -> str:
+    if isinstance(value, str):
+        plain = _DATE.fullmatch(value) or (_PLAIN.fullmatch(value) and resolve_plain(value) == value)
+        return value if plain else _quoted(value)
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{_yaml(key)}: {_yaml(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(_yaml(item) for item in value) + "]"
+    return json.dumps(value)
+
+
+def _quoted(text: str) -> str:
+    quoted = json.dumps(text, ensure_ascii=False)
+    return "".join(character if character.isprintable() else f"\\U{ord(character):08X}" for character in quoted)
+
+
+def _comment(text: str) -> str:
+    return "".join(character if character.isprintable() else " " for character in text)

@@ -40,7 +40,7 @@ from kleinkram.server.filters.metadata import metadata_key
 from kleinkram.server.filters.missions import filter_missions, filter_missions_by_files
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
 from kleinkram.server.missions.amounts import amounts
-from kleinkram.server.pagination import Listing, Order
+from kleinkram.server.pagination import Order, PagedQuery
 from kleinkram.server.tables import blob, file, mission, person, project
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
@@ -69,19 +69,19 @@ def rows_of_found(actor: Actor, mission_id: ColumnElement[uuid.UUID]) -> Select[
 
 def to_missions(rows: Sequence[Row[Any]]) -> list[MissionRead]:
     """Return the missions that rows of `mission_rows` stand for."""
-    return [_to_mission(said) for said in by_name(rows)]
+    return [_to_mission(values) for values in by_name(rows)]
 
 
-def _to_mission(said: dict[str, Any]) -> MissionRead:
-    said["project"] = {"id": said["project_id"], "name": said["project_name"]}
-    said["created_by"] = {"id": said["created_by_id"], "name": said["created_by_name"]}
-    if not said["is_whole"]:
-        said |= {"metadata": {}, "metadata_yaml": None, "metadata_problems": [], "notes": ""}
-    said |= zip(_AMOUNTS, map(int, said["amounts"]), strict=True)
-    said["start_ns"], said["end_ns"] = said["shown_start_ns"], said["shown_end_ns"]
-    said["recordings_current"] = said["derived_revision"] == said["files_revision"]
-    said["right"] = Right.of_level(said["level"])
-    return MissionRead.model_validate(said)
+def _to_mission(values: dict[str, Any]) -> MissionRead:
+    values["project"] = {"id": values["project_id"], "name": values["project_name"]}
+    values["created_by"] = {"id": values["created_by_id"], "name": values["created_by_name"]}
+    if not values["is_whole"]:
+        values |= {"metadata": {}, "metadata_yaml": None, "metadata_problems": [], "notes": ""}
+    values |= zip(_AMOUNTS, map(int, values["amounts"]), strict=True)
+    values["start_ns"], values["end_ns"] = values["shown_start_ns"], values["shown_end_ns"]
+    values["recordings_current"] = values["derived_revision"] == values["files_revision"]
+    values["right"] = Right.of_level(values["level"])
+    return MissionRead.model_validate(values)
 
 
 def to_mission_ref(row: Row[Any]) -> MissionRef:
@@ -103,14 +103,14 @@ def whole_mission(actor: Actor, mission_id: uuid.UUID) -> Select[Any]:
 def lock_projects_of(mission_ids: Collection[uuid.UUID]) -> Select[Any]:
     """Return the select that keeps the projects of missions from being deleted, restored or dropped."""
     holding = select(mission.c.project_id).where(among(mission.c.id, mission_ids))
-    found = select(project.c.id).where(project.c.id.in_(holding)).order_by(project.c.id)
-    return found.with_for_update(read=True, key_share=True)
+    locked = select(project.c.id).where(project.c.id.in_(holding)).order_by(project.c.id)
+    return locked.with_for_update(read=True, key_share=True)
 
 
 def lock_missions(mission_ids: Collection[uuid.UUID]) -> Select[Any]:
     """Return the select that holds others off changing missions and what they hold."""
-    found = select(mission.c.id).where(among(mission.c.id, mission_ids)).order_by(mission.c.id)
-    return found.with_for_update(key_share=True)
+    locked = select(mission.c.id).where(among(mission.c.id, mission_ids)).order_by(mission.c.id)
+    return locked.with_for_update(key_share=True)
 
 
 def fields_of_project(actor: Actor, project_id: uuid.UUID) -> Select[Any]:
@@ -136,19 +136,19 @@ def mission_listing(
     *,
     plan: SearchPlan = NO_PLAN,
     sort: MissionOrder,
-) -> Listing:
+) -> PagedQuery:
     """Return the visible missions that match, among those that a filter of files finds, where there is one."""
     matched = filter_missions(actor, visible_missions(actor), matching, plan)
     if by_files is not None:
         matched = filter_missions_by_files(actor, matched, by_files, plan)
-    return Listing(matched, mission_order(actor, sort), functools.partial(rows_of_found, actor))
+    return PagedQuery(matched, mission_order(actor, sort), functools.partial(rows_of_found, actor))
 
 
-def sampled_missions(actor: Actor, found: FileFilter, *, plan: SearchPlan, size: int) -> Select[Any]:
+def sampled_missions(actor: Actor, by_files: FileFilter, *, plan: SearchPlan, size: int) -> Select[Any]:
     """Return how many of the missions sampled by id match (`hits`), of how many (`sampled`), and the `last_id`."""
     sample = select(mission.c.id).order_by(mission.c.id).limit(size).cte("sample").prefix_with("MATERIALIZED")
     within = visible_missions(actor).where(mission.c.id.in_(select(sample.c.id)))
-    matched = filter_missions_by_files(actor, within, found, plan)
+    matched = filter_missions_by_files(actor, within, by_files, plan)
     hits = matched.with_only_columns(mission.c.id, maintain_column_froms=True).subquery()
     return select(
         select(func.count()).select_from(hits).scalar_subquery().label("hits"),

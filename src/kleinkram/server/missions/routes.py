@@ -40,10 +40,10 @@ class MissionListQuery(MissionFilter):
 
 @router.post("/projects/{project_id}/missions", operation_id="create_mission", status_code=201)
 async def create_mission(
-    project_id: uuid.UUID, wanted: MissionCreate, db: Transaction, actor: CurrentActor
+    project_id: uuid.UUID, new_mission: MissionCreate, db: Transaction, actor: CurrentActor
 ) -> MissionRead:
     """Make a mission; its metadata must satisfy the project's fields."""
-    return await service.create_mission(db, actor, project_id=project_id, wanted=wanted)
+    return await service.create_mission(db, actor, project_id=project_id, new_mission=new_mission)
 
 
 @router.get("/missions", operation_id="list_missions")
@@ -52,9 +52,9 @@ async def list_missions(
 ) -> Page[MissionRead]:
     """List the missions that match."""
     page = PageRequest(query.limit, query.cursor, query.count)
-    found = None if query.query is None else parse(query.query)
+    by_files = None if query.query is None else parse(query.query)
     matching = MissionFilter.model_construct(**{name: getattr(query, name) for name in MissionFilter.model_fields})
-    return await service.list_missions(db, actor, matching=matching, found=found, sort=query.sort, page=page)
+    return await service.list_missions(db, actor, matching=matching, by_files=by_files, sort=query.sort, page=page)
 
 
 @router.get("/missions/{mission_id}", operation_id="get_mission")

@@ -37,8 +37,7 @@ from kleinkram.server.filters.prepared import prepare
 from kleinkram.server.http.headers import require_match
 from kleinkram.server.missions import queries
 from kleinkram.server.missions.amounts import NOTHING
-from kleinkram.server.missions.metadata import Judge, read_metadata, satisfying
-from kleinkram.server.missions.template import carried_over, defaults, write_template
+from kleinkram.server.missions.metadata import Judge, carried_over, defaults, read_metadata, satisfying, write_template
 from kleinkram.server.pagination import PageRequest, fetch_listing
 from kleinkram.server.quotas import require_room_for_mission
 from kleinkram.server.tables import mission
@@ -105,7 +104,7 @@ async def list_missions(
     actor: Actor,
     *,
     matching: MissionFilter,
-    found: FileFilter | None = None,
+    by_files: FileFilter | None = None,
     sort: MissionOrder,
     page: PageRequest,
     plan: SearchPlan = NO_PLAN,
@@ -116,7 +115,7 @@ async def list_missions(
         InvalidQuery: a `where` cannot be used.
         InvalidCursor: the cursor is not of this list.
     """
-    filters = [matching] if found is None else [matching, found]
+    filters = [matching] if by_files is None else [matching, by_files]
     listing, values = prepare(queries.mission_listing, actor, *filters, plan=plan, sort=sort)
     rows = await fetch_listing(db, listing, page, values)
     return Page(items=queries.to_missions(rows.items), next=rows.next, total=rows.total)
@@ -135,7 +134,7 @@ async def find_visible_mission_ids(db: Connection, actor: Actor) -> Sequence[uui
     return None if len(mission_ids) > MAX_VISIBLE_IDS else mission_ids
 
 
-async def estimate_matching(db: Connection, actor: Actor, found: FileFilter, plan: SearchPlan) -> int | None:
+async def estimate_matching(db: Connection, actor: Actor, by_files: FileFilter, plan: SearchPlan) -> int | None:
     """Estimate from a sample how many missions a filter of files finds; exact where the sample holds all missions.
 
     None where no sampled mission matches, and others may.
@@ -143,14 +142,16 @@ async def estimate_matching(db: Connection, actor: Actor, found: FileFilter, pla
     Raises:
         InvalidQuery: a `where` cannot be used.
     """
-    statement = prepare(queries.sampled_missions, actor, found, plan=plan, size=SAMPLED_MISSIONS)
+    statement = prepare(queries.sampled_missions, actor, by_files, plan=plan, size=SAMPLED_MISSIONS)
     row = (await db.execute(*statement)).one()
     if row.sampled < SAMPLED_MISSIONS:
         return int(row.hits)
     return rounded(row.hits * ID_COUNT // max(row.last_id.int, 1)) or None
 
 
-async def create_mission(db: Connection, actor: Actor, *, project_id: uuid.UUID, wanted: MissionCreate) -> MissionRead:
+async def create_mission(
+    db: Connection, actor: Actor, *, project_id: uuid.UUID, new_mission: MissionCreate
+) -> MissionRead:
     """Make a mission and return it.
 
     Raises:
@@ -160,25 +161,25 @@ async def create_mission(db: Connection, actor: Actor, *, project_id: uuid.UUID,
         MetadataInvalid: it does not satisfy the project; names every missing, wrong or unknown field.
         NameTaken: the project has a mission of that name.
     """
-    document = await _said_in(wanted)
+    document = await _read_document(new_mission)
     _, fields = await _project(db, actor, project_id)
     await require_project(db, actor, "create_mission", project_id)
     mission_id, metadata = uuid.uuid4(), satisfying(document, fields)
     statement = insert(mission).values(
         id=mission_id,
         project_id=project_id,
-        name=wanted.name,
-        name_key=name_key(wanted.name),
+        name=new_mission.name,
+        name_key=name_key(new_mission.name),
         metadata=metadata,
-        metadata_yaml=wanted.metadata_yaml,
-        notes=wanted.notes,
+        metadata_yaml=new_mission.metadata_yaml,
+        notes=new_mission.notes,
         created_by_id=actor.person_id,
         **NOTHING,
     )
     try:
         await db.execute(statement)
     except IntegrityError as error:
-        raise _name_taken(error, wanted.name) from error
+        raise _name_taken(error, new_mission.name) from error
     made = await get_mission(db, actor, mission_id)
     after: Metadata = {"name": made.name, "metadata": metadata}
     event = Event("mission.create", "mission", mission_id, made.name, project_id, after=after, mission_id=mission_id)
@@ -202,8 +203,8 @@ async def update_mission(
         QuotaExceeded: the project to move it to has no room for it.
         EditConflict: it is not of the ETag in `if_match` any more.
     """
-    is_said = changes.metadata_yaml is not None or changes.metadata is not None
-    document = await _said_in(changes) if is_said else None
+    has_metadata = changes.metadata_yaml is not None or changes.metadata is not None
+    document = await _read_document(changes) if has_metadata else None
     row = await get_mission_row(db, actor, mission_id)
     # Before anything is said of the project to move it to; and once more when it is held.
     moves = changes.project_id is not None and changes.project_id != row.project_id
@@ -222,8 +223,8 @@ async def update_mission(
     require_match(if_match, old.etag, noun="mission", name=old.name)
     await _change(db, queries.change_mission(mission_id, **values), name=changes.name or old.name)
     new = await get_mission(db, actor, mission_id)
-    differing = [name for name in _AUDITED if _said(old, name) != _said(new, name)]
-    before, after = ({name: _said(each, name) for name in differing} for each in (old, new))
+    differing = [name for name in _AUDITED if _audited_value(old, name) != _audited_value(new, name)]
+    before, after = ({name: _audited_value(version, name) for name in differing} for version in (old, new))
     await record(db, actor, *_moved(old, new, before, after) if "project" in after else _updated(new, before, after))
     return new
 
@@ -259,7 +260,9 @@ async def rejudge_missions(db: Connection, project_id: uuid.UUID, fields: Metada
         statement = queries.metadata_of_project(project_id, after=after, limit=_JUDGED_AT_ONCE)
         rows = (await db.execute(statement)).all()
         judged = [(row, _problems(judge, row.metadata)) for row in rows]
-        changed = [{"ref": row.id, "problems": found} for row, found in judged if found != row.metadata_problems]
+        changed = [
+            {"ref": row.id, "problems": problems} for row, problems in judged if problems != row.metadata_problems
+        ]
         if changed:
             await db.execute(queries.set_problems(), changed)
         if len(rows) < _JUDGED_AT_ONCE:
@@ -288,10 +291,10 @@ async def template_for(db: Connection, actor: Actor, *, project_id: uuid.UUID) -
     )
 
 
-async def _said_in(said: MissionCreate | MissionUpdate) -> Document:
-    if said.metadata is not None:
-        return Document(said.metadata)
-    return await asyncio.to_thread(read_metadata, said.metadata_yaml)
+async def _read_document(request: MissionCreate | MissionUpdate) -> Document:
+    if request.metadata is not None:
+        return Document(request.metadata)
+    return await asyncio.to_thread(read_metadata, request.metadata_yaml)
 
 
 async def _see_that_it_may_change(db: Connection, actor: Actor, old: MissionRead, changes: MissionUpdate) -> None:
@@ -320,7 +323,7 @@ def _moved(old: MissionRead, new: MissionRead, before: Metadata, after: Metadata
 _AUDITED = ("name", "project", "metadata", "notes", "completed_at")
 
 
-def _said(seen: MissionRead, name: str) -> Any:  # Any: whatever JSON the record keeps of an attribute
+def _audited_value(seen: MissionRead, name: str) -> Any:  # Any: whatever JSON the record keeps of an attribute
     return seen.project.name if name == "project" else seen.model_dump(mode="json", include={name})[name]
 
 

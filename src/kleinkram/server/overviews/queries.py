@@ -83,9 +83,9 @@ def recordings_by_id(mission_id: uuid.UUID) -> Select[Any]:
         column("id", Uuid), with_ordinality="place", name="listed"
     )
     listed = listed.render_derived()
-    found = select(listed.c.id, recording.c.name).select_from(mission_topics).join(listed, true())
-    found = found.outerjoin(recording, recording.c.id == listed.c.id)
-    return found.where(mission_topics.c.mission_id == mission_id).order_by(listed.c.place)
+    recordings = select(listed.c.id, recording.c.name).select_from(mission_topics).join(listed, true())
+    recordings = recordings.outerjoin(recording, recording.c.id == listed.c.id)
+    return recordings.where(mission_topics.c.mission_id == mission_id).order_by(listed.c.place)
 
 
 def topics_of_files(
@@ -120,7 +120,7 @@ def put_header(**values: object) -> ReturningInsert[Any]:
     ).returning(mission_topics.c.mission_id)
 
 
-def kept_topics(mission_id: uuid.UUID) -> Select[Any]:
+def derived_topics(mission_id: uuid.UUID) -> Select[Any]:
     """Return the topics that are kept of a mission, each with all types under which the mission has it."""
     other = mission_topic.alias("other")
     types = (
@@ -134,7 +134,7 @@ def kept_topics(mission_id: uuid.UUID) -> Select[Any]:
 
 
 # By name and type, which the id follows within a name: rows are written in that order.
-KEPT_ORDER = Order([mission_topic.c.name, mission_topic.c.id])
+DERIVED_TOPIC_ORDER = Order([mission_topic.c.name, mission_topic.c.id])
 
 
 def topic_count(actor: Actor, project_id: uuid.UUID | None) -> Select[Any]:

@@ -17,7 +17,7 @@ from kleinkram.contract.overviews import (
     TimelineSize,
 )
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
-from kleinkram.server.overviews import service, stats, topics
+from kleinkram.server.overviews import service, topics
 from kleinkram.server.pagination import PageRequest
 
 router = APIRouter(prefix="/api/v1", tags=["overviews"])
@@ -54,7 +54,7 @@ async def get_project_stats(
     project_id: uuid.UUID, db: Transaction, actor: CurrentActor, by: Term = "month", most: Buckets = 20
 ) -> Overview:
     """Return what a project amounts to: hours, bytes, files, by `month` or by the values of a metadata field."""
-    return await stats.get_project_stats(db, actor, project_id=project_id, by=by, most=most)
+    return await service.get_project_stats(db, actor, project_id=project_id, by=by, most=most)
 
 
 @router.get("/overview", operation_id="get_overview")
@@ -69,4 +69,4 @@ async def get_overview(
 
     Who has rights on single missions of a project sees what these amount to.
     """
-    return await stats.get_overview(db, actor, project_id=project_id, by=by, most=most)
+    return await service.get_overview(db, actor, project_id=project_id, by=by, most=most)

@@ -1,13 +1,22 @@
-"""Overviews: what a mission or a project is made of, in few queries and few bytes."""
+"""Overviews of missions and projects: the timeline, and statistics to be drawn in a bounded number of buckets."""
 
+import math
+import sys
 import uuid
+from collections.abc import Iterable, Sequence
 
-from kleinkram.contract.errors import NotFound
-from kleinkram.contract.overviews import MissionTimeline
+from kleinkram.contract.errors import InvalidQuery, NotFound
+from kleinkram.contract.files import FileFilter
+from kleinkram.contract.metadata import FieldType, MetadataField
+from kleinkram.contract.overviews import Bucket, MissionTimeline, Overview, StatsRow
 from kleinkram.server.access.actor import Actor
+from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
 from kleinkram.server.overviews import queries
 from kleinkram.server.pagination import PageRequest, fetch_page
+from kleinkram.server.projects import service as projects
+from kleinkram.server.search import service as search
+from kleinkram.server.search.queries import add_up
 
 
 async def get_timeline(db: Connection, actor: Actor, *, mission_id: uuid.UUID, page: PageRequest) -> MissionTimeline:
@@ -23,3 +32,101 @@ async def get_timeline(db: Connection, actor: Actor, *, mission_id: uuid.UUID, p
     rows = await fetch_page(db, queries.timeline_files(actor, mission_id), queries.TIMELINE_ORDER, page)
     items = [queries.to_timeline_file(row) for row in rows.items]
     return MissionTimeline(start_ns=span.start_ns, end_ns=span.end_ns, items=items, next=rows.next)
+
+
+_MONTH = "month"
+
+
+async def get_project_stats(db: Connection, actor: Actor, *, project_id: uuid.UUID, by: str, most: int) -> Overview:
+    """Return what a project amounts to.
+
+    Raises:
+        NotFound: the project is not there, or not for this actor.
+        InvalidQuery: as in `get_overview`.
+    """
+    declared = (await projects.get_project(db, actor, project_id)).metadata_fields.fields
+    named = by.removeprefix("metadata.") if by != _MONTH else None
+    field = next((field for field in declared if field.name == named), None)
+    return await get_overview(db, actor, project_id=project_id, by=by, most=most, field=field)
+
+
+async def get_overview(
+    db: Connection,
+    actor: Actor,
+    *,
+    project_id: uuid.UUID | None,
+    by: str,
+    most: int,
+    field: MetadataField | None = None,
+) -> Overview:
+    """Return what all that is visible amounts to, or of it what is in one project; `field` declares what `by` names.
+
+    Raises:
+        InvalidQuery: nothing has such a field, it has too many values, or its values are not shown to this actor.
+    """
+    group = by if by == _MONTH or by.startswith("metadata.") else f"metadata.{by}"
+    stats = await search.get_stats(db, actor, by=group, matching=FileFilter(project_id=project_id))
+    if field is None and by != _MONTH and stats.rows and all(row.group is None for row in stats.rows):
+        raise InvalidQuery(expression=by, reason="no mission has such a field; say month, or the name of a field")
+    with_value = [row for row in stats.rows if row.group is not None]
+    buckets, other = _bucketed(with_value, field, most) if by != _MONTH else (_one_bucket_each(with_value), None)
+    topics = None
+    if sees_whole_missions(actor):
+        topics = (await db.execute(queries.topic_count(actor, project_id))).scalar_one()
+    return Overview(
+        by=by,
+        unit=field.unit if field else None,
+        buckets=[*buckets, *(Bucket(value=None, stats=row) for row in stats.rows if row.group is None)],
+        other=other,
+        total=stats.total,
+        topics=topics,
+    )
+
+
+def _one_bucket_each(rows: Iterable[StatsRow]) -> list[Bucket]:
+    return [Bucket(value=row.group, stats=row) for row in rows]
+
+
+def _bucketed(rows: Sequence[StatsRow], field: MetadataField | None, most: int) -> tuple[list[Bucket], StatsRow | None]:
+    numbers = {row.group: number for row in rows if (number := _number(row.group)) is not None}
+    # Without a declaration, a field is of numbers where every value is one.
+    is_number = field.type is FieldType.number if field else len(numbers) == len(rows)
+    if not is_number:
+        ranked = sorted(rows, key=lambda row: (-row.duration_ns, -row.size_bytes, row.group or ""))
+        return _one_bucket_each(ranked[:most]), add_up(ranked[most:]) if ranked[most:] else None
+    counted = sorted((row for row in rows if row.group in numbers), key=lambda row: numbers[row.group])
+    strange = [row for row in rows if row.group not in numbers]
+    ranges = _one_bucket_each(counted) if len(counted) <= most else _ranges(counted, numbers, most)
+    return ranges, add_up(strange) if strange else None
+
+
+def _ranges(rows: Sequence[StatsRow], numbers: dict[str | None, float], most: int) -> list[Bucket]:
+    values = [numbers[row.group] for row in rows]
+    step = _step(values[0], values[-1], most)
+    inside: dict[int, list[StatsRow]] = {}
+    for row, value in zip(rows, values, strict=True):
+        inside.setdefault(math.floor(value / step), []).append(row)
+    return [
+        Bucket(value=None, low=_edge(place * step), high=_edge((place + 1) * step), stats=add_up(rows_inside))
+        for place, rows_inside in inside.items()
+    ]
+
+
+def _step(low: float, high: float, most: int) -> float:
+    """Return 1, 2 or 5 times a power of ten, so that there are at most so many steps, or one more."""
+    least = min(max(high / most - low / most, 1e-300), 1e308)
+    power = 10.0 ** math.floor(math.log10(least))
+    return next(times * power for times in (1, 2, 5, 10) if times * power >= least)
+
+
+def _edge(number: float) -> float:
+    # JSON has no word for what is beyond.
+    return max(-sys.float_info.max, min(sys.float_info.max, number))
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        number = float(text or "")
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None

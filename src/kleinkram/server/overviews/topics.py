@@ -1,35 +1,171 @@
 """The topics of a mission: derived by a worker whenever its files change, and answered from there.
 
 Who is shown only some of its files gets those of these files, added up at once; so does everybody as long as nothing
-was derived.
+was derived. Merging holds one topic at a time, whatever the number of files.
 """
 
 import uuid
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from sqlalchemy import Row, Select, delete, insert
 
 from kleinkram.contract.errors import NotFound
 from kleinkram.contract.overviews import MissionTopic, MissionTopics, RecordingRef, TimeAxis
-from kleinkram.recordings.density import on_axis, pack, unpack
+from kleinkram.recordings.density import add_up, on_axis, pack, unpack
 from kleinkram.recordings.model import MessageDensity
+from kleinkram.recordings.timeline import StampRun, join
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
 from kleinkram.server.missions import service as missions
 from kleinkram.server.overviews import queries
-from kleinkram.server.overviews.merge import Key, Merged, merge
 from kleinkram.server.pagination import PageRequest, fetch_page
-from kleinkram.server.tables import MOST_KEPT_TOPICS, mission_topic
+from kleinkram.server.tables import MAX_STORED_TOPICS, mission_topic
+
+_ADDED_AT_ONCE = 64
+
+
+class TopicKey(NamedTuple):
+    """What topics are merged by."""
+
+    name: str
+    message_type: str | None
+
+
+@dataclass(frozen=True)
+class Merged:
+    """One topic with one type in all recordings of a mission, as `MissionTopic` says; `places` are flat ranges."""
+
+    key: TopicKey
+    count: int | None
+    file_count: int
+    recording_count: int
+    places: list[int]
+    first_ns: int | None
+    last_ns: int | None
+    rate_hz: float | None
+    longest_gap_ns: int | None
+    stored_bytes: int | None
+    density: MessageDensity | None
+
+
+async def merge(rows: AsyncIterator[Row[Any]], recording_ids: Sequence[uuid.UUID]) -> AsyncIterator[Merged]:
+    """Yield merged topics of rows that come by name, type, recording and time; rows that are not placed only count."""
+    places = {recording_id: place for place, recording_id in enumerate(recording_ids)}
+    one: _One | None = None
+    async for row in rows:
+        key = TopicKey(row.name, row.message_type)
+        if one is None or one.key != key:
+            if one is not None:
+                yield one.merged(places)
+            one = _One(key)
+        one.add(row)
+    if one is not None:
+        yield one.merged(places)
+
+
+class _One:
+    """A topic on the way."""
+
+    def __init__(self, key: TopicKey) -> None:
+        self.key = key
+        self._files = 0
+        self._count: int | None = 0
+        self._stored_bytes: int | None = 0
+        self._recordings: set[uuid.UUID] = set()
+        self._recording_id: uuid.UUID | None = None
+        self._runs: list[StampRun] = []
+        self._whole = _Whole()
+        self._densities: list[MessageDensity] = []
+
+    def add(self, row: Row[Any]) -> None:
+        if row.recording_id != self._recording_id:
+            self._end_recording()
+            self._recording_id = row.recording_id
+        self._files += 1
+        self._count = _sum(self._count, row.message_count)
+        self._stored_bytes = _sum(self._stored_bytes, row.stored_bytes)
+        if row.message_count != 0 and row.recording_id is not None:
+            self._recordings.add(row.recording_id)
+        if row.is_placed:
+            gap_ns = row.longest_gap_ns or 0
+            self._runs.append(StampRun(row.first_ns, row.last_ns, row.message_count or 0, gap_ns))
+            if row.density is not None:
+                self._densities.append(unpack(row.density))
+        if len(self._densities) >= _ADDED_AT_ONCE:
+            self._densities = [*_added(self._densities)]
+
+    def merged(self, places: Mapping[uuid.UUID, int]) -> Merged:
+        self._end_recording()
+        numbers = sorted(places[recording_id] for recording_id in self._recordings if recording_id in places)
+        whole = self._whole
+        return Merged(
+            key=self.key,
+            count=self._count,
+            file_count=self._files,
+            recording_count=len(numbers),
+            places=[*_ranges(numbers)],
+            first_ns=whole.first_ns,
+            last_ns=whole.last_ns,
+            rate_hz=whole.steps * 1e9 / whole.span_ns if whole.span_ns > 0 and whole.steps > 0 else None,
+            longest_gap_ns=whole.longest_gap_ns if whole.steps > 0 else None,
+            stored_bytes=self._stored_bytes,
+            density=next(_added(self._densities), None),
+        )
+
+    def _end_recording(self) -> None:
+        # A file without a recording stands for itself.
+        runs = join(self._runs) if self._recording_id is not None else self._runs
+        for run in runs:
+            self._whole.add(run)
+        self._runs = []
+
+
+@dataclass
+class _Whole:
+    """All recordings of one topic."""
+
+    first_ns: int | None = None
+    last_ns: int | None = None
+    steps: int = 0
+    span_ns: int = 0
+    longest_gap_ns: int = 0
+
+    def add(self, run: StampRun) -> None:
+        self.first_ns = run.first_ns if self.first_ns is None else min(self.first_ns, run.first_ns)
+        self.last_ns = run.last_ns if self.last_ns is None else max(self.last_ns, run.last_ns)
+        self.steps += max(0, run.count - 1)
+        self.span_ns += run.last_ns - run.first_ns
+        self.longest_gap_ns = max(self.longest_gap_ns, run.longest_gap_ns)
+
+
+def _added(densities: Sequence[MessageDensity]) -> Iterator[MessageDensity]:
+    total = add_up(densities)
+    if total is not None:
+        yield total
+
+
+def _sum(total: int | None, more: int | None) -> int | None:
+    return None if total is None or more is None else total + more
+
+
+def _ranges(numbers: Sequence[int]) -> Iterator[int]:
+    """Yield first and last of each range of sorted numbers that follow each other."""
+    for at, number in enumerate(numbers):
+        if at == 0 or numbers[at - 1] != number - 1:
+            yield number
+        if at == len(numbers) - 1 or numbers[at + 1] != number + 1:
+            yield number
+
 
 _FETCHED_AT_ONCE = 2_000
 _MAX_BIGINT = 2**63 - 1
 
 
 @dataclass(frozen=True)
-class _Found:
+class _MissionTopicData:
     """What is known of a mission's topics: its span, its recordings, and topics of which some may be left for later."""
 
     span: tuple[int | None, int | None]
@@ -54,16 +190,18 @@ async def list_mission_topics(
     if state is None:
         raise NotFound(noun="mission", ref=str(mission_id))
     if sees_whole_missions(actor) and state.revision is not None:
-        found = await _kept(db, state, mission_id, page)
+        topics = await _derived(db, state, mission_id, page)
     else:
-        found = await _added_up(db, actor, state, mission_id)
-    axis = _axis(found, bins)
+        topics = await _added_up(db, actor, state, mission_id)
+    axis = _axis(topics, bins)
     return MissionTopics(
         axis=axis,
-        recordings=found.recordings,
-        items=[_topic(each, found.types.get(each.key.name, []), axis if bins else None) for each in found.topics],
-        next=found.next,
-        is_current=found.is_current,
+        recordings=topics.recordings,
+        items=[
+            _topic(merged, topics.types.get(merged.key.name, []), axis if bins else None) for merged in topics.topics
+        ],
+        next=topics.next,
+        is_current=topics.is_current,
     )
 
 
@@ -80,22 +218,22 @@ async def keep_topics(db: Connection, mission_id: uuid.UUID) -> None:
     topics = await _merged(db, queries.topics_of_files(mission_id, state.start_ns, state.end_ns), ids)
     if not await missions.lock_mission(db, mission_id):
         return
-    bin_ns = max((each.density.bin_ns for each in topics if each.density), default=1)
+    bin_ns = max((merged.density.bin_ns for merged in topics if merged.density), default=1)
     header = {"mission_id": mission_id, "revision": state.files_revision, "recording_ids": ids, "bin_ns": bin_ns}
     if (await db.execute(queries.put_header(**header))).first() is None:
         return
     await db.execute(delete(mission_topic).where(mission_topic.c.mission_id == mission_id))
     if topics:
-        await db.execute(insert(mission_topic), [_values(mission_id, each) for each in topics])
+        await db.execute(insert(mission_topic), [_values(mission_id, merged) for merged in topics])
 
 
 async def _merged(db: Connection, statement: Select[Any], recording_ids: Sequence[uuid.UUID]) -> list[Merged]:
-    found: list[Merged] = []
-    async for each in merge(_streamed(db, statement), recording_ids):
-        found.append(each)
-        if len(found) == MOST_KEPT_TOPICS:
+    topics: list[Merged] = []
+    async for merged in merge(_streamed(db, statement), recording_ids):
+        topics.append(merged)
+        if len(topics) == MAX_STORED_TOPICS:
             break
-    return found
+    return topics
 
 
 async def _streamed(db: Connection, statement: Select[Any]) -> AsyncIterator[Row[Any]]:
@@ -108,10 +246,10 @@ async def _streamed(db: Connection, statement: Select[Any]) -> AsyncIterator[Row
         await result.close()
 
 
-async def _kept(db: Connection, state: Row[Any], mission_id: uuid.UUID, page: PageRequest) -> _Found:
-    rows = await fetch_page(db, queries.kept_topics(mission_id), queries.KEPT_ORDER, page)
+async def _derived(db: Connection, state: Row[Any], mission_id: uuid.UUID, page: PageRequest) -> _MissionTopicData:
+    rows = await fetch_page(db, queries.derived_topics(mission_id), queries.DERIVED_TOPIC_ORDER, page)
     recordings = (await db.execute(queries.recordings_by_id(mission_id))).all()
-    return _Found(
+    return _MissionTopicData(
         span=(state.start_ns, state.end_ns),
         bin_ns=state.bin_ns,
         recordings=[RecordingRef(id=row.id, name=row.name or "") for row in recordings],
@@ -122,16 +260,16 @@ async def _kept(db: Connection, state: Row[Any], mission_id: uuid.UUID, page: Pa
     )
 
 
-async def _added_up(db: Connection, actor: Actor, state: Row[Any], mission_id: uuid.UUID) -> _Found:
+async def _added_up(db: Connection, actor: Actor, state: Row[Any], mission_id: uuid.UUID) -> _MissionTopicData:
     recordings = (await db.execute(queries.recordings_in_time(mission_id, actor))).all()
     statement = queries.topics_of_files(mission_id, state.start_ns, state.end_ns, actor)
     topics = await _merged(db, statement, [row.id for row in recordings])
     types: dict[str, list[str | None]] = {}
-    for each in topics:
-        types.setdefault(each.key.name, []).append(each.key.message_type)
-    return _Found(
+    for merged in topics:
+        types.setdefault(merged.key.name, []).append(merged.key.message_type)
+    return _MissionTopicData(
         span=(state.start_ns, state.end_ns),
-        bin_ns=max((each.density.bin_ns for each in topics if each.density), default=1),
+        bin_ns=max((merged.density.bin_ns for merged in topics if merged.density), default=1),
         recordings=[RecordingRef(id=row.id, name=row.name) for row in recordings],
         topics=topics,
         types=types,
@@ -140,54 +278,54 @@ async def _added_up(db: Connection, actor: Actor, state: Row[Any], mission_id: u
     )
 
 
-def _axis(found: _Found, bins: int) -> TimeAxis | None:
+def _axis(data: _MissionTopicData, bins: int) -> TimeAxis | None:
     """Return the narrowest bins that are few enough, and not narrower than those that are known."""
-    start_ns, end_ns = found.span
+    start_ns, end_ns = data.span
     if start_ns is None or end_ns is None or not bins:
         return None
-    bits = found.bin_ns.bit_length() - 1
+    bits = data.bin_ns.bit_length() - 1
     while (end_ns >> bits) - (start_ns >> bits) >= bins:
         bits += 1
     first = start_ns >> bits
     return TimeAxis(start_ns=first << bits, bin_ns=1 << bits, bins=(end_ns >> bits) - first + 1)
 
 
-def _topic(each: Merged, types: Sequence[str | None], axis: TimeAxis | None) -> MissionTopic:
+def _topic(merged: Merged, types: Sequence[str | None], axis: TimeAxis | None) -> MissionTopic:
     counts = None
-    if axis is not None and each.density is not None:
-        counts = on_axis(each.density, start_ns=axis.start_ns, bin_ns=axis.bin_ns, bins=axis.bins)
+    if axis is not None and merged.density is not None:
+        counts = on_axis(merged.density, start_ns=axis.start_ns, bin_ns=axis.bin_ns, bins=axis.bins)
     return MissionTopic(
-        name=each.key.name,
-        message_type=each.key.message_type,
-        other_types=[other for other in types if other != each.key.message_type],
-        count=each.count,
-        file_count=each.file_count,
-        recording_count=each.recording_count,
-        recordings=list(zip(each.places[::2], each.places[1::2], strict=True)),
-        first_ns=each.first_ns,
-        last_ns=each.last_ns,
-        rate_hz=each.rate_hz,
-        longest_gap_ns=each.longest_gap_ns,
-        stored_bytes=each.stored_bytes,
+        name=merged.key.name,
+        message_type=merged.key.message_type,
+        other_types=[other for other in types if other != merged.key.message_type],
+        count=merged.count,
+        file_count=merged.file_count,
+        recording_count=merged.recording_count,
+        recordings=list(zip(merged.places[::2], merged.places[1::2], strict=True)),
+        first_ns=merged.first_ns,
+        last_ns=merged.last_ns,
+        rate_hz=merged.rate_hz,
+        longest_gap_ns=merged.longest_gap_ns,
+        stored_bytes=merged.stored_bytes,
         counts=counts,
     )
 
 
-def _values(mission_id: uuid.UUID, each: Merged) -> dict[str, object]:
+def _values(mission_id: uuid.UUID, merged: Merged) -> dict[str, object]:
     return {
         "mission_id": mission_id,
-        "name": each.key.name,
-        "message_type": each.key.message_type,
-        "count": _bigint(each.count),
-        "file_count": each.file_count,
-        "recording_count": each.recording_count,
-        "places": each.places,
-        "first_ns": each.first_ns,
-        "last_ns": each.last_ns,
-        "rate_hz": each.rate_hz,
-        "longest_gap_ns": each.longest_gap_ns,
-        "stored_bytes": _bigint(each.stored_bytes),
-        "density": pack(each.density) if each.density is not None else None,
+        "name": merged.key.name,
+        "message_type": merged.key.message_type,
+        "count": _bigint(merged.count),
+        "file_count": merged.file_count,
+        "recording_count": merged.recording_count,
+        "places": merged.places,
+        "first_ns": merged.first_ns,
+        "last_ns": merged.last_ns,
+        "rate_hz": merged.rate_hz,
+        "longest_gap_ns": merged.longest_gap_ns,
+        "stored_bytes": _bigint(merged.stored_bytes),
+        "density": pack(merged.density) if merged.density is not None else None,
     }
 
 
@@ -198,7 +336,7 @@ def _bigint(value: int | None) -> int | None:
 def _from_row(row: Row[Any]) -> Merged:
     density: MessageDensity | None = unpack(row.density) if row.density is not None else None
     return Merged(
-        key=Key(row.name, row.message_type),
+        key=TopicKey(row.name, row.message_type),
         count=row.message_count,
         file_count=row.file_count,
         recording_count=row.recording_count,

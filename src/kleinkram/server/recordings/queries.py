@@ -55,7 +55,7 @@ RECORDING_ORDER = Order([recording.c.name, recording.c.id])
 def _in_order(paths: Sequence[str]) -> list[int]:
     """Return the places of paths such that data files come in the order of recording, `run_2` before `run_10`."""
     place = {path: number for number, path in enumerate(paths)}
-    members = [place[path] for found in group(paths) for path in found.members]
+    members = [place[path] for statement in group(paths) for path in statement.members]
     ordered, are_members = iter(members), set(members)
     return [next(ordered) if number in are_members else number for number in range(len(paths))]
 

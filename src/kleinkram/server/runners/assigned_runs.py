@@ -35,7 +35,7 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.files import queries as files
 from kleinkram.server.files.paths import check_path_free
-from kleinkram.server.files.topics import to_topics, topic_rows
+from kleinkram.server.files.queries import to_topics, topic_rows
 from kleinkram.server.missions import service as missions
 from kleinkram.server.quotas import Amount, require_room
 from kleinkram.server.recordings import queries as recordings

@@ -13,7 +13,7 @@ from kleinkram.server.db import among
 from kleinkram.server.pagination import Order
 from kleinkram.server.runners.eligibility import is_alive, is_single_person_only, runs_scripts, with_limits
 from kleinkram.server.tables import action, action_version, mission, project, run, runner, token, token_limit
-from kleinkram.server.tables.runs import HELD
+from kleinkram.server.tables.runs import ASSIGNED
 
 RUNNER_ORDER = Order([runner.c.name, runner.c.id])
 # Fractions of cores are summed as floats.
@@ -22,7 +22,7 @@ _ROUNDING = 1e-6
 
 def runner_rows() -> Select[Any]:
     """Return all runners, as `to_runner` reads them."""
-    assigned = select(func.count()).where(run.c.runner_id == runner.c.id, run.c.state.in_(HELD))
+    assigned = select(func.count()).where(run.c.runner_id == runner.c.id, run.c.state.in_(ASSIGNED))
     active = assigned.correlate(runner).scalar_subquery().label("active_runs")
     stmt = with_limits(select(runner, is_alive().label("is_alive"), active))
     return stmt.add_columns(token.c.name.label("token_name"), token.c.expires_at.label("token_expires_at"))
@@ -81,7 +81,7 @@ def _with_definition() -> Select[Any]:
 
 def unanswered_claim(runner_id: uuid.UUID, assigned: Collection[uuid.UUID]) -> Select[Any]:
     """Return a run that is assigned to a runner without its knowledge: the answer to the claim was lost."""
-    unanswered = (run.c.runner_id == runner_id) & run.c.state.in_(HELD) & run.c.id.not_in(assigned)
+    unanswered = (run.c.runner_id == runner_id) & run.c.state.in_(ASSIGNED) & run.c.id.not_in(assigned)
     return _with_definition().where(unanswered).limit(1).with_for_update(of=run)
 
 
@@ -112,7 +112,7 @@ def next_run(row: Row[Any], requested: ClaimRequest, *, single_person: bool) -> 
 
 def assigned_run(actor: Actor, run_id: uuid.UUID, attempt: int) -> Select[Any]:
     """Return a run whose current attempt belongs to the runner of this token, locked."""
-    current = (run.c.attempt == attempt) & run.c.state.in_(HELD) & _is_of(actor)
+    current = (run.c.attempt == attempt) & run.c.state.in_(ASSIGNED) & _is_of(actor)
     return _with_definition().where(run.c.id == run_id, current).with_for_update(of=run, key_share=True)
 
 

@@ -42,7 +42,7 @@ from kleinkram.server.runners import queries
 from kleinkram.server.runners.eligibility import has_single_person, with_limits
 from kleinkram.server.runs.lifecycle import end_run, requeue_lost_runs
 from kleinkram.server.tables import action_version, mission, project, run, run_input, runner, token, token_limit
-from kleinkram.server.tables.runs import HELD
+from kleinkram.server.tables.runs import ASSIGNED
 
 _SCOPES = {
     Right.read: [Scope.read],
@@ -276,7 +276,9 @@ async def _record_heartbeat(db: Connection, runner_id: uuid.UUID, heartbeat: Hea
     gone = func.coalesce(mission.c.deleted_at, project.c.deleted_at).is_not(None).label("is_gone")
     image = action_version.c.definition["image"].astext.label("image")
     joined = select(run, gone, image).join_from(run, mission, mission.c.id == run.c.mission_id).join(project)
-    stmt = joined.join(action_version, action_version.c.id == run.c.version_id).where(assigned, run.c.state.in_(HELD))
+    stmt = joined.join(action_version, action_version.c.id == run.c.version_id).where(
+        assigned, run.c.state.in_(ASSIGNED)
+    )
     row = (await db.execute(stmt.with_for_update(of=run, key_share=True))).one_or_none()
     if row is None:
         return HeartbeatReply(run_id=heartbeat.run_id, attempt=heartbeat.attempt, status=LeaseStatus.lost)

@@ -21,7 +21,7 @@ from kleinkram.server.db import Connection
 from kleinkram.server.runs import service
 from kleinkram.server.tables import mission, project, run, run_artifact, runner, token, upload
 from kleinkram.server.tables.blobs import UNDER_WAY
-from kleinkram.server.tables.runs import HELD
+from kleinkram.server.tables.runs import ASSIGNED
 
 # How often a run is queued again after its runner was lost.
 MOST_LOST = 2
@@ -43,7 +43,7 @@ async def cancel_run(db: Connection, actor: Actor, *, run_id: uuid.UUID) -> RunR
         raise Forbidden(noun="mission", operation="cancel another person's run", needs=Right.delete.value)
     if row.state == RunState.queued.value:
         await end_run(db, row, EndReason.cancelled, f"Cancelled by {actor.name} before it started.")
-    elif row.state in HELD and row.cancel_requested_at is None:
+    elif row.state in ASSIGNED and row.cancel_requested_at is None:
         await db.execute(update(run).where(run.c.id == run_id).values(cancel_requested_at=func.now()))
     else:
         return await service.get_run(db, actor, run_id)
@@ -78,7 +78,7 @@ async def requeue_lost_runs(db: Connection) -> int:
     """
     seen = (runner.c.id == run.c.runner_id) & (runner.c.last_seen_at > func.now() - _SILENT)
     silent = run.c.cancel_requested_at.is_not(None) & ~select(runner.c.id).where(seen).exists()
-    expired = run.c.state.in_(HELD) & ((run.c.lease_ends_at < func.now()) | silent)
+    expired = run.c.state.in_(ASSIGNED) & ((run.c.lease_ends_at < func.now()) | silent)
     stmt = select(run).where(expired).order_by(run.c.id).limit(_BATCH).with_for_update(skip_locked=True)
     rows = (await db.execute(stmt)).all()
     for row in rows:

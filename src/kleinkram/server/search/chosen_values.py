@@ -43,7 +43,7 @@ def without(matching: FileFilter, facet: str) -> FileFilter:
         return _with(matching, project=None, project_id=None, projects=[])
     if facet.startswith(META):
         field = facet.removeprefix(META)
-        return _with(matching, where=[each for each in matching.where if _equality(each)[0] != field])
+        return _with(matching, where=[item for item in matching.where if _equality(item)[0] != field])
     return _with(matching, **{LISTS[facet]: []})
 
 
@@ -57,19 +57,19 @@ def with_value(matching: FileFilter, facet: str, value: str, *, kind: str = "str
     if facet.startswith(META):
         bare = without(matching, facet)
         return _with(bare, where=[*bare.where, comparison(facet.removeprefix(META), value, kind)])
-    wider = [each for each in chosen(matching, facet) if each != value and fnmatch.fnmatchcase(value, each)]
-    kept = [each for each in chosen(matching, facet) if each not in wider]
-    return _with(matching, **{LISTS[facet]: [*kept, value]})
+    wider = [item for item in chosen(matching, facet) if item != value and fnmatch.fnmatchcase(value, item)]
+    narrower = [item for item in chosen(matching, facet) if item not in wider]
+    return _with(matching, **{LISTS[facet]: [*narrower, value]})
 
 
 def without_value(matching: FileFilter, facet: str, value: str) -> FileFilter:
     """Return a filter that no longer asks for a value of a facet."""
     if facet == "project" and matching.projects:
-        left = [each for each in matching.projects if name_key(each) != name_key(value)]
+        left = [item for item in matching.projects if name_key(item) != name_key(value)]
         return _with(matching, projects=left)
     if facet not in LISTS:
         return without(matching, facet)
-    return _with(matching, **{LISTS[facet]: [each for each in chosen(matching, facet) if each != value]})
+    return _with(matching, **{LISTS[facet]: [item for item in chosen(matching, facet) if item != value]})
 
 
 def is_chosen(values: Sequence[str], facet: str, value: str) -> bool:
@@ -77,7 +77,7 @@ def is_chosen(values: Sequence[str], facet: str, value: str) -> bool:
     return name_key(value) in map(name_key, values) if facet == "project" else value in values
 
 
-def can_be_asked(value: str, kind: str) -> bool:
+def can_be_filtered(value: str, kind: str) -> bool:
     """Say whether a filter can ask for a value: not for an empty one, several lines, or a number of many digits."""
     return bool(value) and "\n" not in value and (kind != "number" or NUMBER.fullmatch(value) is not None)
 
@@ -91,12 +91,12 @@ def comparison(field: str, value: str, kind: str) -> str:
 
 def _equality(expression: str) -> tuple[str, str]:
     """Return field and value of a comparison for equality; two empty texts for any other."""
-    found = WHERE_EXPRESSION.fullmatch(expression.strip())
-    if found is None or found["operator"] != "=":
+    match = WHERE_EXPRESSION.fullmatch(expression.strip())
+    if match is None or match["operator"] != "=":
         return "", ""
-    value = found["value"].strip()
+    value = match["value"].strip()
     is_text = len(value) > 1 and value.startswith('"') and value.endswith('"')
-    return found["field"], value[1:-1] if is_text else value
+    return match["field"], value[1:-1] if is_text else value
 
 
 def _with(matching: FileFilter, **changed: Any) -> FileFilter:  # Any: fields of the filter

@@ -64,7 +64,7 @@ def variants(actor: Actor, matching: FileFilter) -> list[FileFilter]:
     """Return the filters whose files are counted: the whole one, and without each thing that is chosen."""
     names = [*PLAIN_FACETS, *(META + field for field in chosen_values.fields(matching) if sees_whole_missions(actor))]
     without = [chosen_values.without(matching, name) for name in names]
-    return [matching, *(each for each in without if each != matching)]
+    return [matching, *(item for item in without if item != matching)]
 
 
 def facet_rows(
@@ -79,25 +79,25 @@ def facet_rows(
     each_filter = variants(actor, matching)
 
     def found_by(facet: str, name: str) -> CTE:
-        each = chosen_values.without(matching, facet) if facet else matching
-        is_common = common[each_filter.index(each)]
-        found = filter_files(actor, visible_files(actor), each, replace(plan, is_common=is_common))
-        found = found.with_only_columns(*_columns(), maintain_column_froms=True)
+        facet_filter = chosen_values.without(matching, facet) if facet else matching
+        is_common = common[each_filter.index(facet_filter)]
+        files = filter_files(actor, visible_files(actor), facet_filter, replace(plan, is_common=is_common))
+        files = files.with_only_columns(*_columns(), maintain_column_froms=True)
         if is_common:
-            found = found.where(file.c.id.in_(select(sample.c.id)))
-        return found.limit(most).cte(name).prefix_with("MATERIALIZED")
+            files = files.where(file.c.id.in_(select(sample.c.id)))
+        return files.limit(most).cte(name).prefix_with("MATERIALIZED")
 
     sample = sampled_files()
     chosen = frozenset(facet for facet in PLAIN_FACETS if chosen_values.without(matching, facet) != matching)
-    found = {"": found_by("", "found")} | {facet: found_by(facet, f"but_{facet}") for facet in sorted(chosen)}
+    files_by_facet = {"": found_by("", "found")} | {facet: found_by(facet, f"but_{facet}") for facet in sorted(chosen)}
     topics = {
-        name: _topics(found.get(facet, found[""]), chosen_values.without(matching, facet), name)
+        name: _topics(files_by_facet.get(facet, files_by_facet[""]), chosen_values.without(matching, facet), name)
         for facet, name in _topics_of(chosen).items()
     }
-    fields_asked = chosen_values.fields(matching) if sees_whole_missions(actor) else []
-    fields = [found_by(META + field, f"but_field_{number}") for number, field in enumerate(fields_asked)]
-    counts = _counts(chosen, len(fields_asked), with_metadata=sees_whole_missions(actor))
-    return counts.add_cte(*found.values(), *topics.values(), *fields)
+    chosen_fields = chosen_values.fields(matching) if sees_whole_missions(actor) else []
+    fields = [found_by(META + field, f"but_field_{number}") for number, field in enumerate(chosen_fields)]
+    counts = _counts(chosen, len(chosen_fields), with_metadata=sees_whole_missions(actor))
+    return counts.add_cte(*files_by_facet.values(), *topics.values(), *fields)
 
 
 def parameters(matching: FileFilter) -> dict[str, object]:
@@ -119,19 +119,19 @@ def _topics_of(chosen: Collection[str]) -> dict[str, str]:
     return {"topic": "topics"} if {"topic", "type"}.isdisjoint(chosen) else {"topic": "topics", "type": "types"}
 
 
-def _topics(found: CTE, matching: FileFilter, name: str) -> CTE:
+def _topics(files: CTE, matching: FileFilter, name: str) -> CTE:
     """Return `names` and `types` of topics side by side, and how many `files` have just these: many have the same."""
-    blobs = select(found.c.blob_id, func.count().label("files")).group_by(found.c.blob_id).subquery()
-    # Read from the index by blob alone, which holds name and type, in its order and behind a fence: else the index of
+    blobs = select(files.c.blob_id, func.count().label("files")).group_by(files.c.blob_id).subquery()
+    # Read from the index by blob alone, which holds name and type, in its order and behind OFFSET 0: else the index of
     # names or that of types may be gone through.
     own = select(topic.c.name, topic.c.message_type).where(topic.c.blob_id == blobs.c.blob_id)
     own = filter_topics(own, matching).order_by(topic.c.name, topic.c.message_type).offset(0)
-    each = own.correlate(blobs).subquery()
-    sides = (func.array_agg(each.c.name).label("names"), func.array_agg(each.c.message_type).label("types"))
-    held = select(*sides).lateral("held")
-    files = cast(func.sum(blobs.c.files), BigInteger).label("files")
-    stmt = select(held.c.names, held.c.types, files).join_from(blobs, held, true())
-    return stmt.group_by(held.c.names, held.c.types).cte(name).prefix_with("MATERIALIZED")
+    one_topic = own.correlate(blobs).subquery()
+    sides = (func.array_agg(one_topic.c.name).label("names"), func.array_agg(one_topic.c.message_type).label("types"))
+    topic_lists = select(*sides).lateral("topic_lists")
+    file_count = cast(func.sum(blobs.c.files), BigInteger).label("files")
+    stmt = select(topic_lists.c.names, topic_lists.c.types, file_count).join_from(blobs, topic_lists, true())
+    return stmt.group_by(topic_lists.c.names, topic_lists.c.types).cte(name).prefix_with("MATERIALIZED")
 
 
 # As much is kept as people choose in a day; what can be chosen together is a lot more.
@@ -155,32 +155,32 @@ def _counts(chosen: frozenset[str], fields: int, *, with_metadata: bool) -> Comp
     return union_all(*(select(part.subquery()) for part in parts))
 
 
-def _named(found: str) -> TableClause:
-    return table(found, *(column(str(each.key), each.type) for each in _columns()))
+def _named(files: str) -> TableClause:
+    return table(files, *(column(str(item.key), item.type) for item in _columns()))
 
 
 def _found_count() -> Select[Any]:
     return _row(literal(""), literal("found"), func.count(), literal(1, BigInteger)).select_from(table("found"))
 
 
-def _by_column(found: TableClause, facets: Sequence[str]) -> Select[Any]:
-    columns = [found.c[facet] for facet in facets]
-    facet = case(*((func.grouping(each) == 0, literal(each.name)) for each in columns))
-    value = func.coalesce(*(cast(each, Text) for each in columns))
+def _by_column(files: TableClause, facets: Sequence[str]) -> Select[Any]:
+    columns = [files.c[facet] for facet in facets]
+    facet = case(*((func.grouping(item) == 0, literal(item.name)) for item in columns))
+    value = func.coalesce(*(cast(item, Text) for item in columns))
     stmt = select(facet.label("facet"), value.label("value"), func.count().label("file_count"))
     return stmt.group_by(func.grouping_sets(*columns))
 
 
-def _by_label(found: TableClause) -> Select[Any]:
-    label = func.unnest(found.c.labels).table_valued(column("value", Text)).render_derived(name="label")
-    stmt = select(literal("label"), label.c.value, func.count(distinct(found.c.id)))
-    return stmt.join_from(found, label, true()).group_by(label.c.value)
+def _by_label(files: TableClause) -> Select[Any]:
+    label = func.unnest(files.c.labels).table_valued(column("value", Text)).render_derived(name="label")
+    stmt = select(literal("label"), label.c.value, func.count(distinct(files.c.id)))
+    return stmt.join_from(files, label, true()).group_by(label.c.value)
 
 
 def _by_topic(facet: str, topics: str, side: str) -> Select[Any]:
     sets = table(topics, column(side, ARRAY(Text)), column("files", BigInteger))
-    held = func.unnest(sets.c[side]).table_valued(column("value", Text)).render_derived(name="held")
-    once = select(held.c.value).distinct().lateral("once")
+    one_value = func.unnest(sets.c[side]).table_valued(column("value", Text)).render_derived(name="held")
+    once = select(one_value.c.value).distinct().lateral("once")
     stmt = select(literal(facet), once.c.value, cast(func.sum(sets.c.files), BigInteger))
     return stmt.join_from(sets, once, true()).group_by(once.c.value)
 
@@ -197,9 +197,9 @@ def _top(counted: Subquery) -> Select[Any]:
     return row.where(ranked.c.place <= MOST_VALUES)
 
 
-def _fields(found: TableClause, only: str | None) -> Select[Any]:
+def _fields(files: TableClause, only: str | None) -> Select[Any]:
     """Return the values of metadata fields: of one field, or of those that most files have, and not asked for."""
-    values = _field_values(found).subquery()
+    values = _field_values(files).subquery()
     if only is None:
         is_wanted = values.c.key != all_(bindparam("chosen_fields", type_=ARRAY(Text)))
     else:
@@ -216,30 +216,30 @@ def _fields(found: TableClause, only: str | None) -> Select[Any]:
     return stmt.order_by(ranked.c.weight.desc(), ranked.c.key, ranked.c.place).limit(MOST_VALUES * MOST_FIELDS)
 
 
-def _field_values(found: TableClause) -> Select[Any]:
+def _field_values(files: TableClause) -> Select[Any]:
     """Return `key`, `value`, `kind` and `file_count` of what missions say; each item of a list is a value."""
-    said = _said(found)
-    of_list = cast(case((said.c.kind == "array", said.c.value), else_=null()), JSONB)
+    entries = _metadata_entries(files)
+    of_list = cast(case((entries.c.kind == "array", entries.c.value), else_=null()), JSONB)
     item = func.jsonb_array_elements(of_list).table_valued(column("value", JSONB)).render_derived(name="item")
     once = select(*_as_text(item.c.value)).distinct().lateral("once")
-    alone = select(said.c.key, said.c.value, said.c.kind, said.c.files).where(said.c.kind != "array")
-    listed = select(said.c.key, once.c.value, once.c.kind, said.c.files).join_from(said, once, true())
-    each = union_all(alone, listed.where(said.c.kind == "array")).subquery()
-    is_value = (among(each.c.kind, _KINDS), func.length(each.c.value) <= _MOST_CHARACTERS)
-    file_count = cast(func.sum(each.c.files), BigInteger).label("file_count")
-    columns = (each.c.key, each.c.value, each.c.kind)
-    return select(*columns, file_count).where(*is_value, each.c.key.regexp_match(_FIELD)).group_by(*columns)
+    alone = select(entries.c.key, entries.c.value, entries.c.kind, entries.c.files).where(entries.c.kind != "array")
+    listed = select(entries.c.key, once.c.value, once.c.kind, entries.c.files).join_from(entries, once, true())
+    entry = union_all(alone, listed.where(entries.c.kind == "array")).subquery()
+    is_value = (among(entry.c.kind, _KINDS), func.length(entry.c.value) <= _MOST_CHARACTERS)
+    file_count = cast(func.sum(entry.c.files), BigInteger).label("file_count")
+    columns = (entry.c.key, entry.c.value, entry.c.kind)
+    return select(*columns, file_count).where(*is_value, entry.c.key.regexp_match(_FIELD)).group_by(*columns)
 
 
-def _said(found: TableClause) -> CTE:
+def _metadata_entries(files: TableClause) -> CTE:
     """Return `key`, `value` as text, `kind`, and of how many `files` the mission says so; a list as a whole."""
-    missions = select(found.c.mission_id, func.count().label("files")).group_by(found.c.mission_id).subquery()
+    missions = select(files.c.mission_id, func.count().label("files")).group_by(files.c.mission_id).subquery()
     entry = func.jsonb_each(mission.c.metadata).table_valued(column("key", Text), column("value", JSONB))
     entry = entry.render_derived(name="entry")
     columns = (entry.c.key.label("key"), *_as_text(entry.c.value))
     stmt = select(*columns, func.sum(missions.c.files).label("files"))
     stmt = stmt.join_from(missions, mission, mission.c.id == missions.c.mission_id).join(entry, true())
-    return stmt.group_by(*(each.element for each in columns)).cte(f"said_{found.name}")
+    return stmt.group_by(*(item.element for item in columns)).cte(f"entries_{files.name}")
 
 
 def _as_text(value: ColumnElement[Any]) -> tuple[Label[str], Label[str]]:
@@ -250,4 +250,4 @@ def _as_text(value: ColumnElement[Any]) -> tuple[Label[str], Label[str]]:
 def _row(facet: Any, value: Any, file_count: Any, value_count: Any, *, kind: Any = "string") -> Select[Any]:
     kind = literal(kind) if isinstance(kind, str) else kind
     columns = {"facet": facet, "value": value, "kind": kind, "file_count": file_count, "value_count": value_count}
-    return select(*(each.label(name) for name, each in columns.items()))
+    return select(*(item.label(name) for name, item in columns.items()))

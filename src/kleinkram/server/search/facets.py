@@ -73,37 +73,37 @@ def _to_facets(
 def _facets(matching: FileFilter, rows: Sequence[Row[Any]], *, with_metadata: bool) -> Iterator[Facet]:
     fields = list(dict.fromkeys(row.facet for row in rows if row.facet.startswith(META)))
     fields += [META + field for field in chosen_values.fields(matching) if with_metadata and META + field not in fields]
-    held: dict[str, list[Row[Any]]] = {name: [] for name in ["", *PLAIN_FACETS, *fields]}
+    rows_by_facet: dict[str, list[Row[Any]]] = {name: [] for name in ["", *PLAIN_FACETS, *fields]}
     for row in rows:
-        held[row.facet].append(row)
-    said = terms(matching)
+        rows_by_facet[row.facet].append(row)
+    query_terms = terms(matching)
     for name in [*PLAIN_FACETS, *fields]:
-        values = [*_values(matching, said, name, held[name])]
+        values = [*_values(matching, query_terms, name, rows_by_facet[name])]
         if values:
-            value_count = max([len(values), *(row.value_count for row in held[name])])
+            value_count = max([len(values), *(row.value_count for row in rows_by_facet[name])])
             yield Facet(name=name, values=values, value_count=value_count)
 
 
 def _values(
-    matching: FileFilter, said: Mapping[str, list[str]], facet: str, rows: Sequence[Row[Any]]
+    matching: FileFilter, query_terms: Mapping[str, list[str]], facet: str, rows: Sequence[Row[Any]]
 ) -> Iterator[FacetValue]:
     chosen = chosen_values.chosen(matching, facet)
     in_order = sorted(rows, key=lambda row: row.value, reverse=True)
     if facet != "month":
         in_order = sorted(rows, key=lambda row: (-row.file_count, row.value))
-    found = [
-        (row.value, row.file_count, row.kind) for row in in_order if chosen_values.can_be_asked(row.value, row.kind)
+    shown = [
+        (row.value, row.file_count, row.kind) for row in in_order if chosen_values.can_be_filtered(row.value, row.kind)
     ]
     # What is chosen stays to be taken back, whether or not it is among the first; globs are no values.
-    is_found = {value for value in chosen if any(chosen_values.is_chosen([value], facet, each) for each, *_ in found)}
-    found += [(value, 0, "string") for value in chosen if value not in is_found and not is_glob(value)]
+    is_found = {value for value in chosen if any(chosen_values.is_chosen([value], facet, name) for name, *_ in shown)}
+    shown += [(value, 0, "string") for value in chosen if value not in is_found and not is_glob(value)]
     # Only what is said of the facet differs from value to value.
     part = META if facet.startswith(META) else facet
-    for value, file_count, kind in found:
+    for value, file_count, kind in shown:
         is_chosen = chosen_values.is_chosen(chosen, facet, value)
         if is_chosen:
             toggled = chosen_values.without_value(matching, facet, value)
         else:
             toggled = chosen_values.with_value(matching, facet, value, kind=kind)
-        query = in_words({**said, part: terms_of(part, toggled)})
+        query = in_words({**query_terms, part: terms_of(part, toggled)})
         yield FacetValue(value=value, file_count=file_count, is_chosen=is_chosen, query=query)

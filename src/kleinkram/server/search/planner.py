@@ -178,5 +178,5 @@ def _matched(
     )
 
 
-def _array(found: Select[tuple[object]]) -> ColumnElement[str]:
-    return cast(func.array(found.scalar_subquery(), type_=ARRAY(Text)), Text)
+def _array(rows: Select[tuple[object]]) -> ColumnElement[str]:
+    return cast(func.array(rows.scalar_subquery(), type_=ARRAY(Text)), Text)

@@ -30,7 +30,7 @@ from kleinkram.contract.search import TopicFound
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import shown_recordings, visible_files, visible_missions, visible_projects
 from kleinkram.server.db import Written
-from kleinkram.server.files.topics import topic_rows
+from kleinkram.server.files.queries import topic_rows
 from kleinkram.server.filters.files import filter_files, filter_topics
 from kleinkram.server.filters.metadata import metadata_text
 from kleinkram.server.filters.plan import SearchPlan, rounded
@@ -64,23 +64,23 @@ def topics_found(actor: Actor, matching: FileFilter, *, plan: SearchPlan, by_blo
     else:
         files = filter_files(actor, visible_files(actor), matching, plan)
         files = files.with_only_columns(file.c.blob_id, maintain_column_froms=True)
-    found = files.cte("found").prefix_with("MATERIALIZED")
+    files_found = files.cte("found").prefix_with("MATERIALIZED")
     # A blob names each topic once, so that there is a row for each of its files. OFFSET 0 keeps PostgreSQL from
     # reading all topics there are instead of those of each blob.
-    its_topics = filter_topics(select(topic).where(topic.c.blob_id == found.c.blob_id), matching)
-    each = its_topics.offset(0).lateral("each_topic")
-    name, message_type, file_count = each.c.name, each.c.message_type, func.count()
+    its_topics = filter_topics(select(topic).where(topic.c.blob_id == files_found.c.blob_id), matching)
+    one_topic = its_topics.offset(0).lateral("each_topic")
+    name, message_type, file_count = one_topic.c.name, one_topic.c.message_type, func.count()
     columns = (
         name,
         message_type,
         file_count.label("file_count"),
-        func.sum(each.c.count).label("message_count"),
+        func.sum(one_topic.c.count).label("message_count"),
         func.count().over().label("total"),
     )
     label = name.concat(func.coalesce(literal(" ").concat(message_type), ""))
     words = map(plan.word, words_of(matching.text))
     word_count = sum((case((contains(label, word), 1), else_=0) for word in words), literal(0, Integer))
-    grouped = select(*columns).join_from(found, each, true()).group_by(name, message_type)
+    grouped = select(*columns).join_from(files_found, one_topic, true()).group_by(name, message_type)
     return grouped.order_by(word_count.desc(), file_count.desc(), name, message_type).limit(limit)
 
 
@@ -116,10 +116,10 @@ def group_column(by: str) -> ColumnElement[Any] | None:
 def has_field(actor: Actor, by: str) -> Select[Any]:
     """Return whether a visible mission has the field of `metadata.FIELD`, or a visible project declares it."""
     path = by.removeprefix("metadata.").split(".")
-    held = visible_missions(actor).with_only_columns(true()).where(metadata_text(path).is_not(None)).limit(1)
+    is_present = visible_missions(actor).with_only_columns(true()).where(metadata_text(path).is_not(None)).limit(1)
     declares = project.c.metadata_fields.contains({"fields": [{"name": path[0]}]})
     declared = visible_projects(actor).with_only_columns(true()).where(declares).limit(1)
-    return select(held.exists() | declared.exists())
+    return select(is_present.exists() | declared.exists())
 
 
 def field_names(actor: Actor) -> Select[Any]:
@@ -197,5 +197,5 @@ def to_stats(row: Row[Any] | None) -> StatsRow:
 
 def add_up(rows: Iterable[StatsRow]) -> StatsRow:
     """Return what groups that have nothing in common amount to together."""
-    held = list(rows)
-    return StatsRow(group=None, **{name: sum(getattr(row, name) for row in held) for name in _NUMBERS})
+    all_rows = list(rows)
+    return StatsRow(group=None, **{name: sum(getattr(row, name) for row in all_rows) for name in _NUMBERS})

@@ -43,9 +43,9 @@ class StatsQuery(FileQuery):
 
 
 @router.get("/search", operation_id="search")
-async def search(asked: Annotated[SearchQuery, Query()], db: Transaction, actor: CurrentActor) -> SearchRead:
+async def search(query: Annotated[SearchQuery, Query()], db: Transaction, actor: CurrentActor) -> SearchRead:
     """Return what a query finds: the first missions, files and topics, with how many there are of each."""
-    return await service.search(db, actor, text=asked.query, sort=asked.sort, limit=asked.limit)
+    return await service.search(db, actor, text=query.query, sort=query.sort, limit=query.limit)
 
 
 @router.get("/search/facets", operation_id="get_facets")

@@ -14,7 +14,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
 from kleinkram.server.files import service as files
-from kleinkram.server.files.topics import TOPIC_ORDER, to_topics
+from kleinkram.server.files.queries import TOPIC_ORDER, to_topics
 from kleinkram.server.filters.plan import SearchPlan
 from kleinkram.server.filters.prepared import prepare
 from kleinkram.server.missions import service as missions
@@ -27,7 +27,7 @@ MAX_GROUPS = 10_000
 _LATEST = MissionSort.start_desc
 
 
-class _Found(NamedTuple):
+class _SearchResults(NamedTuple):
     missions: Page[MissionRead]
     files: Page[FileRead]
     topics: Page[TopicFound]
@@ -44,45 +44,45 @@ async def search(db: Connection, actor: Actor, *, text: str, sort: FileSort, lim
     matching = parse(text)
     plan, sample = await plan_search(db, actor, matching, sort=sort)
     if plan.finds_nothing:
-        found = _Found(Page(items=[], total=0), Page(items=[], total=0), Page(items=[], total=0))
+        results = _SearchResults(Page(items=[], total=0), Page(items=[], total=0), Page(items=[], total=0))
     elif plan.is_common:
-        found = await _search_common(db, actor, matching, sort, limit, plan, sample)
+        results = await _search_common(db, actor, matching, sort, limit, plan, sample)
     else:
-        found = await _search_rare(db, actor, matching, sort, limit, plan)
+        results = await _search_rare(db, actor, matching, sort, limit, plan)
     return SearchRead(
         query=render(matching),
         filter=matching,
-        missions=found.missions,
-        files=found.files,
-        topics=found.topics,
+        missions=results.missions,
+        files=results.files,
+        topics=results.topics,
         is_whole=not plan.is_common,
     )
 
 
 async def _search_rare(
     db: Connection, actor: Actor, matching: FileFilter, sort: FileSort, limit: int, plan: SearchPlan
-) -> _Found:
+) -> _SearchResults:
     """Look all matching files up once, where these are few, and read the rest by their ids."""
     if matching != FileFilter():
         plan = await find_matched(db, actor, matching, plan, sort=sort, limit=limit)
     known, page = plan.matched, PageRequest(limit, count=True)
     missions_found = await missions.list_missions(
-        db, actor, matching=MissionFilter(), found=matching, sort=_LATEST, page=page, plan=plan
+        db, actor, matching=MissionFilter(), by_files=matching, sort=_LATEST, page=page, plan=plan
     )
     if known is not None and not known.file_count:
-        return _Found(missions_found, Page(items=[], total=0), Page(items=[], total=0))
+        return _SearchResults(missions_found, Page(items=[], total=0), Page(items=[], total=0))
     if known is not None:
         page = PageRequest(limit)
     files_found = await files.list_files(db, actor, matching=matching, sort=sort, page=page, plan=plan)
     if known is not None:
         files_found = files_found.model_copy(update={"total": known.file_count})
     topics = await _topics(db, actor, matching, plan, known.blob_ids if known else None, limit=limit)
-    return _Found(missions_found, files_found, topics)
+    return _SearchResults(missions_found, files_found, topics)
 
 
 async def _search_common(
     db: Connection, actor: Actor, matching: FileFilter, sort: FileSort, limit: int, plan: SearchPlan, sample: Sample
-) -> _Found:
+) -> _SearchResults:
     """Read the first of very many from lists in their order; totals and topics come from the sample."""
     files_per_sampled = sample.file_count / sample.size
     topics = await _topics(db, actor, matching, plan, sample.blob_ids, limit=limit, files_per_row=files_per_sampled)
@@ -94,7 +94,7 @@ async def _search_common(
         db,
         actor,
         matching=MissionFilter(),
-        found=matching,
+        by_files=matching,
         sort=_LATEST,
         page=PageRequest(limit, count=total is None),
         plan=replace(plan, is_common=total is not None),
@@ -103,7 +103,7 @@ async def _search_common(
         missions_found = missions_found.model_copy(update={"total": total})
     files_found = await files.list_files(db, actor, matching=matching, sort=sort, page=PageRequest(limit), plan=plan)
     files_found = files_found.model_copy(update={"total": sample.estimate()})
-    return _Found(missions_found, files_found, topics)
+    return _SearchResults(missions_found, files_found, topics)
 
 
 async def _topics(

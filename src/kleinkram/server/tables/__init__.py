@@ -3,7 +3,7 @@
 from kleinkram.server.tables.base import metadata
 from kleinkram.server.tables.blobs import blob, scrub, store_probe, topic, topic_name, upload
 from kleinkram.server.tables.missions import (
-    MOST_KEPT_TOPICS,
+    MAX_STORED_TOPICS,
     file,
     mission,
     mission_topic,
@@ -49,7 +49,7 @@ from kleinkram.server.tables.sign_in import (
 )
 
 __all__ = [
-    "MOST_KEPT_TOPICS",
+    "MAX_STORED_TOPICS",
     "access_grant",
     "access_group",
     "action",

@@ -211,7 +211,7 @@ scrub = Table(
     id_column(),
     Column("store_id", Text, nullable=False),
     # Null where it was due by itself.
-    Column("asked_by_id", Uuid, ForeignKey("person.id")),
+    Column("requested_by_id", Uuid, ForeignKey("person.id")),
     # Whoever asked has looked, and says that so many objects are gone indeed.
     Column("believes", Boolean, nullable=False, server_default=false()),
     created_at_column(),
@@ -225,7 +225,7 @@ scrub = Table(
     _count("compared_bytes"),
     _count("lost"),
     _count("corrupt"),
-    _count("found"),
+    _count("recovered"),
     _count("unknown"),
     CheckConstraint("stopped IS NULL OR ended_at IS NOT NULL", name="stopped"),
     Index("ix_scrub_created_at", "store_id", "created_at"),

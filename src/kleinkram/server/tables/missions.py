@@ -131,7 +131,7 @@ Index(
 )
 
 
-MOST_KEPT_TOPICS = 20_000
+MAX_STORED_TOPICS = 20_000
 """Of one mission; the first ones by name."""
 
 mission_topics = Table(

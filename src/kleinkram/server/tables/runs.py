@@ -94,8 +94,8 @@ runner = Table(
 )
 
 
-HELD = (RunState.preparing.value, RunState.running.value, RunState.collecting.value)
-ACTIVE = (RunState.queued.value, *HELD)
+ASSIGNED = (RunState.preparing.value, RunState.running.value, RunState.collecting.value)
+ACTIVE = (RunState.queued.value, *ASSIGNED)
 
 run = Table(
     "run",

@@ -23,7 +23,7 @@ from kleinkram.server.db import Connection, among
 from kleinkram.server.jobs.queue import Job, Urgency, enqueue
 from kleinkram.server.tables import blob, run, run_artifact, upload
 from kleinkram.server.tables.blobs import UNDER_WAY
-from kleinkram.server.tables.runs import HELD
+from kleinkram.server.tables.runs import ASSIGNED
 from kleinkram.server.uploads import queries
 from kleinkram.server.uploads.parts import Failures, lease_columns, list_multiparts
 from kleinkram.server.uploads.queries import UploadRow
@@ -70,7 +70,7 @@ async def begin_artifacts(
 
 
 async def _lock_active_run(db: Connection, run_id: uuid.UUID) -> bool:
-    active = select(run.c.id).where(run.c.id == run_id, run.c.state.in_(HELD)).with_for_update(key_share=True)
+    active = select(run.c.id).where(run.c.id == run_id, run.c.state.in_(ASSIGNED)).with_for_update(key_share=True)
     return (await db.execute(active)).first() is not None
 
 

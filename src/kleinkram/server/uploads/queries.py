@@ -15,7 +15,7 @@ from kleinkram.server.access.visible import visible_files, visible_missions
 from kleinkram.server.db import Connection, among
 from kleinkram.server.tables import blob, file, mission, run, upload
 from kleinkram.server.tables.blobs import UNDER_WAY
-from kleinkram.server.tables.runs import HELD
+from kleinkram.server.tables.runs import ASSIGNED
 
 
 class FileContent(NamedTuple):
@@ -124,7 +124,7 @@ async def read_rows(db: Connection, statement: Select[Any]) -> list[UploadRow]:
 def own_uploads(actor: Actor) -> Select[Any]:
     """Select the actor's uploads into missions that they may still fill; a runner's: those of its active runs."""
     if actor.kind is ActorKind.runner:
-        active_runs = select(run.c.id).where(run.c.runner_id == actor.runner_id, run.c.state.in_(HELD))
+        active_runs = select(run.c.id).where(run.c.runner_id == actor.runner_id, run.c.state.in_(ASSIGNED))
         return select_uploads().where(upload.c.run_id.in_(active_runs))
     missions = visible_missions(actor, Right.create).with_only_columns(mission.c.id)
     own = (upload.c.person_id == actor.person_id) & upload.c.run_id.is_(None)

@@ -205,7 +205,7 @@ CREATE INDEX ix_runner_person_id ON runner (person_id);
 CREATE TABLE scrub (
     id uuid CONSTRAINT pk_scrub PRIMARY KEY,
     store_id text NOT NULL,
-    asked_by_id uuid CONSTRAINT fk_scrub_asked_by_id_person REFERENCES person (id),
+    requested_by_id uuid CONSTRAINT fk_scrub_requested_by_id_person REFERENCES person (id),
     believes boolean NOT NULL DEFAULT false,
     created_at timestamptz NOT NULL DEFAULT now(),
     started_at timestamptz,
@@ -216,7 +216,7 @@ CREATE TABLE scrub (
     compared_bytes bigint NOT NULL DEFAULT '0',
     lost bigint NOT NULL DEFAULT '0',
     corrupt bigint NOT NULL DEFAULT '0',
-    found bigint NOT NULL DEFAULT '0',
+    recovered bigint NOT NULL DEFAULT '0',
     unknown bigint NOT NULL DEFAULT '0',
     CONSTRAINT ck_scrub_stopped CHECK (stopped IS NULL OR ended_at IS NOT NULL)
 );

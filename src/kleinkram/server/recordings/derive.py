@@ -1,4 +1,4 @@
-"""From the files of a mission to its recordings: which belong together, what is missing, what they span."""
+"""Derives the recordings of a mission from its files, and the mission's span and numbers from these."""
 
 import uuid
 from collections import defaultdict
@@ -88,41 +88,48 @@ async def derive(db: Connection, rows: Sequence[Row[Any]], stated: Stated) -> li
     One query, whatever the number of files; holds the topics of one recording at a time.
     """
     by_path = {row.path: row for row in rows}
-    groups = group(by_path, {path: said for path, said in stated.items() if said is not None})
-    members = [[by_path[path] for path in each.members] for each in groups]
+    groups = group(by_path, {path: parsed for path, parsed in stated.items() if parsed is not None})
+    members = [[by_path[path] for path in grouped.members] for grouped in groups]
     # What one file says of its topics, nothing contradicts, unless there is a metadata.yaml.
-    wanted = [
-        own if len(own) > 1 or each.metadata_path in stated else [] for each, own in zip(groups, members, strict=True)
+    with_topics = [
+        own if len(own) > 1 or grouped.metadata_path in stated else []
+        for grouped, own in zip(groups, members, strict=True)
     ]
     derived: list[Derived] = []
-    async for topics in _topics(db, [{row.blob_id for row in own} for own in wanted]):
-        each, own = groups[len(derived)], members[len(derived)]
-        said = stated.get(each.metadata_path or "")
-        derived.append(Derived(each, _values(each, said, _combined(each, own, stated, topics))))
+    async for topics in _topics(db, [{row.blob_id for row in own} for own in with_topics]):
+        grouped, own = groups[len(derived)], members[len(derived)]
+        parsed = stated.get(grouped.metadata_path or "")
+        derived.append(
+            Derived(
+                grouped,
+                _values(grouped, parsed, _combined(grouped, own, stated, topics)),
+            )
+        )
     return derived
 
 
-async def _topics(db: Connection, wanted: Sequence[set[uuid.UUID]]) -> AsyncIterator[Topics]:
+async def _topics(db: Connection, blob_sets: Sequence[set[uuid.UUID]]) -> AsyncIterator[Topics]:
     """Yield the topics of each set of blobs, in turn; none where they are too many."""
-    pairs = [(number, blob_id) for number, ids in enumerate(wanted) for blob_id in ids]
-    given = func.unnest(
-        literal([number for number, _ in pairs], ARRAY(Integer)), literal([each for _, each in pairs], ARRAY(Uuid))
+    pairs = [(number, blob_id) for number, ids in enumerate(blob_sets) for blob_id in ids]
+    wanted_blobs = func.unnest(
+        literal([number for number, _ in pairs], ARRAY(Integer)),
+        literal([blob_id for _, blob_id in pairs], ARRAY(Uuid)),
     ).table_valued(column("number", Integer), column("blob_id", Uuid), name="given")
-    given = given.render_derived()
+    wanted_blobs = wanted_blobs.render_derived()
     counted = topic.c.count.label("message_count")
     columns = [column for column in topic.c if column.name != "density"]
-    statement = select(given.c.number, *columns, counted).join(topic, topic.c.blob_id == given.c.blob_id)
-    result = await db.stream(statement.order_by(given.c.number, topic.c.blob_id, topic.c.name))
+    statement = select(wanted_blobs.c.number, *columns, counted).join(topic, topic.c.blob_id == wanted_blobs.c.blob_id)
+    result = await db.stream(statement.order_by(wanted_blobs.c.number, topic.c.blob_id, topic.c.name))
     row = await result.fetchone()
-    for number in range(len(wanted)):
-        found: dict[uuid.UUID, list[TopicSummary]] = defaultdict(list)
+    for number in range(len(blob_sets)):
+        topics_by_blob: dict[uuid.UUID, list[TopicSummary]] = defaultdict(list)
         count = 0
         while row is not None and row.number == number:
             count += 1
             if count <= _MOST_TOPICS:
-                found[row.blob_id].append(_topic(row))
+                topics_by_blob[row.blob_id].append(_topic(row))
             row = await result.fetchone()
-        yield found if count <= _MOST_TOPICS else {}
+        yield topics_by_blob if count <= _MOST_TOPICS else {}
     await result.close()
 
 
@@ -143,12 +150,12 @@ def _topic(row: Row[Any]) -> TopicSummary:
     )
 
 
-def _combined(each: RecordingGroup, members: Sequence[Row[Any]], stated: Stated, topics: Topics) -> RecordingSummary:
-    names = [PurePosixPath(path).name for path in each.members]
+def _combined(grouped: RecordingGroup, members: Sequence[Row[Any]], stated: Stated, topics: Topics) -> RecordingSummary:
+    names = [PurePosixPath(path).name for path in grouped.members]
     summaries = [_summary(row, topics.get(row.blob_id, ())) for row in members]
-    if each.kind is not RecordingGroupKind.rosbag2:
+    if grouped.kind is not RecordingGroupKind.rosbag2:
         return combine(summaries, names)
-    path = each.metadata_path or ""
+    path = grouped.metadata_path or ""
     if path in stated:
         return combine_folder(stated[path], names, summaries)
     summary = combine(summaries, names)
@@ -172,14 +179,14 @@ def _summary(row: Row[Any], topics: Sequence[TopicSummary]) -> RecordingSummary:
     )
 
 
-def _values(each: RecordingGroup, said: Rosbag2Metadata | None, summary: RecordingSummary) -> dict[str, Any]:
+def _values(grouped: RecordingGroup, parsed: Rosbag2Metadata | None, summary: RecordingSummary) -> dict[str, Any]:
     count = summary.message_count
     # As dictionaries: in order, and quick to look into.
-    here = dict.fromkeys(PurePosixPath(path).name for path in each.members)
-    named = dict.fromkeys(PurePosixPath(path).name for path in said.files) if said else here
+    here = dict.fromkeys(PurePosixPath(path).name for path in grouped.members)
+    named = dict.fromkeys(PurePosixPath(path).name for path in parsed.files) if parsed else here
     return {
-        "name": each.name,
-        "kind": each.kind.value,
+        "name": grouped.name,
+        "kind": grouped.kind.value,
         "missing": [fit_text(name) for name in named if name not in here],
         "surplus": [fit_text(name) for name in here if name not in named],
         "problems": [{key: fit_text(value) for key, value in asdict(one).items()} for one in summary.problems],
@@ -197,15 +204,15 @@ async def keep(db: Connection, mission_id: uuid.UUID, derived: Sequence[Derived]
 
     Only what changed is written: of ten thousand recordings, one does with each file that is read.
     """
-    kept = await _kept(db, mission_id)
-    ids = {key: row.id for key, row in kept.items()}
-    new = [each for each in derived if not _is_kept(each, kept.get(each.key))]
+    stored = await _stored_recordings(db, mission_id)
+    ids = {key: row.id for key, row in stored.items()}
+    new = [item for item in derived if not _is_unchanged(item, stored.get(item.key))]
     for start in range(0, len(new), _INSERT_BATCH):
         ids |= await _upsert(db, mission_id, new[start : start + _INSERT_BATCH])
-    ids = {each.key: ids[each.key] for each in derived}
+    ids = {item.key: ids[item.key] for item in derived}
     gone = delete(recording).where(recording.c.mission_id == mission_id, recording.c.id.not_in(list(ids.values())))
     await db.execute(gone)
-    owner = {path: ids[each.key] for each in derived for path in _paths(each.group)}
+    owner = {path: ids[item.key] for item in derived for path in _paths(item.group)}
     moved = [row for row in rows if row.recording_id != owner.get(row.path)]
     links = [{"b_file": row.id, "b_recording": owner.get(row.path)} for row in moved]
     if links:
@@ -220,32 +227,32 @@ async def keep(db: Connection, mission_id: uuid.UUID, derived: Sequence[Derived]
 def _span(derived: Sequence[Derived]) -> tuple[int | None, int | None]:
     """Return from when to when a mission's recordings last. One from a clock that was never set does not stretch it."""
     spans = [
-        (each.values["start_ns"], each.values["end_ns"]) for each in derived if each.values["start_ns"] is not None
+        (item.values["start_ns"], item.values["end_ns"]) for item in derived if item.values["start_ns"] is not None
     ]
     credible = [span for span in spans if span[0] >= _CREDIBLE_NS] or spans
     return min((start for start, _ in credible), default=None), max((end for _, end in credible), default=None)
 
 
-def _paths(each: RecordingGroup) -> list[str]:
-    return [*each.members, *([each.metadata_path] if each.metadata_path else [])]
+def _paths(grouped: RecordingGroup) -> list[str]:
+    return [*grouped.members, *([grouped.metadata_path] if grouped.metadata_path else [])]
 
 
-async def _kept(db: Connection, mission_id: uuid.UUID) -> dict[tuple[str, str], Row[Any]]:
+async def _stored_recordings(db: Connection, mission_id: uuid.UUID) -> dict[tuple[str, str], Row[Any]]:
     columns = (recording.c[name] for name in ("id", "name", "kind", *_DERIVED))
-    found = await db.execute(select(*columns).where(recording.c.mission_id == mission_id))
-    return {(row.name, row.kind): row for row in found}
+    rows = await db.execute(select(*columns).where(recording.c.mission_id == mission_id))
+    return {(row.name, row.kind): row for row in rows}
 
 
-def _is_kept(each: Derived, row: Row[Any] | None) -> bool:
-    return row is not None and all(row._mapping[name] == each.values[name] for name in _DERIVED)
+def _is_unchanged(item: Derived, row: Row[Any] | None) -> bool:
+    return row is not None and all(row._mapping[name] == item.values[name] for name in _DERIVED)
 
 
 async def _upsert(
     db: Connection, mission_id: uuid.UUID, derived: Sequence[Derived]
 ) -> dict[tuple[str, str], uuid.UUID]:
-    values = [{"id": uuid.uuid4(), "mission_id": mission_id, **each.values} for each in derived]
+    values = [{"id": uuid.uuid4(), "mission_id": mission_id, **item.values} for item in derived]
     statement = upsert(recording).values(values)
     changed = {column: statement.excluded[column] for column in _DERIVED}
     statement = statement.on_conflict_do_update(index_elements=["mission_id", "name", "kind"], set_=changed)
-    found = await db.execute(statement.returning(recording.c.id, recording.c.name, recording.c.kind))
-    return {(row.name, row.kind): row.id for row in found}
+    rows = await db.execute(statement.returning(recording.c.id, recording.c.name, recording.c.kind))
+    return {(row.name, row.kind): row.id for row in rows}
