@@ -1,4 +1,4 @@
-// For eslint alone, which does not read .vue files as types; vue-tsc takes the files themselves.
+// Only for eslint, which does not read .vue files as types; vue-tsc reads the files themselves.
 declare module "*.vue" {
   import type { DefineComponent } from "vue";
 

@@ -77,7 +77,7 @@ class Me(ApiResource):
 
     def sign_out(self) -> None:
         """Revoke the token in use, from the next request on. Tokens made with it stay."""
-        self._api.delete(f"/tokens/{self.get().credential.id}", [("made", "kept")])
+        self._api.delete(f"/tokens/{self.get().credential.id}", [("made", "valid")])
 
     def sessions(self) -> Listing[SessionRead]:
         """Yield the browsers that one is signed in with."""

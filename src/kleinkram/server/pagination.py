@@ -87,7 +87,7 @@ class Rows:
 
 
 @dataclass(frozen=True)
-class Listing:
+class PagedQuery:
     """A select of which pages are read in an order. Its statements are built once.
 
     With `described`, the select only finds the page, and reads no more than decides. The rows are then those that
@@ -125,11 +125,11 @@ async def fetch_page(db: Connection, statement: Select[Any], order: Order, reque
 
     Raises InvalidCursor.
     """
-    return await fetch_listing(db, Listing(statement, order), request)
+    return await fetch_listing(db, PagedQuery(statement, order), request)
 
 
 async def fetch_listing(
-    db: Connection, listing: Listing, request: PageRequest, values: Mapping[str, object] | None = None
+    db: Connection, listing: PagedQuery, request: PageRequest, values: Mapping[str, object] | None = None
 ) -> Rows:
     """Read one page of a listing, whose statements are executed with `values`.
 

@@ -231,7 +231,7 @@ def test_signing_out_keeps_tokens_until_they_are_revoked(api: Api) -> None:
     laptop = _made(hers, scopes=["admin"])
     path = f"/tokens/{laptop['token']['id']}"
     robots = _made(api.as_(laptop["secret"]), name="robot")
-    api.as_(laptop["secret"]).delete(path, {"made": "kept"}).ok(204)
+    api.as_(laptop["secret"]).delete(path, {"made": "valid"}).ok(204)
     api.as_(laptop["secret"]).get("/me").refused(401, "not_authenticated")
     api.as_(robots["secret"]).get("/me").ok()
     hers.delete(path).ok(204)

@@ -121,7 +121,7 @@ def _export(api: Api, token: str | None, query: dict[str, str]) -> tuple[urllib3
 
 
 def test_exports_what_a_list_shows_the_other_way_round(api: Api, lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kleinkram.server.audit.service._AT_ONCE", 2)
+    monkeypatch.setattr("kleinkram.server.audit.service._EXPORT_BATCH", 2)
     query = {"project_id": lab["project"]}
     answer, events = _export(api, api.token, query)
     assert answer.headers["content-type"] == "application/jsonl"

@@ -146,7 +146,7 @@ def test_ending_a_token_revokes_that_very_one() -> None:
         assert end_token(server.url, "mine") is True
     assert [(request.method, request.path) for request in server.requests] == [
         ("GET", "/api/v1/me"),
-        ("DELETE", f"/api/v1/tokens/{ME.credential.id}?made=kept"),
+        ("DELETE", f"/api/v1/tokens/{ME.credential.id}?made=valid"),
     ]
     assert {request.authorization for request in server.requests} == {"Bearer mine"}
 

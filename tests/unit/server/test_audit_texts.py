@@ -31,8 +31,8 @@ def _recorded() -> set[str]:
 def test_every_audited_read_has_a_description() -> None:
     routes = [route for router in ROUTERS for route in router.routes if isinstance(route, APIRoute)]
     read = {route.operation_id for route in routes if "GET" in (route.methods or ())}
-    looks = {operation for operation in OPERATIONS if operation in read and is_admin_read(operation)}
-    assert _worded("looks").keys() == looks
+    reads = {operation for operation in OPERATIONS if operation in read and is_admin_read(operation)}
+    assert _worded("reads").keys() == reads
 
 
 def test_every_audited_operation_has_a_description() -> None:

@@ -1,5 +1,5 @@
-// The one way to the API: typed by its own description, signed in by the browser's cookie, failing with a Problem.
-// A browser says by itself from which page a request comes, which is what the server asks of whoever changes anything.
+// The API client: typed by the OpenAPI description, authenticated by the session cookie. Failures are thrown as `Problem`.
+// Browsers add the `Origin` header, which the server checks on every change.
 import createClient from "openapi-fetch";
 import type { paths } from "./schema";
 import { problemOf, toProblem } from "./problem";
@@ -17,7 +17,7 @@ async function send(request: Request): Promise<Response> {
   return fetch(again);
 }
 
-/** Says whether the session has ended (a wrong password or code is refused with 401 as well), or began too long ago. */
+/** Returns whether the session has ended (a wrong password or code is refused with 401 as well), or began too long ago. */
 async function whySignInAgain(answer: Response): Promise<"ended" | "too old" | null> {
   if (answer.status !== NOT_AUTHENTICATED && answer.status !== FORBIDDEN) return null;
   const body: unknown = await answer.clone().json().catch(() => null);
@@ -62,18 +62,18 @@ let waiting: Outcome[] = [];
 const signInRequired = ref(false);
 const tooOld = ref(false);
 
-/** Whether requests wait for somebody to sign in again. */
+/** Whether requests wait until the user has signed in again. */
 export const isSignInRequired = readonly(signInRequired);
 
-/** Whether they are signed in still, and only too long ago for what they want to do. */
+/** Whether the session is valid, but too old for the action. */
 export const isSignInTooOld = readonly(tooOld);
 
-/** Remembers that somebody was signed in on this page: from now on a refused request is one whose session has ended. */
+/** Notes that the user was signed in on this page: later 401 responses mean that the session has ended. */
 export function noteSignedIn(isSignedIn: boolean): void {
   wasSignedIn = isSignedIn;
 }
 
-/** Waits until somebody has signed in again. Says no at once where nobody had been, and when they decline. */
+/** Waits until the user has signed in again. False if nobody was signed in, or if they decline. */
 export function signInAgain(why: "ended" | "too old" = "ended"): Promise<boolean> {
   if (!wasSignedIn) return Promise.resolve(false);
   if (!signInRequired.value) tooOld.value = why === "too old";
@@ -91,7 +91,7 @@ export function settle(isSignedIn: boolean): void {
   for (const outcome of waited) outcome(isSignedIn);
 }
 
-/** Tells the other windows of this browser that somebody has signed in. */
+/** Notifies the other windows of this browser of a sign-in. */
 export function announceSignedIn(): void {
   const channel = new BroadcastChannel(CHANNEL);
   channel.postMessage("signed-in");
@@ -115,7 +115,7 @@ export interface EtagCarrier {
   readonly etag?: string | undefined;
 }
 
-// What this page itself made of an etag: of two forms that stand open, saving one does not outdate the other.
+// ETags replaced by changes of this page: of two open forms, saving one does not invalidate the other.
 const own = new Map<string, string>();
 
 /** Notes that a change of one's own led from one etag to another. */

@@ -1,19 +1,19 @@
-// What changes on the server shows here by itself: events say which noun changed, and its answers are asked for anew.
+// Live updates: events of the server say which noun changed, and the queries of that noun are refetched.
 import { useQueryClient } from "@tanstack/vue-query";
 import { onScopeDispose, ref, watch, type Ref, type WatchSource } from "vue";
 import { isSignInRequired } from "./client";
 import { keys } from "./queries";
 import { useMe } from "./session";
 
-/** Several changes within this time ask for everything once. */
+/** Changes within this time cause one refetch. */
 const GATHER_MS = 250;
-/** Where changes come all the time, everything is asked for no more often than this. */
+/** The minimum time between refetches during constant changes. */
 const LEAST_MS = 2000;
-/** After this time a stream that the server refused is asked for again: somebody may have signed in anew. */
+/** The time after which a rejected stream is tried again: the user may have signed in. */
 const AGAIN_MS = 5000;
 
 export interface LiveOptions {
-  /** Which answers an event makes old; none for events that are nobody's concern here. */
+  /** The query keys that an event invalidates. */
   readonly keysOf: (kind: string, data: unknown) => readonly (readonly unknown[])[];
   /** Names of the events that are listened to. */
   readonly kinds: readonly string[];
@@ -56,7 +56,7 @@ export function useLive(path: WatchSource<string | null>, options: LiveOptions):
   }
 
   function connected(): void {
-    if (isBroken) void queries.invalidateQueries(); // what changed meanwhile was told to nobody
+    if (isBroken) void queries.invalidateQueries(); // events in between were missed
     isBroken = false;
   }
 
@@ -84,7 +84,7 @@ export function useLive(path: WatchSource<string | null>, options: LiveOptions):
   }
 
   watch(path, open, { immediate: true });
-  // What is told is told to a session: to the one that just began, anew.
+  // The stream belongs to a session: open another one for the session that just began.
   watch(isSignInRequired, (isRequired) => {
     if (!isRequired && source !== null) {
       isBroken = true;
@@ -141,7 +141,7 @@ export function keysOf(kind: string, data: unknown): readonly Key[] {
   return isChange(data) ? (OF_NOUNS[data.noun]?.(data) ?? []) : [];
 }
 
-/** Keeps what is shown current, for whoever is signed in. A window that nobody sees listens to nothing. */
+/** Keeps the shown data current while the user is signed in and the window is visible. */
 export function useChanges(): Live {
   const { me } = useMe();
   const isSeen = ref(document.visibilityState === "visible");

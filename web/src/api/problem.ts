@@ -1,4 +1,4 @@
-// Every failure of a request, in the words in which it is shown: what went wrong, what to do, by which id it is found.
+// `Problem`: a failed request with its message, its remedy and its request ID.
 import type { components } from "./schema";
 import { texts } from "@/texts/problem";
 
@@ -26,13 +26,13 @@ export class Problem extends Error {
     return texts.remedies[this.code] ?? (this.status >= 500 ? texts.contactAdmin : "");
   }
 
-  /** What is wrong with single fields of what was sent, where the server says so. */
+  /** Errors of single fields of the request. */
   get fields(): readonly FieldProblem[] {
     const fields = this.document.problems;
     return Array.isArray(fields) ? fields.filter(isFieldProblem) : [];
   }
 
-  /** What is wrong with the name that was given, to be said where it was typed; empty where something else is wrong. */
+  /** The error of the submitted name, to be shown at its input; empty for other errors. */
   get ofName(): string {
     return this.code === "name_taken" || this.code === "path_conflict" ? this.message : "";
   }
@@ -51,7 +51,7 @@ function isDocument(value: unknown): value is ProblemDocument {
   return typeof value === "object" && value !== null && "code" in value && "detail" in value;
 }
 
-/** Returns the problem that an answer of the server tells. */
+/** Returns the problem of a response. */
 export function problemOf(body: unknown, answer: Response): Problem {
   const requestId = answer.headers.get("x-request-id");
   if (isDocument(body)) {
@@ -62,14 +62,14 @@ export function problemOf(body: unknown, answer: Response): Problem {
   return new Problem("unexpected", answer.status, texts.unexpected, texts.notUnderstood(answer.status), requestId);
 }
 
-/** Returns what stands in a page's place: nothing while there is something to show and what failed may well succeed soon. */
+/** Returns the problem to show instead of a page; null while data is shown and the failure is temporary. */
 export function problemInstead(thrown: unknown, shown: unknown): Problem | null {
   if (thrown === null || thrown === undefined) return null;
   const problem = toProblem(thrown);
   return shown !== undefined && problem.isPassing ? null : problem;
 }
 
-/** Returns whatever was thrown as a problem. What is no failure of a request is a fault of the app's, and says so. */
+/** Converts anything thrown to a problem. Everything but a failed request is reported as a bug of the app. */
 export function toProblem(thrown: unknown): Problem {
   if (thrown instanceof Problem) return thrown;
   if (thrown instanceof TypeError && /fetch|network|load failed/i.test(thrown.message)) {

@@ -1,4 +1,4 @@
-// How answers are kept and asked for anew, for the whole app.
+// TanStack Query for the whole app: defaults, query keys, and paged lists.
 import { keepPreviousData, MutationCache, QueryClient, useInfiniteQuery } from "@tanstack/vue-query";
 import { Problem, toProblem } from "./problem";
 import { showToast } from "@/components/toasts";
@@ -15,7 +15,7 @@ function shouldRetry(failures: number, thrown: unknown): boolean {
 declare module "@tanstack/vue-query" {
   interface Register {
     defaultError: Error;
-    /** `showsItself`: the page shows what goes wrong beside what was done; else it is told at the window's edge. */
+    /** `showsItself`: the page shows failures itself; otherwise a toast does. */
     mutationMeta: { showsItself?: boolean };
   }
 }
@@ -84,7 +84,7 @@ export const keys = {
 
 export interface Rows<Item> {
   readonly rows: ComputedRef<readonly Item[]>;
-  /** How many there are in all, where the server was asked to count; null while that is not known. */
+  /** The total, if the request included a count; null until it is known. */
   readonly total: ComputedRef<number | null>;
   /** Whether the rows are of an earlier question, and stay in sight until those of this one are there. */
   readonly isOld: ComputedRef<boolean>;

@@ -2344,7 +2344,7 @@ export interface paths {
         post?: never;
         /**
          * Revoke Token
-         * @description Revoke a token and all that were created with it, from the next request on; with `made=kept`, only itself.
+         * @description Revoke a token and all that were created with it, from the next request on; with `made=valid`, only itself.
          */
         delete: operations["revoke_token"];
         options?: never;
@@ -3152,7 +3152,7 @@ export interface components {
          * @description What happens to the tokens that were created with a revoked token.
          * @enum {string}
          */
-        DerivedTokens: "ended" | "kept";
+        DerivedTokens: "ended" | "valid";
         /**
          * DeviceBegin
          * @description Request a code to type on another machine: `POST /auth/device`.

@@ -1,4 +1,4 @@
-// Who looks at the page, and what they may do here.
+// The signed-in person and their permissions.
 import { useQuery } from "@tanstack/vue-query";
 import { computed, type ComputedRef } from "vue";
 import { api, call, noteSignedIn } from "./client";
@@ -37,7 +37,7 @@ export function useMe(): WhoIsHere {
   };
 }
 
-/** Returns what the server says of itself: its name, its store, its viewers. Null until it has said so. */
+/** Returns the server's description of itself: name, store, viewers. Null until it is loaded. */
 export function useService(): ComputedRef<Service | null> {
   const query = useQuery({ queryKey: keys.service, queryFn: () => call(api.GET("/api/v1/service")), staleTime: Infinity });
   return computed(() => query.data.value ?? null);

@@ -1,4 +1,4 @@
-// The nouns of the API, by their short names.
+// Short names of the API's types.
 import type { components } from "./schema";
 
 type Schemas = components["schemas"];

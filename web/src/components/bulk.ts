@@ -1,4 +1,4 @@
-// One change for many items: what fails is named item by item, and the others are still done.
+// One change for many items. Failures are reported per item; the others still succeed.
 import { ref, type Ref } from "vue";
 import { toProblem } from "@/api/problem";
 

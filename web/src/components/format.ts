@@ -1,4 +1,4 @@
-// Numbers as people read them; the same rules as the command line's.
+// Numbers, sizes and durations for people, by the same rules as the CLI.
 const NS_PER_S = 1_000_000_000;
 const NS_PER_MS = 1_000_000;
 const DAY_S = 86_400;
@@ -102,4 +102,10 @@ export function formatAgo(at: Date, now: Date): string {
   if (Number.isNaN(seconds) || Math.abs(seconds) > 30 * 86_400) return formatTime(at, "day");
   const [unit, length] = AGO.find(([, size]) => Math.abs(seconds) >= size) ?? (["second", 1] as const);
   return relative.format(Math.trunc(seconds / length), unit);
+}
+
+/** Returns a pattern for a typed text: it matches parts of names, unless the text is a pattern itself. */
+export function globOf(typed: string): string {
+  const text = typed.trim();
+  return text === "" || /[*?[]/.test(text) ? text : `*${text}*`;
 }

@@ -1,4 +1,4 @@
-// The signs that are used, by what they stand for.
+// The icons by their meaning.
 export {
   mdiAccountGroupOutline as iconPeople,
   mdiAccountCircleOutline as iconMe,

@@ -1,5 +1,5 @@
-// Metadata in forms: what each field of a project takes, judged as the server judges it, while somebody still types.
-// The server has the last word; what cannot be judged here (a pattern in Rust's words) is left to it.
+// Validation of metadata in forms, by the same rules as the server's.
+// The server decides; what cannot be checked here (patterns in Rust's syntax) is left to it.
 import type { FieldProblem } from "@/api/problem";
 import type { MetadataField, MetadataFields } from "@/api/types";
 import { texts } from "@/texts/metadata";
@@ -17,7 +17,7 @@ type Judge = (value: unknown, field: MetadataField) => string | null;
 
 const DATE = /^\d{4}-\d{2}-\d{2}([T ]\d{2}:\d{2}(:\d{2}(\.\d+)?)?\s?(Z|[+-]\d{2}:?\d{2})?)?$/i;
 
-/** Says whether a field was left empty. */
+/** Returns whether a field was left empty. */
 export function isEmpty(value: unknown): boolean {
   return value === undefined || value === null || value === "";
 }
@@ -75,14 +75,14 @@ export function judge(fields: MetadataFields, values: Values): FieldProblem[] {
   });
 }
 
-/** Values of an earlier mission that a form begins with: they hold only once somebody has confirmed or changed them. */
+/** Values of an earlier mission as initial values of a form. They count only after they were confirmed or changed. */
 export interface Carried {
   /** What the earlier mission is called. */
   readonly from: string;
   readonly values: Values;
 }
 
-/** Returns what a form begins with: what is said of itself, and what an earlier mission said, which is unconfirmed. */
+/** Returns the initial values of a form: own values, and unconfirmed values of an earlier mission. */
 export function beginning(values: Values, carried: Carried): { values: Values; unconfirmed: ReadonlySet<string> } {
   return { values: { ...values, ...carried.values }, unconfirmed: new Set(Object.keys(carried.values)) };
 }

@@ -1,4 +1,4 @@
-// Keys that do something wherever one is. Whoever dislikes them can turn them off; those with Ctrl stay.
+// Global keyboard shortcuts. Users can turn them off, except those with Ctrl.
 import { onScopeDispose, ref, shallowReactive } from "vue";
 
 export interface Shortcut {

@@ -1,4 +1,4 @@
-// What a table is told of its columns, and how it finds its way among its rows.
+// Columns of a table: widths, visibility, order, keyboard navigation, selection.
 import { computed, ref, watch, type ComputedRef, type WritableComputedRef } from "vue";
 
 export interface Column<Row> {
@@ -12,7 +12,7 @@ export interface Column<Row> {
   readonly sort?: string;
   /** Shown only where the table is at least that wide. */
   readonly from?: "tablet" | "desktop";
-  /** What a cell says, where no slot shows it. */
+  /** The text of a cell without a slot. */
   readonly text?: (row: Row) => string;
 }
 
@@ -55,7 +55,7 @@ export function heightOfDetails(lines: number): number {
   return lines === 0 ? 0 : lines * DETAIL_LINE + DETAIL_EDGE;
 }
 
-/** Returns the order that a click on a column's head asks for: ascending first, then descending. */
+/** Returns the sort order after a click on a column title: ascending first, then descending. */
 export function nextSort(now: string, column: string): string {
   return now === column ? `-${column}` : column;
 }
@@ -160,7 +160,7 @@ function read(key: string): readonly string[] | null {
   }
 }
 
-/** Returns the columns of the list called `name`. `usual` are the keys that are shown until somebody chooses. */
+/** Returns the columns of the list called `name`. `usual` are the keys shown by default. */
 export function useColumns<Row>(name: () => string, all: () => readonly Column<Row>[], usual: () => readonly string[]): Columns<Row> {
   const key = computed(() => `kleinkram-columns-${name()}`);
   const stored = ref(read(key.value));

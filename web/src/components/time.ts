@@ -1,4 +1,4 @@
-// Times on an axis: where they are on it, and which of them are written there. All in milliseconds since 1970.
+// Time axes: positions, ticks and density; the current time; expiry dates. All in milliseconds since 1970.
 import { onScopeDispose, readonly, ref, type Ref } from "vue";
 
 export interface Tick {
@@ -111,7 +111,7 @@ export function startOfDay(day: string, daysLater = 0): string {
   return at.toISOString();
 }
 
-/** Returns the end of the day that is so many days from now. */
+/** Returns the end of the day in `days` days. */
 export function spanEnd(span: Span, now: Date): string {
   const at = new Date(now);
   at.setDate(at.getDate() + Number(span));

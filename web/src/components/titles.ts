@@ -1,8 +1,8 @@
-// The title of the page that is shown: in the window's name, and said aloud when one comes to another page.
+// The title of the page, in the window title and in announcements to screen readers.
 import { ref } from "vue";
 import { texts } from "@/texts/common";
 
-/** What is said aloud. */
+/** The announcement to screen readers. */
 export const announced = ref("");
 
 let isArriving = false;

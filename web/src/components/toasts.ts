@@ -1,4 +1,4 @@
-// Short messages at the window's edge: what was done, and how to undo it.
+// Toast messages: what was done, and how to undo it.
 import { reactive } from "vue";
 
 export interface Toast {
@@ -32,32 +32,4 @@ export function showToast(toast: Toast): void {
   toasts.push({ ...toast, id });
   if (toasts.length > MOST) toasts.shift();
   if (toast.tone !== "bad") setTimeout(() => dismiss(id), toast.act ? WITH_BUTTON_MS : SHOWN_MS);
-}
-
-/** Copies a text; says whether the browser did. */
-export async function copyText(text: string): Promise<boolean> {
-  if (globalThis.isSecureContext) {
-    try {
-      await navigator.clipboard.writeText(text);
-      return true;
-    } catch (thrown) {
-      if (!(thrown instanceof DOMException)) throw thrown; // refused: the old way may still do
-    }
-  }
-  return copyBySelection(text);
-}
-
-function copyBySelection(text: string): boolean {
-  const area = document.createElement("textarea");
-  const before = document.activeElement;
-  area.value = text;
-  area.className = "visually-hidden";
-  // Within an open dialog, since all else cannot be selected then.
-  (document.querySelector("dialog[open]") ?? document.body).append(area);
-  area.select();
-  // eslint-disable-next-line @typescript-eslint/no-deprecated -- there is no other way without TLS
-  const isCopied = document.execCommand("copy");
-  area.remove();
-  if (before instanceof HTMLElement) before.focus();
-  return isCopied;
 }

@@ -1,4 +1,4 @@
-// How good news is, and by which sign and colour that is told.
+// Tones of states, and their icon and color.
 import { iconAttention, iconBad, iconGood } from "./icons";
 import type { BlobState, ContentState } from "@/api/types";
 

@@ -1,6 +1,6 @@
-// Which rows of a long table are drawn: those in sight. The table scrolls with the page, or within a height of its own.
-// When many come into sight at once, as beneath a scroll bar that is pulled, each frame draws some: none takes long.
-// While it scrolls no element changes its place among its siblings, which would cost more than all else.
+// The visible rows of a long table, which scrolls with the page or in a container.
+// When many rows appear at once (dragging the scroll bar), each frame renders some of them.
+// While it scrolls, no element is reordered among its siblings, which would be slow.
 import { onMounted, onScopeDispose, readonly, ref, shallowRef, watch, type Ref } from "vue";
 import { drawnAfter, inSight } from "./table";
 
@@ -12,7 +12,7 @@ const HEAD = 37;
 export interface VirtualRows {
   /** The rows that are drawn: those in sight, and at times some that went, in whose place one is drawn soon. */
   readonly drawn: Readonly<Ref<readonly number[]>>;
-  /** Whether it scrolls: what is drawn need not stand in order in the document then. */
+  /** Whether it scrolls: rows need not be in document order then. */
   readonly isMoving: Readonly<Ref<boolean>>;
   readonly reveal: (index: number) => void;
   readonly rest: () => void;
@@ -45,7 +45,7 @@ export function useVirtualRows({ body, scroller, count, pinned, rowHeight, isOwn
 
   function draw(): void {
     const { top, height } = seen();
-    // Rows below the open one stand lower than their number says, so some more are drawn above.
+    // Rows below an expanded one are lower than their number implies, so more rows above are rendered.
     const visible = inSight(top - extra(), height + extra(), rowHeight(), count(), pinned());
     drawn.value = drawnAfter(drawn.value, visible, pinned(), MOST_A_FRAME);
     const there = new Set(drawn.value);
@@ -53,7 +53,7 @@ export function useVirtualRows({ body, scroller, count, pinned, rowHeight, isOwn
   }
 
   function follow(): void {
-    frame ??= requestAnimationFrame(draw); // what scrolls is told before that, in the same frame: nothing comes later
+    frame ??= requestAnimationFrame(draw); // scroll events of the same frame come before it
   }
 
   function rest(): void {
@@ -90,7 +90,7 @@ export function useVirtualRows({ body, scroller, count, pinned, rowHeight, isOwn
     heard = isOwnScroller ? scroller.value : window;
     heard?.addEventListener("scroll", onScroll, { passive: true });
     measure();
-    observer.observe(document.body); // what stands above the table pushes it
+    observer.observe(document.body); // content above the table moves it
     if (body.value !== null) observer.observe(body.value);
   });
   onScopeDispose(() => {

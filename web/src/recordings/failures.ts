@@ -1,4 +1,4 @@
-/** Why a recording could not be read here. The sentences are in `texts/recordings.ts`. */
+/** Error codes of reading a recording. Their texts are in `texts/recordings.ts`. */
 
 export type FailureCode =
   | "no_index"

@@ -1,4 +1,4 @@
-/** How much of a stranger's file we are willing to hold, wait for, or read without asking. Bytes unless named. */
+/** Limits for reading untrusted files: memory, time, and data read without confirmation. Bytes unless named. */
 
 const MIB = 2 ** 20;
 
@@ -10,7 +10,7 @@ export const MOST_CACHED = 48 * MIB;
 export const MOST_READ_AT_ONCE = 96 * MIB;
 /** The largest chunk once it is decompressed. */
 export const MOST_UNPACKED = 128 * MIB;
-/** Decompressed chunks that overlap in time and so are held together. */
+/** Decompressed chunks that overlap in time and are in memory at once. */
 export const MOST_OVERLAPPING = 384 * MIB;
 /** A file that is compressed as a whole, as it is stored, and decompressed into memory. */
 export const MOST_WHOLE_PACKED = 64 * MIB;
@@ -19,7 +19,7 @@ export const MOST_WHOLE_UNPACKED = 256 * MIB;
 export const MOST_DAMAGED = 100;
 /** Read ahead while a curve reads chunk after chunk. */
 export const READ_AHEAD = 4 * MIB;
-/** What a curve reads before it asks. */
+/** Data that a plot reads without confirmation. */
 export const MOST_UNASKED = 32 * MIB;
 /** The largest picture, in pixels. */
 export const MOST_PIXELS = 64 * 1_000_000;
@@ -37,5 +37,5 @@ export const MOST_FIELDS = 600;
 export const MOST_CURVES = 6;
 /** The store must send something within this time. */
 export const STORE_PATIENCE_MS = 30_000;
-/** The worker must say something within this time. */
+/** The worker must send a message within this time. */
 export const WORKER_PATIENCE_MS = 45_000;

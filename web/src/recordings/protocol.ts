@@ -62,7 +62,7 @@ export interface OfferedFields {
 }
 
 export interface DrawnCurves extends Curves {
-  /** What the whole span costs to read, and until when was read (less than asked where that is too much). */
+  /** The bytes of the whole span. `untilNs` is the end of what was read. */
   wholeBytes: number;
   damaged: DamagedPart[];
   untilNs: bigint;

@@ -1,9 +1,9 @@
-/** The bytes of one file in the store, by HTTP ranges: few requests, a small cache, addresses renewed when they expire. */
+/** Byte ranges of one stored file over HTTP, with a small cache. Expired URLs are renewed. */
 
 import { ReadFailure } from "./failures";
 import { BLOCK, MOST_CACHED, MOST_READ_AT_ONCE, STORE_PATIENCE_MS } from "./limits";
 
-/** Where to read a file for a while. The address is a secret: whoever has it can read the file. */
+/** Where to read a file for a while. The URL is a secret: it grants access to the file. */
 export interface Address {
   url: string;
   expiresAtMs: number;
@@ -15,14 +15,14 @@ export interface ByteSource {
   read(offset: number, length: number): Promise<Uint8Array>;
 }
 
-/** A source that can be told to read at least `ahead` bytes at once; for reading on and on. */
+/** A source that reads at least `ahead` bytes at once, for sequential reads. */
 export interface Source extends ByteSource {
   ahead: number;
 }
 
 export interface RangesOptions {
   sizeBytes: number;
-  /** Asks for an address; called again when one has expired. */
+  /** Requests a URL; called again after it expired. */
   renew: () => Promise<Address>;
   /** Called as bytes arrive, with their number. */
   onBytes?: (count: number) => void;

@@ -16,7 +16,7 @@ export interface WorkerLike {
 
 export interface ReaderOptions {
   file: RecordingFile;
-  /** Asks the server for an address; rejects with a ReadFailure where it gives none. */
+  /** Requests a URL from the server; rejects with a ReadFailure. */
   address: () => Promise<Address>;
   start: () => WorkerLike;
   onRead?: (bytes: number) => void;
@@ -58,7 +58,7 @@ export class RecordingReader {
     return this.send<K>({ kind, ...request } as unknown as Request, options);
   }
 
-  /** End the worker; what is asked is cancelled. */
+  /** End the worker; pending requests are cancelled. */
   close(): void {
     this.end("cancelled");
   }
@@ -116,7 +116,7 @@ export class RecordingReader {
     this.options.onRead?.(this.readBefore + bytes);
   }
 
-  /** A worker that owes an answer and says nothing is ended: a file may be made to keep it busy for ever. */
+  /** Ends a worker that does not respond: a malicious file could keep it busy forever. */
   private watchOver(): void {
     clearTimeout(this.watch);
     if (this.waiting.size === 0) return;

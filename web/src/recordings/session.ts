@@ -12,7 +12,7 @@ import type { CurvesRequest, DamagedPart, DrawnCurves, OfferedFields, Opened, Pi
 export interface PictureMessage {
   logTimeNs: bigint;
   picture: Picture;
-  /** Parts between what was asked for and this that could not be read. */
+  /** Unreadable parts between the requested time and this picture. */
   damaged: DamagedPart[];
 }
 
@@ -153,7 +153,7 @@ class Damages {
   };
 }
 
-/** The beginning of the span that can be read with so many bytes: at least one piece. */
+/** The beginning of the span that fits into `mostBytes`: at least one piece. */
 function affordable(span: Span, pieces: readonly Piece[], mostBytes: number): Span {
   let bytes = 0;
   for (const [number, piece] of pieces.entries()) {

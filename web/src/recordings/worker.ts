@@ -10,7 +10,7 @@ import { Session, type Observer, type PictureMessage } from "./session";
 
 const REPORT_EVERY_MS = 200;
 
-// The DOM's types know no worker's own scope; this is what is used of it.
+// The DOM types lack the scope of a worker; these are the members used here.
 const scope = self as unknown as {
   postMessage: (message: FromWorker, transfer?: Transferable[]) => void;
   onmessage: ((event: MessageEvent<ToWorker>) => void) | null;

@@ -1,4 +1,4 @@
-// How one goes from view to view: who is not signed in signs in first and comes back; the heading gets the focus.
+// The router: redirects to sign-in where needed, and moves the focus to the heading after navigation.
 import { noop, type QueryClient } from "@tanstack/vue-query";
 import { createRouter, createWebHistory, type Router } from "vue-router";
 import { discardOnNavigation } from "./query";
@@ -10,7 +10,7 @@ import { arrive } from "@/components/titles";
 import { showToast } from "@/components/toasts";
 import { texts } from "@/texts/shell";
 
-/** Returns whether somebody is signed in; where the server does not answer, the page itself is to say so. */
+/** Returns whether the user is signed in; if the server does not respond, the page reports it. */
 async function isSomebodyHere(queries: QueryClient): Promise<boolean> {
   try {
     return (await queries.query(meQuery)) !== null;
@@ -35,7 +35,7 @@ export function openRouter(queries: QueryClient): Router {
   router.beforeEach(async (to) => {
     if (to.meta.guests === true) return true;
     if (await isSomebodyHere(queries)) {
-      if (to.meta.asksFirst !== undefined) queries.query(to.meta.asksFirst).catch(noop); // the page says what is wrong
+      if (to.meta.asksFirst !== undefined) queries.query(to.meta.asksFirst).catch(noop); // shown by the page
       return true;
     }
     globalThis.location.assign(signInAddress(to.fullPath));

@@ -1,5 +1,5 @@
-// What a view is narrowed to stands in its address: filters, orders, tabs. So every view is a link, and back works.
-import { computed, type WritableComputedRef } from "vue";
+// View state in the URL: filters, orders, tabs. So each view has a link, and the back button works.
+import { computed, onScopeDispose, ref, watch, type Ref, type WritableComputedRef } from "vue";
 import { useRoute, useRouter, type LocationQueryRaw, type Router } from "vue-router";
 
 export type Way = "push" | "replace";
@@ -61,4 +61,38 @@ export function useQueryList(name: string, way: Way = "replace"): WritableComput
     },
     set: (value) => change(router, name, value.length === 0 ? undefined : value, way),
   });
+}
+
+export interface Typed {
+  readonly typed: Ref<string>;
+  /** Submits the current text. */
+  readonly apply: () => void;
+  readonly onInput: () => void;
+}
+
+/** Returns what is typed; `text` becomes it after a pause. A text that comes from elsewhere takes its place. */
+export function useTyped(text: Ref<string>, pauseMs: number): Typed {
+  const typed = ref(text.value);
+  /** The last submitted text; the user may have typed more since. */
+  let applied = text.value;
+  let timer: ReturnType<typeof setTimeout> | undefined;
+
+  watch(text, (value) => {
+    if (value === applied) return;
+    clearTimeout(timer);
+    applied = typed.value = value;
+  });
+
+  function apply(): void {
+    clearTimeout(timer);
+    text.value = applied = typed.value.trim();
+  }
+
+  function onInput(): void {
+    clearTimeout(timer);
+    timer = setTimeout(apply, pauseMs);
+  }
+
+  onScopeDispose(() => clearTimeout(timer));
+  return { typed, apply, onInput };
 }

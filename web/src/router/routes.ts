@@ -1,5 +1,5 @@
-// Every view and its address. Each page is a chunk of its own, fetched when somebody goes there.
-// The server answers with the app under these first words alone: they stand in server/access/operations.py too.
+// All routes. Each page is a chunk of its own. The server serves the app only below these first path segments, which
+// `PLACES` in server/access/operations.py lists too.
 import type { RouteRecordRaw } from "vue-router";
 import { homeQuery } from "@/features/home/queries";
 
@@ -9,7 +9,7 @@ declare module "vue-router" {
     guests?: boolean;
     /** Shown without the app around it. */
     bare?: boolean;
-    /** What the page asks the server for: asked while its chunk is still on the way. */
+    /** A query of the page, started while its chunk loads. */
     asksFirst?: typeof homeQuery;
   }
 }

@@ -1,4 +1,4 @@
-// What the palette offers for what was typed.
+// Pages of the navigation and commands of the palette.
 import type { RouteLocationRaw } from "vue-router";
 import { chooseTheme, THEMES } from "./theme";
 import type { Mission, Project } from "@/api/types";
@@ -43,7 +43,7 @@ export interface Viewer {
   readonly isAdmin: boolean;
 }
 
-/** Says whether all letters of what was typed occur in a text, in their order. */
+/** Returns whether all letters of what was typed occur in a text, in their order. */
 export function matches(text: string, typed: string): boolean {
   const within = text.toLocaleLowerCase();
   let at = 0;
@@ -150,12 +150,12 @@ export const furtherPlaces: readonly Place[] = [
 /** What strangers may go to. */
 export const publicPlaces: readonly Place[] = [place("public", iconPublic, "b"), place("search", iconSearch, "s")];
 
-/** Returns the places of somebody. */
+/** Returns the places in the navigation. */
 export function placesFor(isSignedIn: boolean, isAdmin: boolean): readonly Place[] {
   return isSignedIn ? places.filter((item) => isAdmin || item.forAdmins !== true) : publicPlaces;
 }
 
-/** Says whether the page of that name belongs to a place. */
+/** Returns whether the page of that name belongs to a place. */
 export function isAt(where: Place, routeName: unknown): boolean {
   return typeof routeName === "string" && (where.name === routeName || where.also.includes(routeName));
 }

@@ -1,11 +1,11 @@
-// Whether the server answers: told from how the latest requests went, of whatever page, and asked where the line broke.
+// Whether the server responds, judged by the latest requests and probed after a failure.
 import { useQueryClient } from "@tanstack/vue-query";
 import { onScopeDispose, readonly, ref, watch, type Ref } from "vue";
 import { Problem } from "@/api/problem";
 
 const AGAIN_MS = 5000;
 
-/** Returns whether the server answers. Once it does again, what failed meanwhile is asked for anew. */
+/** Returns whether the server responds. When it recovers, failed queries are refetched. */
 export function useOnline(breaks: Readonly<Ref<number>>): Readonly<Ref<boolean>> {
   const queries = useQueryClient();
   const isAnswered = ref(true);

@@ -1,4 +1,4 @@
-// Light, dark, or as the system prefers. What is chosen is kept in the browser, for the server's own pages too.
+// The color theme: light, dark, or the system's. Stored in the browser, for the server's own pages too.
 import { ref } from "vue";
 
 export type Theme = "system" | "light" | "dark";

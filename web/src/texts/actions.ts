@@ -44,8 +44,8 @@ export const texts = {
   launch: {
     title: "Run an action",
     lead: "Choose an action and the missions to run it on. Each mission gets its own run.",
-    action: "Action", chooseAction: "Choose an action", missions: "Missions", find: "Find a mission", add: (name: string) => `Add ${name}`,
-    remove: (name: string) => `Remove ${name}`, noMission: "No missions selected.", nothingFound: "No matching missions.",
+    action: "Action", chooseAction: "Choose an action",
+    noMission: "No missions selected.",
     parameters: "Parameters", noParameters: "This action has no parameters.", force: "Run even if an identical run exists",
     forceHint: "Otherwise, results of a successful run with the same version, parameters, and files are reused.",
     go: (missions: number) => (missions > 1 ? `Run on ${missions} missions` : "Run"),

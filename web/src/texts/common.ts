@@ -1,5 +1,7 @@
 // Texts that several pages share.
 import type { Span } from "@/components/time";
+import { counted } from "@/components/format";
+import type { Trashed } from "@/api/types";
 
 export const texts = {
   product: "Kleinkram",
@@ -50,7 +52,14 @@ export const texts = {
     moveTitle: (count: number, noun: string) => `Move ${count} ${noun}${count === 1 ? "" : "s"}`,
     moved: (count: number, noun: string) => `${count} ${noun}${count === 1 ? "" : "s"} moved.`,
     search: { mission: "Search projects by name", file: "Search missions by name" },
-    to: "To",
+    to: { mission: "Project", file: "Mission" },
+    moveOneTitle: { mission: "Move to another project", file: "Move to another mission" },
+    moveWhy: {
+      mission: "Files, recordings, and links move along. No data is copied. Access follows the new project, which can require other metadata.",
+      file: "Links stay valid. Access follows the new mission. No data is copied.",
+    },
+    moveNone: { mission: "No matching project in which you can create missions.", file: "No matching mission that you can write to." },
+    movedTo: (place: string) => `Moved to ${place}.`,
   },
   cli: "Command line",
   sdk: "Python",
@@ -59,3 +68,31 @@ export const texts = {
 const spans: Readonly<Record<Span, string>> = { 1: "Until tomorrow", 30: "For 30 days", 90: "For 90 days", 365: "For a year" };
 
 export const untilTexts = { never: "No expiry", spans, day: "Until a date…", dayLabel: "Last day" } as const;
+
+/** Texts of the selection of missions, or of projects and missions. */
+export const placeTexts = {
+  missions: { legend: "Missions", find: "Find a mission", nothingFound: "No matching missions." },
+  places: { legend: "Projects and missions", find: "Find a project or mission", nothingFound: "No matching projects or missions." },
+  add: (name: string) => `Add ${name}`,
+  remove: (name: string) => `Remove ${name}`,
+} as const;
+
+const nouns: Readonly<Record<Trashed["noun"], string>> = { project: "Project", mission: "Mission", file: "File" };
+
+export const trashTexts = {
+  title: "Trash",
+  lead: "Deleted objects that you can restore. On the date shown, they are deleted permanently.",
+  label: "Trash",
+  what: "Type",
+  everything: "All types",
+  only: { project: "Projects", mission: "Missions", file: "Files" },
+  nouns,
+  columns: { name: "Name", noun: "Type", holds: "Content", deleted: "Deleted", drops: "Deleted permanently", act: "Restore" },
+  files: (count: number) => counted(count, "file"),
+  by: (name: string) => `by ${name}`,
+  restore: "Restore",
+  restored: (name: string) => `${name} restored.`,
+  open: "Open",
+  empty: "The trash is empty.",
+  emptyText: "Deleted objects stay here for a limited time.",
+} as const;

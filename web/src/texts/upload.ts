@@ -30,7 +30,7 @@ const failures: Readonly<Record<LocalFailure, (detail: string) => string>> = {
   worker_ended: () => "The upload process stopped. Reload the page and choose the folder again.",
 };
 
-/** What the server's failures mean for somebody who uploads. */
+/** Errors of the server in the context of an upload. */
 const refusals: Readonly<Partial<Record<string, string>>> = {
   file_exists: "The mission already has a file with this path and different content. Rename your file or delete the existing one, then upload again.",
   path_conflict: "The path conflicts with another file: one is a file and the other a folder, or they differ only in case. Rename one of them.",

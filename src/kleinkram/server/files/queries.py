@@ -37,7 +37,7 @@ from kleinkram.server.filters.files import filter_files, filter_files_in_order
 from kleinkram.server.filters.missions import filter_missions
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
 from kleinkram.server.missions.amounts import file_amounts
-from kleinkram.server.pagination import Listing, Order
+from kleinkram.server.pagination import Order, PagedQuery
 from kleinkram.server.tables import blob, file, mission, person, project, run, run_artifact, run_input, topic
 
 
@@ -176,12 +176,12 @@ def matching_files(actor: Actor, matching: FileFilter, plan: SearchPlan = NO_PLA
     return narrow(actor, visible_files(actor), matching, plan)
 
 
-def file_listing(actor: Actor, matching: FileFilter, *, plan: SearchPlan, sort: FileSort) -> Listing:
+def file_listing(actor: Actor, matching: FileFilter, *, plan: SearchPlan, sort: FileSort) -> PagedQuery:
     """Return the visible files that match, in an order."""
     matched = matching_files(actor, matching, plan)
     if plan.matched is not None:
         matched = matched.where(among_parameter(file.c.id, "matched_first_ids"))
-    return Listing(matched, file_order(sort, by_index=not plan.is_selective), rows_of_found)
+    return PagedQuery(matched, file_order(sort, by_index=not plan.is_selective), rows_of_found)
 
 
 @functools.cache

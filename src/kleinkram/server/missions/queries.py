@@ -40,7 +40,7 @@ from kleinkram.server.filters.metadata import metadata_key
 from kleinkram.server.filters.missions import filter_missions, filter_missions_by_files
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan
 from kleinkram.server.missions.amounts import amounts
-from kleinkram.server.pagination import Listing, Order
+from kleinkram.server.pagination import Order, PagedQuery
 from kleinkram.server.tables import blob, file, mission, person, project
 
 _LAST, _FIRST = 2**63 - 1, -(2**63)
@@ -136,12 +136,12 @@ def mission_listing(
     *,
     plan: SearchPlan = NO_PLAN,
     sort: MissionOrder,
-) -> Listing:
+) -> PagedQuery:
     """Return the visible missions that match, among those that a filter of files finds, where there is one."""
     matched = filter_missions(actor, visible_missions(actor), matching, plan)
     if by_files is not None:
         matched = filter_missions_by_files(actor, matched, by_files, plan)
-    return Listing(matched, mission_order(actor, sort), functools.partial(rows_of_found, actor))
+    return PagedQuery(matched, mission_order(actor, sort), functools.partial(rows_of_found, actor))
 
 
 def sampled_missions(actor: Actor, by_files: FileFilter, *, plan: SearchPlan, size: int) -> Select[Any]:

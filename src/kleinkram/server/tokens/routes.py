@@ -44,5 +44,5 @@ async def list_tokens(
 async def revoke_token(
     token_id: uuid.UUID, db: Transaction, actor: CurrentActor, made: DerivedTokens = DerivedTokens.ended
 ) -> None:
-    """Revoke a token and all that were created with it, from the next request on; with `made=kept`, only itself."""
+    """Revoke a token and all that were created with it, from the next request on; with `made=valid`, only itself."""
     await service.revoke_token(db, actor, token_id=token_id, derived=made)

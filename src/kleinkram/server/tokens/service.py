@@ -38,7 +38,7 @@ class DerivedTokens(str, enum.Enum):
     """What happens to the tokens that were created with a revoked token."""
 
     ended = "ended"
-    kept = "kept"
+    valid = "valid"
 
 
 async def create_token(db: Connection, actor: Actor, *, request: TokenCreate, settings: Settings) -> TokenMade:

@@ -1,4 +1,4 @@
-// Who may do what with a project or a mission: what is asked, and what is changed. One way for both.
+// Queries and mutations of the access to projects and missions.
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { api, call } from "@/api/client";
 import { keys, usePages } from "@/api/queries";
@@ -49,7 +49,7 @@ export interface Candidate {
 
 const MOST_OFFERED = 8;
 
-/** People and groups whose names begin to match what was typed; an address, whether or not somebody has it. */
+/** People and groups with matching names; an email address, whether or not it has an account. */
 export function useCandidates(text: () => string) {
   return useQuery({
     queryKey: ["people", "candidates", text],

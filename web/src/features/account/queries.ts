@@ -1,9 +1,9 @@
-// What the page of one's account asks the server, and what it has it do.
+// Queries and mutations of the user's own account.
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { api, call } from "@/api/client";
 import { keys } from "@/api/queries";
 import type { components } from "@/api/schema";
-import { texts } from "@/texts/sessions";
+import { sessionTexts as texts } from "@/texts/account";
 
 type Schemas = components["schemas"];
 export type Account = Schemas["AccountRead"];
@@ -45,7 +45,7 @@ export function useLink() {
   });
 }
 
-/** What is done to one's second factor; the account tells of it afterwards. */
+/** Mutations of the second factor; they refetch the account. */
 export function useTotp() {
   const queries = useQueryClient();
   const refresh = () => void queries.invalidateQueries({ queryKey: keys.account });
@@ -74,7 +74,7 @@ export function useChangePassword() {
   });
 }
 
-// In this order: most browsers say that they are also another one.
+// The order matters: most user agents also contain the names of other browsers.
 const BROWSERS: readonly (readonly [string, RegExp])[] = [
   ["Edge", /\bEdg(?:e|A|iOS)?\//],
   ["Opera", /\bOPR\//],

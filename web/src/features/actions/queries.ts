@@ -1,9 +1,10 @@
-// What the pages of actions ask the server.
+// Queries of actions, and texts of their definitions.
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { api, call, ifMatch, noteNewEtag, type EtagCarrier } from "@/api/client";
 import { keys, usePages } from "@/api/queries";
-import type { Action, ActionVersion } from "@/api/types";
-import { globOf } from "@/components/glob";
+import type { Action, ActionVersion, Definition, Parameter } from "@/api/types";
+import { formatDuration, formatSize, globOf } from "@/components/format";
+import { texts as all } from "@/texts/actions";
 
 const MOST_CHOICES = 500;
 
@@ -52,7 +53,48 @@ export function useArchiving(actionId: string) {
     mutationFn: ({ etag, ...body }: { readonly archived: boolean } & EtagCarrier) =>
       call(api.PATCH("/api/v1/actions/{action_id}", { params: { path, header: ifMatch(etag) }, body })),
     onSuccess: (action, { etag }) => noteNewEtag(etag, action.etag),
-    // Also where it was refused: somebody else may have come first.
+    // Also after a rejection: another user may have been first.
     onSettled: () => queries.invalidateQueries({ queryKey: ["actions"] }),
   });
+}
+
+const texts = all.definition;
+const NS_PER_S = 1_000_000_000;
+
+/** Which files it reads. */
+export function inputsOf({ inputs }: Definition): string {
+  const parts = [
+    inputs.paths.length > 0 ? texts.paths(inputs.paths.join(", ")) : "",
+    inputs.topics.length > 0 ? texts.topics(inputs.topics.join(", ")) : "",
+    inputs.message_types.length > 0 ? texts.types(inputs.message_types.join(", ")) : "",
+  ].filter((item) => item !== "");
+  return parts.length === 0 ? texts.all : parts.join(", ");
+}
+
+/** What it may use at most. */
+export function resourcesOf({ resources }: Definition): string {
+  return [
+    texts.cores(resources.cores),
+    texts.memory(formatSize(resources.memory_bytes)),
+    texts.disk(formatSize(resources.disk_bytes)),
+    ...(resources.gpus > 0 ? [texts.gpus(resources.gpus)] : []),
+    texts.time(formatDuration(resources.time_s * NS_PER_S)),
+    ...(resources.labels.length > 0 ? [texts.labels(resources.labels.join(", "))] : []),
+  ].join(", ");
+}
+
+/** What values a parameter takes, beyond its type. */
+export function boundsOf({ minimum, maximum, choices }: Parameter): string {
+  if (choices) return choices.join(", ");
+  const [least, most] = [minimum ?? null, maximum ?? null];
+  if (least !== null && most !== null) return texts.between(least, most);
+  if (least !== null) return texts.atLeast(least);
+  return most !== null ? texts.atMost(most) : "";
+}
+
+/** The default of a parameter as text. */
+export function presetOf({ default: preset, unit }: Parameter): string {
+  if (preset === null || preset === undefined) return texts.must;
+  if (typeof preset === "boolean") return all.launch[preset ? "yes" : "no"].toLowerCase();
+  return unit ? `${preset} ${unit}` : String(preset);
 }

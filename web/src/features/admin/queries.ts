@@ -1,4 +1,4 @@
-// What the pages for admins ask the server. It is asked again as long as somebody looks.
+// Queries and mutations of the admin pages. They poll while a page is visible.
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { api, call } from "@/api/client";
 import type { components } from "@/api/schema";
@@ -17,7 +17,7 @@ export function useStorage() {
   return useQuery({ queryKey: ["admin", "storage"], queryFn: ({ signal }) => call(api.GET("/api/v1/admin/storage", { signal })), refetchInterval: AGAIN_MS });
 }
 
-/** The last scrub; while one goes on, it is asked how far that is. */
+/** The last scrub; polls while it runs. */
 export function useScrub() {
   return useQuery({
     queryKey: ["admin", "scrub"],

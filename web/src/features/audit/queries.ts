@@ -1,12 +1,14 @@
-// What is asked of the record: the address of the page says it, and so does the export.
+// Queries of the audit log, its filters in the URL, and texts of events.
 import { useQuery } from "@tanstack/vue-query";
 import { computed, type ComputedRef } from "vue";
 import { useRoute, type LocationQuery } from "vue-router";
 import { api, call } from "@/api/client";
 import { keys, usePages } from "@/api/queries";
 import type { operations } from "@/api/schema";
-import { globOf } from "@/components/glob";
+import { globOf } from "@/components/format";
 import { startOfDay } from "@/components/time";
+import type { AuditEvent, Json } from "@/api/types";
+import { texts } from "@/texts/audit";
 
 export type AuditQuery = NonNullable<operations["export_audit_events"]["parameters"]["query"]>;
 
@@ -17,7 +19,7 @@ export const ACTS = ["*.create", "*.update", "*.delete", "*.restore", "file.uplo
 const DAY = /^\d{4}-\d{2}-\d{2}$/;
 const MOST_PROJECTS = 200;
 
-/** Returns what the address of the page asks for. */
+/** Returns the filters in the URL. */
 export function queryOf(address: LocationQuery): AuditQuery {
   const text = (name: string) => {
     const value = address[name];
@@ -57,11 +59,83 @@ export function useEvents(filters: ComputedRef<AuditQuery>) {
   );
 }
 
-/** The projects that one may choose among; beyond these, the address takes any. */
+/** The projects to choose from; the URL accepts any. */
 export function useProjectChoice() {
   const query = { limit: MOST_PROJECTS };
   return useQuery({
     queryKey: keys.projects(query),
     queryFn: ({ signal }) => call(api.GET("/api/v1/projects", { params: { query }, signal })),
   });
+}
+
+export interface Difference {
+  readonly field: string;
+  /** Null: it was not there. */
+  readonly before: string | null;
+  readonly after: string | null;
+}
+
+type Values = Readonly<Record<string, Json>>;
+
+/** Nested mappings are flattened to paths: `required_metadata.robot`. */
+function flattened(values: Values, path = ""): Map<string, string> {
+  const flat = new Map<string, string>();
+  for (const [key, value] of Object.entries(values)) {
+    const at = path + key;
+    if (typeof value === "object" && value !== null && !Array.isArray(value) && Object.keys(value).length > 0) {
+      for (const [inner, text] of flattened(value as Values, `${at}.`)) flat.set(inner, text);
+    } else flat.set(at, valueText(value));
+  }
+  return flat;
+}
+
+function valueText(value: Json): string {
+  if (typeof value === "string") return value;
+  if (Array.isArray(value) && value.every((item) => typeof item === "string")) return value.join(", ");
+  return JSON.stringify(value);
+}
+
+/** Returns what is not the same before and after, field by field, in the order of their names. */
+export function differences(before: Values, after: Values): readonly Difference[] {
+  const was = flattened(before);
+  const is = flattened(after);
+  const fields = [...new Set([...was.keys(), ...is.keys()])].sort();
+  return fields
+    .map((field) => ({ field, before: was.get(field) ?? null, after: is.get(field) ?? null }))
+    .filter((item) => item.before !== item.after);
+}
+
+/** Returns who did it. */
+export function doerOf(event: AuditEvent): string {
+  if (event.actor !== null) return event.actor.name;
+  if (event.share !== null) return texts.byLink(event.share.name);
+  return event.address === null && event.session_id === null && event.request_id === null ? texts.server : texts.stranger;
+}
+
+/** Returns what was done, as it follows who did it. */
+export function deedOf(event: AuditEvent): string {
+  return worded(texts.operations, event.operation);
+}
+
+/** Returns the words for a name; the name itself where there are none, as of a newer server. */
+function worded(words: Readonly<Record<string, string>>, name: string): string {
+  return Object.hasOwn(words, name) ? (words[name] ?? "") : name;
+}
+
+/** Returns the name of the target; empty if the target is the actor, as in a sign-in. */
+export function objectOf(event: AuditEvent): string {
+  if (event.operation === "admin.look" && event.noun === "server") return worded(texts.reads, event.noun_name);
+  return event.noun === "session" && event.noun_name === event.actor?.name ? "" : event.noun_name;
+}
+
+/** Where the thing of an event is shown; null where nothing shows it. */
+export function placeOf(event: AuditEvent) {
+  const id = event.noun_id;
+  if (id === null) return null;
+  if (event.noun === "project") return { name: "project", params: { projectId: id } };
+  if (event.noun === "mission") return { name: "mission", params: { missionId: id } };
+  if (event.noun === "file") return { name: "file", params: { fileId: id } };
+  if (event.noun === "group") return { name: "group", params: { groupId: id } };
+  if (event.noun === "person") return { name: "person", params: { personId: id } };
+  return null;
 }

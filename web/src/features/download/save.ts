@@ -1,5 +1,5 @@
-// Writes files of the store into a folder of the computer, or into one zip. Bytes come from the store by ranges, a few
-// megabytes at a time; a file gets its name only once its size, and its SHA-256 where that is known, are right.
+// Writes stored files into a folder, or into one zip. Reads byte ranges of a few megabytes; a file gets its final name
+// only after its size, and its SHA-256 if known, were verified.
 import { downloadZip } from "client-zip";
 import { createSHA256 } from "hash-wasm";
 
@@ -39,7 +39,7 @@ export interface Progress {
   readonly onBytes: (bytes: number) => void;
 }
 
-/** What a failed file says; the dialog translates nothing. */
+/** The message of a failed file. */
 export const reasons = {
   sameName: "Another file of this download has the same name on this computer. Use the command instead.",
   inTheWay: "A different file of this name is already there. Move it away, or choose another folder.",
@@ -65,7 +65,7 @@ export function safePath(path: string): string[] {
     .map((part) => part.replaceAll(/[<>:"\\|?*\u0000-\u001f]/g, "_").replace(/[. ]+$/, (end) => "_".repeat(end.length)));
 }
 
-/** Yields the bytes of a file, part by part; a part that fails is asked for again, by a new address. */
+/** Yields the bytes of a file in parts; a failed part is requested again with a new URL. */
 async function* partsOf(target: Target, source: Source, { signal, onBytes }: Progress): AsyncGenerator<Uint8Array<ArrayBuffer>> {
   const hash = await createSHA256();
   let link = await source.linkOf(target, signal);
@@ -105,7 +105,7 @@ function isMissing(thrown: unknown): boolean {
   return thrown instanceof DOMException && thrown.name === "NotFoundError";
 }
 
-/** Says whether a file that is there is the one that is wanted; a stranger's is never replaced. */
+/** Returns whether a existing file is the expected one; other files are never replaced. */
 async function isThere(existing: File, target: Target, sha256: string | null): Promise<boolean> {
   if (existing.size !== target.sizeBytes) {
     if (existing.size === 0) return false; // what a download that was broken off leaves

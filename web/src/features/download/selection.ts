@@ -1,4 +1,4 @@
-// What is downloaded: files, whole missions, or what a search finds; where each file goes; the command that does the same.
+// What is downloaded (files, whole missions, or search results), the path of each file, and the equivalent command.
 import { safePath, type Source, type Target } from "./save";
 import { api, call } from "@/api/client";
 import type { operations } from "@/api/schema";
@@ -31,7 +31,7 @@ function missionsOf(selection: Exclude<Selection, { kind: "query" }>): readonly 
   return [...new Map(all.map((mission) => [mission.id, mission])).values()];
 }
 
-/** Says whether files go below folders of their project and mission: those of several missions may have one path. */
+/** Returns whether files go below folders of their project and mission: those of several missions may have one path. */
 export function isNested(selection: Selection): boolean {
   return selection.kind === "query" || missionsOf(selection).length > 1;
 }
@@ -80,7 +80,7 @@ export const store: Source = {
   linkOf: async ({ fileId }, signal) => {
     const { items: [link] } = await call(api.POST("/api/v1/files/download", { body: { file_ids: [fileId], purpose: "download" }, signal }));
     if (link === undefined) throw new Error("The server gave no address for this file.");
-    // Bytes that nobody verified yet are compared with what the uploader said of them.
+    // Unverified bytes are compared with the uploader's checksum.
     return { url: link.url, sha256: link.sha256 };
   },
   fetch: (input, init) => globalThis.fetch(input, init),

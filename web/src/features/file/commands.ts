@@ -1,4 +1,4 @@
-// The commands that do with exactly this file what the page does, ready to be copied.
+// CLI and SDK commands for one file.
 import type { File } from "@/api/types";
 
 const PLAIN = /^[\w@%+=:,./-]+$/;

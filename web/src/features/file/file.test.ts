@@ -1,10 +1,9 @@
 import { describe, expect, it, vi } from "vitest";
 import { commandsOf, quoted, viewerAddress } from "./commands";
-import { coverage } from "./coverage";
+import { coverage, reaches } from "./queries";
 import { chosenFields, csvOf, rangeOf, rowsOf, shortNumber } from "./viewer/plot";
 import { defaultTopic } from "./viewer/viewers";
 import { latest } from "./viewer/useReader";
-import { reaches } from "./queries";
 import type { File, Topic } from "@/api/types";
 import { fieldTree } from "@/recordings/decoding/fields";
 

@@ -1,4 +1,4 @@
-// What the page of a file asks the server, and what it has it do.
+// Queries and mutations of a file, its warnings, and the coverage of its topics.
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import type { Ref } from "vue";
 import { api, call, ifMatch, noteNewEtag, type EtagCarrier } from "@/api/client";
@@ -7,6 +7,8 @@ import type { components } from "@/api/schema";
 import type { File, Topic } from "@/api/types";
 import { showToast } from "@/components/toasts";
 import { texts } from "@/texts/file";
+import type { Problem } from "@/components/warnings";
+import { blobTexts, contentTexts } from "@/texts/states";
 
 type Change = components["schemas"]["FileUpdate"];
 
@@ -16,7 +18,7 @@ const MOST_TOPICS = 5_000;
 const SOON_MS = 2_000;
 const ALL_RIGHTS = ["READ", "CREATE", "WRITE", "DELETE"] as const;
 
-/** Whether the server will know more of the file shortly: it is being read, or verified. */
+/** Whether the file is about to change, because it is being indexed or verified. */
 function isComing(file: File | undefined, isVerifying: boolean): boolean {
   return file !== undefined && (isVerifying || (file.content === "pending" && file.summarised_at === null));
 }
@@ -60,7 +62,7 @@ export function reaches(right: (typeof ALL_RIGHTS)[number] | undefined, needed: 
   return right !== undefined && ALL_RIGHTS.indexOf(right) >= ALL_RIGHTS.indexOf(needed);
 }
 
-/** What one can have done. Who removes it calls `old` once its page is left: it would ask for what is gone. */
+/** Mutations. After a deletion, call `old` only after leaving the page: it would refetch the deleted item. */
 export function useFileChanges(fileId: string) {
   const queries = useQueryClient();
   const path = { file_id: fileId };
@@ -95,7 +97,7 @@ export function useFileChanges(fileId: string) {
   return { update, verify, remove, restore, old };
 }
 
-/** What runs made of a file, asked for when somebody is about to delete it. */
+/** Files that runs derived from a file; loaded before it is deleted. */
 export function useMadeOf(fileId: string, isEnabled: Readonly<Ref<boolean>>) {
   return useQuery({
     queryKey: [...keys.file(fileId), "deletion"],
@@ -103,4 +105,31 @@ export function useMadeOf(fileId: string, isEnabled: Readonly<Ref<boolean>>) {
     select: ({ made_from_it: paths }) => paths,
     enabled: isEnabled,
   });
+}
+
+const PARTS = 120;
+
+/** Returns for each part of the file's span whether the topic is there: 1 or 0. */
+export function coverage(topic: Topic, file: File): number[] {
+  const { start_ns: start, end_ns: end } = file;
+  const { first_ns: first, last_ns: last } = topic;
+  if (start === null || end === null || first === null || last === null) return [];
+  const part = Math.max(1, end - start) / PARTS;
+  return Array.from({ length: PARTS }, (_, at) => {
+    const from = start + at * part;
+    const isAtEnd = at === PARTS - 1 && last >= end;
+    return first < from + part && (last >= from || isAtEnd) ? 1 : 0;
+  });
+}
+
+/** Returns all problems of a file. */
+export function warningsOfFile(file: File): readonly Problem[] {
+  const problems: Problem[] = [];
+  const add = (code: string, message: string, where = "") => problems.push({ code, message, where, source: file.path, fileId: file.id });
+  if (file.state === "lost" || file.state === "corrupt") add(`bytes-${file.state}`, file.state_reason ?? blobTexts[file.state].why);
+  if (file.content === "broken" || file.content === "error") add("unreadable", file.content_reason ?? contentTexts[file.content].why);
+  if (file.content === "recovered") add("recovered", file.content_reason ?? contentTexts.recovered.why);
+  if (file.lost !== null) add("data-lost", texts.lostAmount(file.lost.bytes, file.lost.chunks, file.lost.messages));
+  for (const { code, message, where } of file.problems) add(code, message, where);
+  return problems;
 }

@@ -1,9 +1,9 @@
-// What the pages of groups ask the server, and what they have it do.
+// Queries and mutations of groups.
 import { useQuery, useQueryClient } from "@tanstack/vue-query";
 import { api, call, ifMatch, noteNewEtag } from "@/api/client";
 import { keys, usePages } from "@/api/queries";
 import type { components } from "@/api/schema";
-import { globOf } from "@/components/glob";
+import { globOf } from "@/components/format";
 
 export type MemberSet = components["schemas"]["MemberSet"];
 
@@ -31,7 +31,7 @@ export function useMembers(groupId: string) {
   });
 }
 
-/** People whom one may add, by what was typed. */
+/** People who can be added, by name. */
 export function useCandidates(typed: () => string) {
   return useQuery({
     queryKey: ["people", "candidates", typed],
@@ -48,7 +48,7 @@ export function useGroupChanges() {
     try {
       return await response;
     } finally {
-      // Also where it was refused: somebody else may have come first.
+      // Also after a rejection: another user may have been first.
       for (const key of ["groups", "people", "access", "me"]) void queries.invalidateQueries({ queryKey: [key] });
     }
   }

@@ -1,5 +1,5 @@
-// What home asks the server, and in a request of its own what all takes, which is slow to add up.
-// Their keys begin as lists of missions do, since they are old when these are.
+// Queries of the home page. Storage totals are a separate request, because they are slow to compute. The keys start like
+// those of mission lists, so that changes of missions refetch them.
 import { queryOptions, useQuery } from "@tanstack/vue-query";
 import { computed } from "vue";
 import { api, call } from "@/api/client";
@@ -32,7 +32,7 @@ export function useHomeStorage() {
   });
 }
 
-/** Whether somebody without the power of an admin sees no project at all; undefined until that is known. */
+/** Whether a user who is not an admin sees no project; undefined until it is known. */
 export function useHasNoAccess(isEnabled: () => boolean) {
   const { isAdmin } = useMe();
   const { data, isError } = useQuery({
@@ -74,7 +74,7 @@ export interface UnfinishedMission {
   readonly mission: UnfinishedUpload["mission"];
   readonly files: readonly UnfinishedUpload[];
   readonly sizeBytes: number;
-  /** Null where the store did not say it of any of them. */
+  /** Null if the store reported none. */
   readonly sentBytes: number | null;
   readonly expiresAt: string;
 }

@@ -1,26 +1,12 @@
-// What the page that runs an action asks the server.
+// Queries of the launch page, and validation of parameters.
 import { keepPreviousData, useQuery } from "@tanstack/vue-query";
 import { computed, type ComputedRef } from "vue";
 import { api, call } from "@/api/client";
 import { keys } from "@/api/queries";
 import type { Mission, Parameter } from "@/api/types";
-import { globOf } from "@/components/glob";
 import { texts as all } from "@/texts/actions";
 
-const OFFERED = 8;
 const MOST_TOPICS = 500;
-
-/** The missions whose names hold what was typed. */
-export function useMissionOffers(typed: () => string) {
-  return useQuery({
-    queryKey: ["missions", "offers", typed],
-    queryFn: ({ signal }) => {
-      const query = { limit: OFFERED, ...(typed() !== "" && { name: globOf(typed()) }) };
-      return call(api.GET("/api/v1/missions", { params: { query }, signal }));
-    },
-    placeholderData: keepPreviousData,
-  });
-}
 
 /** The missions that the address names; those that are gone, or not for the asker, are left out. */
 export function useMissionsNamed(ids: () => readonly string[]) {
@@ -48,7 +34,7 @@ export function useTopicNames(missionId: () => string | undefined): ComputedRef<
 }
 
 export type Value = string | number | boolean;
-/** What stands in the form: nothing where the default is meant. */
+/** The values of the form; null means the default. */
 export type ParameterValues = Readonly<Record<string, Value | null>>;
 
 const texts = all.launch.wants;

@@ -1,4 +1,4 @@
-// The commands that do with exactly what is chosen here what the page does, ready to be copied.
+// CLI and SDK commands for a mission or for selected files.
 import type { TimelineFile } from "./queries";
 import { quoted, type Commands } from "@/features/file/commands";
 import type { Mission } from "@/api/types";

@@ -1,9 +1,8 @@
 // The logic behind the page of a mission: the tree, the axis, the topics, the commands.
 import { expect, it } from "vitest";
 import { commandsOf } from "./commands";
-import { barsPath, COLUMNS, fileAt, lanesOf, MOST_LANES } from "./lanes";
+import { barsPath, COLUMNS, fileAt, firstFiles, firstPlace, lanesOf, matching, MOST_LANES, silences, sorted } from "./timeline";
 import type { MissionTopic, TimelineFile } from "./queries";
-import { firstFiles, firstPlace, matching, silences, sorted } from "./topics";
 import { rowsOf, treeOf, withBranches } from "./tree";
 import type { Mission, Recording } from "@/api/types";
 

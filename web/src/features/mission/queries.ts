@@ -1,11 +1,11 @@
-// What the page of a mission asks the server, and what it has it do.
+// Queries and mutations of a mission, and its warnings.
 import { keepPreviousData, useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { api, call, ifMatch, noteNewEtag, type EtagCarrier } from "@/api/client";
 import { keys } from "@/api/queries";
 import type { components } from "@/api/schema";
 import type { File, Mission, Recording } from "@/api/types";
-import type { Problem } from "@/components/problems";
-import { problemsOfFile } from "@/features/file/problems";
+import type { Problem } from "@/components/warnings";
+import { warningsOfFile } from "@/features/file/queries";
 import { texts } from "@/texts/mission";
 
 type Schemas = components["schemas"];
@@ -31,7 +31,7 @@ export interface Topics {
 const PAGE = 10_000;
 const RECORDINGS_PAGE = 500;
 const TOPICS_PAGE = 1000;
-/** Densities of so many topics are drawn; more than 20,000 the server does not keep. */
+/** Topics with a drawn density. The server stores at most 20,000. */
 const BINS = 192;
 const SOON_MS = 2_000;
 const MOST_FILES_WITH_WARNINGS = 500;
@@ -42,7 +42,7 @@ export const missionKeys = {
   withWarnings: (id: string) => [...keys.mission(id), "odd"],
 } as const;
 
-/** Asks for page after page until there is no next one. */
+/** Loads all pages. */
 async function all<Part extends { readonly next?: string | null | undefined }>(ask: (cursor: string | undefined) => Promise<Part>): Promise<Part[]> {
   const parts: Part[] = [];
   for (let cursor: string | null | undefined; cursor !== null; ) {
@@ -90,7 +90,7 @@ export function useRecordings(missionId: string) {
   });
 }
 
-/** The topics of all recordings; asked for again until they follow from today's files. */
+/** The topics of all recordings; refetched until they are current. */
 export function useMissionTopics(missionId: string, isWanted: () => boolean) {
   const path = { mission_id: missionId };
   return useQuery({
@@ -132,7 +132,7 @@ export function useFilesWithWarnings(missionId: string) {
   });
 }
 
-/** What one can have done. Who removes it calls `old` once its page is left: it would ask for what is gone. */
+/** Mutations. After a deletion, call `old` only after leaving the page: it would refetch the deleted item. */
 export function useMissionChanges(missionId: string) {
   const queries = useQueryClient();
   const path = { mission_id: missionId };
@@ -175,9 +175,9 @@ function ofRecording(recording: Recording): Problem[] {
 }
 
 /** Returns all problems of a mission. */
-export function problemsOfMission(mission: Mission | undefined, recordings: readonly Recording[], files: readonly File[]): readonly Problem[] {
+export function warningsOfMission(mission: Mission | undefined, recordings: readonly Recording[], files: readonly File[]): readonly Problem[] {
   const ofMetadata = (mission?.metadata_problems ?? []).map(({ field, message }) => (
     { code: "metadata", message: texts.metadataProblem(field, message), where: "", source: "", fileId: null }
   ));
-  return [...ofMetadata, ...recordings.flatMap(ofRecording), ...files.flatMap(problemsOfFile)];
+  return [...ofMetadata, ...recordings.flatMap(ofRecording), ...files.flatMap(warningsOfFile)];
 }

@@ -1,4 +1,4 @@
-// The files of a mission as a tree: folders, recordings of several files, files. Pure; ten thousand files in one go.
+// The files of a mission as a tree of folders, recordings and files. Pure functions, fast for ten thousand files.
 import type { TimelineFile } from "./queries";
 import type { ContentState, Recording } from "@/api/types";
 
@@ -134,7 +134,7 @@ export function filesBelow(node: Node): TimelineFile[] {
   return node.kind === "file" ? [node.file] : node.children.flatMap(filesBelow);
 }
 
-/** Returns a selection after rows were ticked: a branch stands for all files below it, and is ticked when they all are. */
+/** Returns the selection after rows were toggled. A branch represents all files below it. */
 export function withBranches(before: ReadonlySet<string>, after: ReadonlySet<string>, rows: readonly TreeRow[]): Set<string> {
   const result = new Set(after);
   for (const { node } of rows) {

@@ -1,4 +1,4 @@
-// What the pages of people ask the server, and what they have it do.
+// Queries and mutations of people.
 import { useQuery, useQueryClient } from "@tanstack/vue-query";
 import { api, call } from "@/api/client";
 import { keys, usePages } from "@/api/queries";
@@ -8,7 +8,7 @@ import { texts } from "@/texts/people";
 
 export type PeopleQuery = NonNullable<operations["list_people"]["parameters"]["query"]>;
 
-/** Projects in which one person's rights are looked up; beyond these nobody scrolls. */
+/** Projects in which a person's rights are resolved. */
 const MOST_PROJECTS = 200;
 const AT_ONCE = 4;
 const PAGE = 500;
@@ -50,7 +50,7 @@ export function usePersonChanges(personId: string) {
   };
 }
 
-/** The projects that one may choose among. */
+/** The projects to choose from. */
 export function useProjects() {
   const query = { limit: MOST_PROJECTS };
   return useQuery({
@@ -98,7 +98,7 @@ async function accessOf(project: Project, personId: string, signal: AbortSignal)
   return reached;
 }
 
-/** What somebody has on each project that one sees, as far as one may know it. */
+/** The rights of a person on the projects that the user sees. */
 export function useReach(personId: string) {
   return useQuery({
     queryKey: ["access", "person", personId],

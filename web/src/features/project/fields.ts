@@ -1,4 +1,4 @@
-// The fields of a project while somebody changes them: as they are typed, judged, and as they are sent.
+// The metadata fields of a project in the editor and in filters: drafts, validation, and their form in the API.
 import type { MetadataField, MetadataFields, Mission } from "@/api/types";
 import { texts as projectTexts } from "@/texts/project";
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
@@ -47,7 +47,7 @@ export function draftsOf({ fields }: MetadataFields): Draft[] {
   }));
 }
 
-/** Returns a field that nothing is said of yet. */
+/** Returns an empty field. */
 export function emptyDraft(): Draft {
   return { key: (last += 1), name: "", type: "string", required: false, unit: "", choices: "", pattern: "", description: "", fallback: null, was: null };
 }
@@ -109,7 +109,7 @@ export function useCreateMission(projectId: string) {
   });
 }
 
-/** Asks what to begin a project's next mission with, as the last one says; anew each time, for it may have been another. */
+/** Initial values of the next mission of a project, from the latest one. Never cached. */
 export function useTemplate(projectId: MaybeRefOrGetter<string>) {
   return useQuery({
     queryKey: computed(() => keys.template(toValue(projectId))),
@@ -122,19 +122,19 @@ export function useTemplate(projectId: MaybeRefOrGetter<string>) {
   });
 }
 
-/** Returns what an earlier mission said of the next one. */
+/** Returns the values that an earlier mission provides for the next one. */
 export function carriedBy(template: MissionTemplate | undefined): Carried {
   return { from: template?.prefilled_from?.name ?? "", values: template?.carried ?? {} };
 }
 
-/** What a refusal says: of the name, of the metadata's fields, and whether it says more than that. */
+/** The errors of a rejection: of the name, of metadata fields, and whether there are others. */
 export interface Refusal {
   readonly name: string;
   readonly metadata: readonly FieldProblem[];
   readonly isElsewhere: boolean;
 }
 
-/** Returns what a refusal says of the fields of a form that shows the metadata's `shown` ones. */
+/** Returns the errors of a rejection for a form that shows the fields `shown`. */
 export function readRefusal(problem: Problem | null, shown: ReadonlySet<string>): Refusal {
   if (problem === null) return { name: "", metadata: [], isElsewhere: false };
   if (problem.code === "name_taken") return { name: problem.message, metadata: [], isElsewhere: false };
@@ -146,10 +146,10 @@ export function readRefusal(problem: Problem | null, shown: ReadonlySet<string>)
 
 const PREFIX = "meta.";
 const SORTS: readonly string[] = ["name", "-name", "created", "-created", "start", "-start"];
-/** Columns of fields that are shown until somebody chooses. */
+/** Field columns shown by default. */
 const USUAL = 2;
 
-/** Returns an order as the server knows it, whatever stands in the address. */
+/** Returns a sort order that the server accepts for any value in the URL. */
 export function sortOf(text: string): string {
   return SORTS.includes(text) || /^-?meta\.[A-Za-z][\w.]*$/.test(text) ? text : "-start";
 }
@@ -182,7 +182,7 @@ export function fieldColumns(fields: readonly MetadataField[]): readonly Column<
   }));
 }
 
-/** Returns the keys of the columns that are shown until somebody chooses: the first fields, required ones before others. */
+/** Returns the columns shown by default: the first fields, required ones first. */
 export function usualFields(fields: readonly MetadataField[]): readonly string[] {
   const [required, optional] = [fields.filter((field) => field.required), fields.filter((field) => !field.required)];
   return [...required, ...optional].slice(0, USUAL).map((field) => PREFIX + field.name);

@@ -1,4 +1,4 @@
-// What the pages of projects ask the server, and what they have it do.
+// Queries and mutations of projects, and their statistics.
 import { keepPreviousData, useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { computed } from "vue";
 import { api, call, ifMatch, noteNewEtag, type EtagCarrier } from "@/api/client";
@@ -83,7 +83,7 @@ export function useCreateProject() {
   });
 }
 
-/** What one can have done. Who removes it calls `old` once its page is left: it would ask for what is gone. */
+/** Mutations. After a deletion, call `old` only after leaving the page: it would refetch the deleted item. */
 export function useProjectChanges(projectId: string) {
   const queries = useQueryClient();
   const path = { project_id: projectId };

@@ -1,5 +1,5 @@
-// The log of a run as it is kept here: whole lines in pieces, found by their number. What one sees of 100 MB is some
-// fifty lines, so a line is cut out of its piece only when it is drawn. Beyond a million lines the earliest are let go.
+// The log of a run in memory: chunks of whole lines, addressed by line number. About fifty lines of 100 MB are visible, so a
+// line is extracted only when it is rendered. Beyond a million lines the earliest are dropped.
 import { computed, onScopeDispose, readonly, ref, shallowRef, watch, type Ref } from "vue";
 import { api, call } from "@/api/client";
 import { toProblem, type Problem } from "@/api/problem";
@@ -36,7 +36,7 @@ export function shownLine(line: string, cut: string): string {
   return last.length > MOST_SHOWN ? last.slice(0, MOST_SHOWN) + cut : last;
 }
 
-/** A log that grows. Lines have numbers from 0 on, which they keep when earlier ones are let go. */
+/** A growing log. Line numbers start at 0 and stay when earlier lines are dropped. */
 export class LogLines {
   private pieces: Piece[] = [];
   /** A last line that does not end yet. */

@@ -1,5 +1,5 @@
-// What of an artifact can be shown, and how it is fetched: as bytes that this page makes something of. Pictures become
-// pictures (an <img> runs nothing of an SVG), everything else text.
+// Previews of artifacts. Their bytes are fetched by the page: pictures are shown in an <img>, which executes nothing of an
+// SVG; everything else as text.
 import { addressOf, type Sample } from "./queries";
 import type { Artifact } from "@/api/types";
 
@@ -33,7 +33,7 @@ function drawn(text: string): Shown {
   }
 }
 
-/** Returns what is shown of an artifact. Whoever shows a picture revokes its address. */
+/** Returns the preview of an artifact. The caller revokes the URL of a picture. */
 export async function previewOf(artifact: Artifact, signal: AbortSignal): Promise<Shown> {
   const ending = endingOf(artifact.path);
   const picture = PICTURES[ending];
@@ -104,7 +104,7 @@ function isPosition(value: unknown): value is Position {
   return Array.isArray(value) && Number.isFinite(value[0]) && Number.isFinite(value[1]) && Math.abs(value[0] as number) <= 180 && Math.abs(value[1] as number) <= 90;
 }
 
-/** Collects the lines of whatever stands in the document, in order; lone points follow each other as one line. */
+/** Collects the lines of a GeoJSON document in order; single points form one line. */
 function collect(value: unknown, lines: Position[][], lone: Position[], depth: number): void {
   if (depth > DEEPEST || typeof value !== "object" || value === null) return;
   if (Array.isArray(value)) {

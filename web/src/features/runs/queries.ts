@@ -1,4 +1,4 @@
-// What the pages of runs ask the server, and what they have it do.
+// Queries and mutations of runs.
 import { useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { computed } from "vue";
 import { api, call } from "@/api/client";
@@ -16,7 +16,7 @@ export type LogChunkRead = Schemas["LogChunkRead"];
 
 const PAGE = 500;
 const ACTIVE: readonly RunState[] = ["queued", "preparing", "running", "collecting"];
-/** What a run measures is told by no event. */
+/** No event reports resource use, so it is polled. */
 const LOOK_MS = 5_000;
 
 export function isActive(state: RunState): boolean {
@@ -93,7 +93,7 @@ export function useRunChanges(runId: string) {
   return { cancel, retry };
 }
 
-/** The mission of a run, with what is said of it now. */
+/** The mission of a run with its current metadata. */
 export function useMissionOfRun(missionId: () => string | undefined) {
   return useQuery({
     queryKey: computed(() => keys.mission(missionId() ?? "")),

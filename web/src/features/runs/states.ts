@@ -1,9 +1,9 @@
-// How runs are told: by the tone of their state, by how long they took, by the commands that do the same.
+// Display of runs: the tone of each state, the duration, the equivalent commands, and their results.
 import type { Run, RunState } from "@/api/types";
 import { formatDuration } from "@/components/format";
 import type { Tone } from "@/components/tones";
 import { texts as common } from "@/texts/common";
-import { severityTones } from "@/components/problems";
+import { severityTones } from "@/components/warnings";
 import { severityTexts, texts } from "@/texts/runs";
 
 const NS_PER_MS = 1_000_000;

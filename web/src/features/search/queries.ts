@@ -1,4 +1,4 @@
-// What the search asks the server. Its keys begin as lists of files do, since it is old when they are.
+// Queries of the search. Their keys start like those of file lists, so that changes of files refetch them.
 import { keepPreviousData, useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { computed } from "vue";
 import { api, call } from "@/api/client";
@@ -20,7 +20,7 @@ type Sort = Schemas["FileSort"];
 const PAGE = 50;
 const SORTS: readonly string[] = ["path", "-path", "created", "-created", "size", "-size", "start", "-start"] satisfies Sort[];
 
-/** Returns an order as the server knows it, whatever stands in the address. */
+/** Returns a sort order that the server accepts for any value in the URL. */
 export function sortOf(text: string): Sort {
   return SORTS.includes(text) ? (text as Sort) : "-start";
 }
@@ -108,7 +108,7 @@ export function searchCommands(query: string): Commands {
   return { cli: `klein search ${query.startsWith("-") ? "-- " : ""}${quoted(query)}`, sdk };
 }
 
-/** Returns a script that fetches what a text finds. Nothing that was typed stands in it unquoted. */
+/** Returns a script that downloads the results of a query. All user input in it is quoted. */
 export function downloadScript(query: string, server: string, head: string): string {
   return [
     "#!/bin/sh",

@@ -1,10 +1,11 @@
-// What the page of tokens asks the server, and what it has it do.
-import { useQuery, useQueryClient } from "@tanstack/vue-query";
+// Queries and mutations of tokens, and their scopes.
+import { keepPreviousData, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { computed, type ComputedRef } from "vue";
 import { api, call } from "@/api/client";
 import { keys, usePages } from "@/api/queries";
 import type { components } from "@/api/schema";
 import type { Token } from "@/api/types";
+import { globOf } from "@/components/format";
 import { texts } from "@/texts/tokens";
 
 export type TokenCreate = components["schemas"]["TokenCreate"];
@@ -50,14 +51,14 @@ export interface PlaceOffer {
 
 const MOST_SUGGESTIONS = 8;
 
-/** Projects and missions whose names hold what was typed. */
-export function usePlaces(typed: () => string): ComputedRef<readonly PlaceOffer[] | undefined> {
+/** The first projects and missions whose names contain a text. */
+export function usePlaces(typed: () => string, nouns: "missions" | "places"): ComputedRef<readonly PlaceOffer[] | undefined> {
   const offers = useQuery({
-    queryKey: ["missions", "places", typed],
+    queryKey: ["missions", nouns, typed],
     queryFn: async ({ signal }) => {
-      const query = { limit: MOST_SUGGESTIONS, ...(typed() !== "" && { name: `*${typed()}*` }) };
+      const query = { limit: MOST_SUGGESTIONS, ...(typed() !== "" && { name: globOf(typed()) }) };
       const [projects, missions] = await Promise.all([
-        call(api.GET("/api/v1/projects", { params: { query }, signal })),
+        nouns === "missions" ? { items: [] } : call(api.GET("/api/v1/projects", { params: { query }, signal })),
         call(api.GET("/api/v1/missions", { params: { query }, signal })),
       ]);
       return [
@@ -65,6 +66,7 @@ export function usePlaces(typed: () => string): ComputedRef<readonly PlaceOffer[
         ...missions.items.map(({ id, name, project }) => ({ noun: "mission" as const, id, label: texts.mission(name, project.name) })),
       ];
     },
+    placeholderData: keepPreviousData,
   });
   return computed(() => offers.data.value);
 }
@@ -92,17 +94,17 @@ export interface Draft {
   readonly labels: string;
 }
 
-/** Returns the scopes that a kind may have, and those that it has unless said. */
+/** Returns the allowed and the default scopes of a kind. */
 export function scopesOf(kind: TokenKind): { readonly offered: readonly Scope[]; readonly usual: readonly Scope[] } {
   return { offered: ALLOWED[kind], usual: USUAL[kind] };
 }
 
-/** Says whether a scope is had anyway by another one that was chosen. */
+/** Returns whether a scope is included in another selected one. */
 export function isContained(scope: Scope, chosen: readonly Scope[]): boolean {
   return chosen.some((item) => CONTAINED[item]?.includes(scope) === true);
 }
 
-/** Says whether a draft has all that the server will ask for. */
+/** Returns whether a draft is complete. */
 export function isReady(draft: Draft): boolean {
   const isLimited = draft.projectIds.length + draft.missionIds.length > 0;
   return draft.name.trim() !== "" && draft.scopes.length > 0 && (draft.kind !== "robot" || isLimited);

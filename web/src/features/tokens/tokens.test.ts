@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { ending, isContained, isReady, scopesOf, requestOf, type Draft } from "./queries";
+import { ending, isContained, isReady, requestOf, scopesOf, type Draft } from "./queries";
 import type { Token } from "@/api/types";
 
 const draft: Draft = { name: " anymal-3 ", kind: "robot", scopes: ["upload"], projectIds: ["p"], missionIds: [], until: null, labels: "" };

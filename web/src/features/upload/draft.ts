@@ -1,4 +1,4 @@
-// What was chosen and is not begun yet; kept outside of any view, so that a look at another page loses nothing.
+// The selection for the next upload. It is kept outside of components, so that it survives navigation.
 import { shallowReactive, watch } from "vue";
 import { chosen, entriesOf, walk } from "./engine/reading";
 import type { Found, LeftOut, UploadPlan } from "./engine/types";
@@ -45,7 +45,7 @@ export interface OpenDraft extends Draft {
 /** Return a draft that begins with a layout; each place where one chooses files has its own. */
 export function openDraft(layout: Layout = BEGINNING.layout): OpenDraft {
   let all: Chosen = { droppedFiles: [], unreadable: [] };
-  /** Counts what was asked for: an answer to what is no longer wanted comes too late, and is dropped. */
+  /** Counts requests, to discard outdated results. */
   let turn = 0;
 
   async function plan(): Promise<void> {

@@ -1,4 +1,4 @@
-// Where files go: a project and a mission that are there, or made for it. What was typed stays until it is sent.
+// The destination form of an upload: existing or new project and mission. Input is kept until it is sent.
 import { keepPreviousData, useQuery } from "@tanstack/vue-query";
 import { computed, onScopeDispose, reactive, ref, shallowReactive, watch, type ComputedRef, type Ref } from "vue";
 import { useRoute } from "vue-router";
@@ -14,14 +14,14 @@ import type { MissionPlace } from "./engine/types";
 const LISTED = 200;
 const NEW = "new";
 
-/** What is typed. `new` stands for what is to be made. */
+/** The values of the form. `new` means to create one. */
 export interface PlaceForm {
   projectId: string;
   projectName: string;
   missionId: string;
   missionName: string;
   values: Values;
-  /** Fields whose values are of an earlier mission, and confirmed by nobody. */
+  /** Fields with unconfirmed values of an earlier mission. */
   unconfirmed: ReadonlySet<string>;
 }
 
@@ -43,7 +43,7 @@ export interface PlaceChoice {
   readonly missions: ComputedRef<Options>;
   readonly fields: ComputedRef<MetadataFields>;
   readonly carriedFrom: ComputedRef<string>;
-  /** Whether what is wrong is said; once one has tried to go on. */
+  /** Whether errors are shown: after the first attempt to continue. */
   readonly isShown: Ref<boolean>;
   readonly problem: Ref<Problem | null>;
   readonly wrong: ComputedRef<Readonly<Partial<Record<keyof PlaceForm, string>>>>;
@@ -124,7 +124,7 @@ export function usePlace(): PlaceChoice {
     if (loaded !== undefined && isUntouched) Object.assign(form, beginning(loaded.values, carriedBy(loaded)));
   }, { immediate: true });
 
-  /** Choose another project: what was said of a mission in the one before is said of none. */
+  /** Choose another project; this resets the mission. */
   function pickProject(id: string): void {
     Object.assign(form, { projectId: id, missionId: id === NEW ? NEW : "", values: {}, unconfirmed: new Set() });
     isShown.value = false;

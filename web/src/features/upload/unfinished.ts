@@ -1,4 +1,4 @@
-// What uploads of earlier visits left unfinished, as this browser's journal says; and how a folder chosen anew fits.
+// Unfinished uploads of earlier visits from this browser's journal, and how newly chosen files match them.
 import { shallowRef, type Ref } from "vue";
 import { lockName, type Journal, type JournalFile, type JournalHead } from "./engine/journal";
 import { partSizeBytes, type PlannedFile } from "./engine/types";
@@ -51,7 +51,7 @@ export function fitOf(unfinished: Unfinished, files: readonly PlannedFile[]): Fi
   return { same: unfinished.left.length - changed.length - missing.length, changed, missing };
 }
 
-/** Say whether any unfinished file is among those chosen. */
+/** Return whether any unfinished file is among those chosen. */
 export function fits(fit: Fit): boolean {
   return fit.same + fit.changed.length > 0;
 }
@@ -99,7 +99,7 @@ export function useUnfinished(): UnfinishedUploads {
     all.value = all.value.filter((item) => item.head.id !== head.id);
     const { httpApi } = await import("./engine/api");
     const api = httpApi(globalThis.location.origin);
-    // Names are free at once; what this cannot say runs out by itself.
+    // This frees the names at once; without it the uploads expire.
     for (const { uploadId } of left) if (uploadId !== null) await api.abort(uploadId);
   }
 

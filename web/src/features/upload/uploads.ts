@@ -1,5 +1,5 @@
-// The uploads of this page, outside of any view: they go on while one looks at other pages. The work is the worker's,
-// which is fetched when the first upload begins.
+// The uploads of this page. They are kept outside of components, so that they continue during navigation. A worker does the
+// work; it is loaded when the first upload begins.
 import { computed, shallowReactive } from "vue";
 import { signInAgain } from "@/api/client";
 import type { Phase, Report } from "./engine/uploadQueue";
@@ -135,7 +135,7 @@ function counted(files: readonly FileProgress[]): Counts {
   return counts;
 }
 
-/** While anything is under way, the browser asks before it closes the page. */
+/** During uploads, the browser confirms before it closes the page. */
 function warn(): void {
   window.removeEventListener("beforeunload", preventUnload);
   if (activeRuns.value.length > 0) window.addEventListener("beforeunload", preventUnload);

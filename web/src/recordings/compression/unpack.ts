@@ -1,4 +1,4 @@
-/** Decompression of chunks, into exactly as many bytes as the chunk says that it holds. */
+/** Decompression of chunks to exactly the size that the chunk declares. */
 
 import { decompress } from "fzstd";
 import { ReadFailure } from "../failures";
@@ -32,14 +32,14 @@ function asItIs(packed: Uint8Array, size: number): Uint8Array {
   return packed;
 }
 
-/** The frame's own word on its size must agree; where it gives none (streamed), the chunk's checksum tells. */
+/** A size in the frame header must match; without one (streamed), the checksum of the chunk detects errors. */
 function unpackZstd(packed: Uint8Array, size: number): Uint8Array {
   const declared = zstdContentSize(packed);
   if (declared !== null && declared !== size) throw new RangeError(`${declared} bytes instead of ${size}`);
   return decompress(packed, new Uint8Array(size)); // a RangeError where it holds more
 }
 
-/** The memory that decompressing a frame takes, as its header says. Source: RFC 8878, 3.1.1.1.2. */
+/** The memory that decompressing a frame needs, from its header. Source: RFC 8878, 3.1.1.1.2. */
 export function zstdWindowBytes(packed: Uint8Array): number {
   if (packed.length < 14) return 0; // too short to hold anything large
   const [descriptor = 0, window = 0] = packed.subarray(4, 6);

@@ -1,4 +1,4 @@
-/** Curves over time in bounded memory: every point while they are few, else the least and greatest of each slice. */
+/** Curves over time in bounded memory: all points of short series, else the minimum and maximum of each slice. */
 
 /** Points of several curves that share their times; `undefined`: this curve has no point here, `null`: it is broken. */
 export interface Curves {

@@ -1,4 +1,4 @@
-/** Which decoder a channel takes. */
+/** Decoded values, and the decoder of a channel by its encodings. */
 
 import { isZstd, unpack, zstdContentSize } from "../compression/unpack";
 import { failureOf, ReadFailure } from "../failures";

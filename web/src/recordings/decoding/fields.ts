@@ -1,4 +1,4 @@
-/** The numeric fields of a message: which there are, how they are called, and how to get at one. */
+/** The numeric fields of a message: the tree of fields, their paths, and access by path. */
 
 import { MOST_DEPTH, MOST_ELEMENTS, MOST_FIELDS } from "../limits";
 import { isFields, isNumbers, type Value } from "./decoder";

@@ -1,4 +1,4 @@
-/** Protobuf messages, by the descriptors that the recording carries.
+/** Protobuf messages, decoded with the descriptors in the recording.
  *
  * Source: protobuf.dev/programming-guides/encoding, and google/protobuf/descriptor.proto for the numbers of its fields.
  */

@@ -1,4 +1,4 @@
-/** Messages of ROS 1 and ROS 2, by the definitions that the recording carries. No code is generated: the page forbids it. */
+/** ROS 1 and ROS 2 messages, decoded with the definitions in the recording. The CSP forbids generated code. */
 
 import type { MessageDefinition, MessageDefinitionField } from "@foxglove/message-definition";
 import { parse } from "@foxglove/rosmsg";
@@ -124,7 +124,7 @@ export function kindOf(type: string): Kind | undefined {
   return Object.hasOwn(KINDS, type) ? KINDS[type] : undefined;
 }
 
-/** A cursor over one message. `aligned`: CDR, whose first four bytes say how it is written. */
+/** A cursor over one message. `aligned`: CDR, whose first four bytes declare the byte order. */
 export class RosReader {
   private readonly view: DataView;
   private readonly origin: number;

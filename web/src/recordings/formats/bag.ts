@@ -1,4 +1,4 @@
-/** ROS 1 bags by their own index: the connections and chunk infos at the end, then only chunks that hold the topic. */
+/** ROS 1 bags: reads the index at the end, then only chunks that contain the topic. */
 
 import { unpack } from "../compression/unpack";
 import { ReadFailure, type FailureCode } from "../failures";
@@ -80,7 +80,7 @@ async function scan(source: Source, start: number, mostBytes: number): Promise<R
   return new BagRecording(source, connections, chunks.sort(byStart), at);
 }
 
-/** Return the chunk at `at` as an index would tell it, and note its connections; null where it is not whole. */
+/** Return the index entry of the chunk at `at`, and note its connections; null if it is incomplete. */
 async function wholeChunk(source: Source, at: number, connections: Map<number, Connection>): Promise<Chunk | null> {
   const [op, end] = await extent(source, at);
   if (op !== Op.chunk || end === null) return null;

@@ -1,4 +1,4 @@
-/** MCAP by its own index: the summary at the end, then only chunks that hold what is asked for. */
+/** MCAP: reads the summary at the end, then only chunks that contain the topic in the time range. */
 
 import { crc32 } from "@foxglove/crc";
 import { McapIndexedReader } from "@mcap/core";
@@ -19,7 +19,7 @@ import {
   type Schema,
   type Span,
 } from "./recording";
-import { Fields, rebuildIndex, OP } from "./mcap_reindex";
+import { Fields, OP, rebuildIndex } from "./mcap_reindex";
 
 const TAIL = 512 * 1024;
 
@@ -154,7 +154,7 @@ class McapRecording implements Recording {
 }
 
 function spanOf(chunks: readonly ChunkIndex[]): Span | null {
-  // A chunk without messages says that it spans 0 to 0.
+  // A chunk without messages has the span 0 to 0.
   const filled = chunks.filter((chunk) => chunk.messageEndTime > 0n);
   const [first] = filled;
   if (first === undefined) return null;

@@ -1,4 +1,4 @@
-/** An index for an MCAP that was never closed: its beginning is read once, and a summary of it put behind it.
+/** A summary for an MCAP file that was not closed: scans its beginning once and appends a summary of it.
  *
  * Source: mcap.dev/spec, "Records". What is there is walked record by record; a cut or damaged end is left out.
  */

@@ -1,4 +1,4 @@
-/** Opening a recording by what the server found that it is. */
+/** Opens a recording by the format that the server detected. Files compressed as a whole are decompressed into memory. */
 
 import { isZstd, zstdWindowBytes } from "../compression/unpack";
 import { MOST_UNASKED, MOST_WHOLE_PACKED, MOST_WHOLE_UNPACKED, READ_AHEAD } from "../limits";
@@ -12,7 +12,7 @@ import { failureOf, ReadFailure } from "../failures";
 
 const OPEN: Readonly<Record<ReadableFormat, (source: Source, mostBytes: number) => Promise<Recording>>> = { mcap: openMcap, rosbag1: openBag };
 
-/** Open by the index; where there is none, by what up to `mostBytes` of the beginning tell.
+/** Open by the index; without one, by scanning up to `mostBytes` of the beginning.
  *
  * A file that is compressed as a whole is decompressed first.
  *

@@ -1,10 +1,10 @@
-/** What the formats have in common: topics, and the messages of one topic in a span of time. */
+/** The interface of all formats: topics, and the messages of a topic in a time range, ordered by log time. */
 
 import { ReadFailure, type FailureCode } from "../failures";
 import type { Source } from "../ranges";
 import { MOST_OVERLAPPING } from "../limits";
 
-/** How messages of a channel are written, and the text or bytes that say so. */
+/** The encoding of a channel's messages, and their definition. */
 export interface Schema {
   name: string;
   /** "ros1msg", "ros2msg", "ros2idl", "jsonschema", "protobuf", "" … */
@@ -54,7 +54,7 @@ export interface Recording {
   readonly topics: readonly RecordedTopic[];
   /** The pieces that may hold messages of the topic within the span, in order of time. */
   pieces(topic: string, span: Span): Piece[];
-  /** The messages of the topic within the span, by log time. Damaged parts are told to `onDamage` and left out. */
+  /** The messages of the topic within the span, by log time. Damaged parts are reported to `onDamage` and skipped. */
   messages(topic: string, span: Span, order: Order, onDamage: OnDamage): AsyncIterable<Message>;
 }
 
@@ -63,13 +63,13 @@ export function cost(pieces: readonly Piece[]): number {
   return pieces.reduce((sum, piece) => sum + piece.bytes, 0);
 }
 
-/** The most bytes that are held at once where pieces overlap in time; `size` says what a piece has when unpacked. */
+/** The maximum of bytes in memory at once where pieces overlap in time; `size` returns the unpacked size of a piece. */
 export function mostOverlappingBytes<P extends Span>(pieces: readonly P[], size: (piece: P) => number): number {
   const edges = pieces.flatMap((piece) => [
     { at: piece.fromNs, change: size(piece) },
     { at: piece.toNs, change: -size(piece) },
   ]);
-  // At one instant, what ends is let go before what begins is taken: chunks that only touch are read one by one.
+  // Chunks that end at the time at which another begins do not overlap.
   edges.sort((a, b) => (a.at === b.at ? a.change - b.change : a.at < b.at ? -1 : 1));
   let current = 0;
   let most = 0;
@@ -104,7 +104,7 @@ interface Placed extends Span {
 /** Failures of one chunk: the others may be whole. */
 const DAMAGE: ReadonlySet<FailureCode> = new Set<FailureCode>(["chunk_damaged", "index_damaged"]);
 
-/** Return the messages within the span, chunk by chunk. A damaged chunk is told to `onDamage` and left out.
+/** Return the messages within the span, chunk by chunk. A damaged chunk is reported to `onDamage` and skipped.
  *
  * @throws ReadFailure too_large, where too much overlaps in time; what `read` throws, unless it is damage.
  */

@@ -1,4 +1,4 @@
-/** The picture inside a message: compressed (JPEG, PNG, WebP) or raw. */
+/** The picture in a message: compressed (JPEG, PNG, WebP) or raw. */
 
 import { ReadFailure } from "../failures";
 import { isFields, isNumbers, type Value } from "../decoding/decoder";
@@ -56,9 +56,9 @@ function mimeOf(data: Uint8Array): string | null {
   return null;
 }
 
-/** Refuse a compressed picture that says it is huge, before anybody makes room for it.
+/** Refuse a compressed picture with huge dimensions before memory is allocated for it.
  *
- * @throws ReadFailure picture_too_large, picture_unreadable where it does not say.
+ * @throws ReadFailure picture_too_large, picture_unreadable where the dimensions are missing.
  */
 export function checkCompressed({ mime, data }: Compressed): void {
   const view = new DataView(data.buffer, data.byteOffset, data.byteLength);

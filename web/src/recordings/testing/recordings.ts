@@ -1,4 +1,4 @@
-/** Small ROS 1 bags, written by hand after wiki.ros.org/Bags/Format/2.0. */
+/** Small recordings for tests: ROS 1 bags (wiki.ros.org/Bags/Format/2.0), MCAP files, and a store that serves them. */
 
 import { joined } from "../formats/recording";
 import { McapWriter } from "@mcap/core";
@@ -161,7 +161,7 @@ export interface TestStore {
   ranges: Ranges;
   /** Bytes of each answer. */
   answers: number[];
-  /** How often an address was asked for. */
+  /** How often a URL was requested. */
   renewals: () => number;
   /** From now on, addresses given before are refused. */
   expire: () => void;

@@ -1,4 +1,4 @@
-// The values of a plot as rows, for reading and for keeping.
+// Rows, CSV and value ranges of a plot, and the fields that it shows by default.
 import type { FieldNode } from "@/recordings/decoding/fields";
 import { MOST_CURVES } from "@/recordings/limits";
 
@@ -13,7 +13,7 @@ export function rowsOf(seconds: readonly number[], values: readonly (readonly (n
   return rows.filter((row) => row.values.some((value) => value !== null && value !== undefined));
 }
 
-/** Returns a number as a person reads it: enough digits to tell values apart. */
+/** Returns a readable number with enough digits to distinguish values. */
 export function shortNumber(value: number | null | undefined): string {
   if (value === null || value === undefined) return "–";
   if (value === 0 || Number.isInteger(value) || (Math.abs(value) >= 1e-3 && Math.abs(value) < 1e7)) return String(Number(value.toPrecision(7)));
@@ -40,7 +40,7 @@ export function rangeOf(curve: readonly (number | null | undefined)[]): [number,
   return greatest >= least ? [least, greatest] : null;
 }
 
-/** What of well-known types one wants to see first. */
+/** Default fields of well-known types. */
 const FIRST: readonly (readonly [RegExp, readonly string[]])[] = [
   [/[/.]Imu$/, ["linear_acceleration.x", "linear_acceleration.y", "linear_acceleration.z"]],
   [/[/.]NavSatFix$/, ["altitude"]],
@@ -55,7 +55,7 @@ export function leaves(nodes: readonly FieldNode[]): string[] {
   return nodes.flatMap((node) => (node.path === null ? leaves(node.children) : [node.path]));
 }
 
-/** Returns the fields to plot: those wanted that are there, else what one wants to see first of such messages. */
+/** Returns the fields to plot: the selected ones that exist, else the defaults of the type. */
 export function chosenFields(nodes: readonly FieldNode[], selected: readonly string[], messageType: string | null): string[] {
   const all = leaves(nodes);
   const available = selected.filter((field) => all.includes(field)).slice(0, MOST_CURVES);
@@ -65,7 +65,7 @@ export function chosenFields(nodes: readonly FieldNode[], selected: readonly str
   return groups(nodes).find((group) => group.every((field) => !NOT_FIRST.test(field)))?.slice(0, DEFAULT_CURVES) ?? all.slice(0, 1);
 }
 
-/** The fields that stand together, by group, outer ones first. */
+/** The fields by group, outer groups first. */
 function groups(nodes: readonly FieldNode[]): string[][] {
   const own = nodes.flatMap(({ path }) => (path === null ? [] : [path]));
   const plain = own.filter((field) => !NOT_FIRST.test(field));

@@ -1,4 +1,4 @@
-// The reading worker of one file, for as long as a component lives.
+// The reading worker of one file, bound to the lifetime of a component.
 import { onScopeDispose, ref, type Ref } from "vue";
 import { api, call } from "@/api/client";
 import { toProblem } from "@/api/problem";
@@ -14,7 +14,7 @@ export interface FileReader {
   readonly bytesRead: Ref<number>;
 }
 
-/** Asks the server where the bytes of a file are read for a while; its record says what for. */
+/** Requests a temporary URL of a file; the audit log records the purpose. */
 export async function addressOf(fileId: string, purpose: "download" | "look"): Promise<Address> {
   const { items } = await call(api.POST("/api/v1/files/download", { body: { file_ids: [fileId], purpose } }));
   const [link] = items;

@@ -1,13 +1,13 @@
-// The upload protocol as an upload asks it: every question is tried again until the server answers.
-import type { PartToSign, ProblemDocument, SignedPart, WaitReason, UploadDecision, UploadFile, UploadFinish, UploadOutcome } from "./types";
+// The upload API with retries: each request is repeated until the server responds.
+import type { PartToSign, ProblemDocument, SignedPart, UploadDecision, UploadFile, UploadFinish, UploadOutcome, WaitReason } from "./types";
 import { checkStopped, type Clock, type Gate } from "./flow";
 import createClient from "openapi-fetch";
 import type { components, paths } from "@/api/schema";
 
-/** What the server answered: what was asked for, its problem, or nothing at all (`null`). */
+/** A response: the result, a problem, or no response (`null`). */
 export type Answer<T> = { readonly ok: T } | { readonly problem: ProblemDocument } | null;
 
-/** The five questions, asked once each. */
+/** The requests of the upload protocol, sent once. */
 export interface UploadApi {
   begin(missionId: string, files: readonly UploadFile[]): Promise<Answer<readonly UploadDecision[]>>;
   sign(parts: readonly PartToSign[]): Promise<Answer<readonly SignedPart[]>>;
@@ -15,7 +15,7 @@ export interface UploadApi {
   abort(uploadId: string): Promise<Answer<null>>;
 }
 
-/** The server refused; its problem says why. */
+/** The server rejected a request. */
 export class ApiProblem extends Error {
   override readonly name = "ApiProblem";
 
@@ -40,7 +40,7 @@ export interface UploadContext {
   readonly signedOut: () => void;
 }
 
-/** Asks until there is an answer. */
+/** Repeats requests until the server responds. */
 export class RetryingApi {
   constructor(
     private readonly api: UploadApi,
@@ -59,7 +59,7 @@ export class RetryingApi {
     return this.insist(() => this.api.complete(finishes));
   }
 
-  /** Free a name; where this cannot be said it expires by itself. */
+  /** Free a name; if the request fails, the upload expires. */
   async abort(uploadId: string): Promise<void> {
     await this.api.abort(uploadId);
   }
@@ -149,7 +149,7 @@ function isProblem(value: unknown): value is ProblemDocument {
 const FIRST_WAIT_MS = 250;
 const LONGEST_WAIT_MS = 8_000;
 
-/** Says whom an upload waits for, and when that is over. */
+/** Reports what an upload waits for, and when that is over. */
 export class WaitReasons {
   private readonly since = new Map<WaitReason, number>();
 
@@ -178,7 +178,7 @@ export class Backoff {
     signal.addEventListener("abort", () => this.nudged.abort());
   }
 
-  /** End all waits: whoever waits tries now. */
+  /** End all waits, so that pending retries happen now. */
   nudge(): void {
     this.nudged.abort();
     if (!this.signal.aborted) this.nudged = new AbortController();

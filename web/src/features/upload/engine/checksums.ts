@@ -1,5 +1,5 @@
-// Checksums made as bytes stream by, in WebAssembly: SHA-256 and CRC-64/NVME of whole files, and of each part the kind
-// that the store verifies. Lower-case hex, as the server takes them. Memory: what the caller holds.
+// Streaming checksums in WebAssembly: SHA-256 and CRC-64/NVME of whole files, and of each part the kind that the store
+// verifies. Lower-case hexadecimal, as the API expects.
 //
 // Source: CRC-64/NVME is that of the NVM Express NVM Command Set Specification, section 5.2.1.3.4; the polynomial is
 // 0xad93d23594c93659, here with its bits reversed.

@@ -1,6 +1,6 @@
-// What holds the loops of an upload together: queues, a budget of work ahead, pausing, and waits that can be cut short.
+// Concurrency primitives of an upload: queues, a budget for work in progress, pausing, waits that can be interrupted.
 
-/** It is over; whoever sees this goes home. */
+/** The upload was stopped. */
 export class Stopped extends Error {
   override readonly name = "Stopped";
 }
@@ -81,7 +81,7 @@ export class Queue<T> {
     return this.items.splice(0, atMost);
   }
 
-  /** Return what is there after so long, or once there are so many. @throws Stopped */
+  /** Return the items after a delay, or once `atMost` are there. @throws Stopped */
   async gather(atMost: number, milliseconds: number): Promise<T[]> {
     if (this.items.length < atMost) await this.clock.wait(milliseconds, this.signal);
     checkStopped(this.signal);
@@ -90,8 +90,8 @@ export class Queue<T> {
 }
 
 /**
- * So much may be under way at once. One thing that is larger than all of it may go alone. Whoever must wait waits until
- * half of it is free, so that work comes in bursts and can be spoken of in batches.
+ * A limit on work in progress. A single item above the limit runs alone. Those that wait continue when
+ * half of the limit is free, so that work comes in batches.
  */
 export class Budget {
   private taken = 0;

@@ -1,7 +1,7 @@
-// What uploads have sent, kept in this browser so that they go on after a reload, a crash or a closed lid.
+// The journal of uploads in this browser (IndexedDB), so that they resume after a reload or a crash.
 //
-// What is written here is a hint only: a part is skipped when its bytes, hashed again, still have the checksum written
-// here and the store still has the etag. Kept by person and mission, so that who signs in next is told nothing.
+// It is only a hint: a part is skipped if its bytes, hashed again, still have the checksum in the journal and the store still
+// has the etag. Entries belong to a person and a mission, so that other users of the browser do not see them.
 import type { components } from "@/api/schema";
 import type { MissionPlace } from "./types";
 

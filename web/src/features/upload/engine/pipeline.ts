@@ -1,8 +1,8 @@
-// The loops of an upload: the caller's hashes, one signs, some send, one finishes, one keeps names held.
+// The concurrent loops of an upload: hash (the caller), sign, send, complete, renew leases.
 //
-// Each byte is read once for its checksums; a PUT's body is a slice of the file, which the browser reads again by
-// itself. So memory is a few slices, and a part whose bytes changed in between is refused by the store, which checks it
-// against the checksum that the server signed. At most `AHEAD_BYTES` are hashed and not yet sent.
+// Each byte is read once for its checksums; the body of a PUT is a slice of the file, which the browser reads again. So
+// memory is a few slices, and the store rejects a part whose bytes changed in between, because the server signed its
+// checksum. At most `AHEAD_BYTES` are hashed and not yet sent.
 import { ApiProblem, type RetryingApi, type UploadContext } from "./api";
 import { Budget, checkStopped, Queue, Stopped } from "./flow";
 import type { Failure, ProblemDocument, SignedPart, UploadOutcome } from "./types";
@@ -16,7 +16,7 @@ const AT_ONCE = 100;
 const LINGER_MS = 20;
 const GATHER_MS = 500;
 
-/** Hears how each file's upload ended. `again`: what was sent is lost, and the file is to be announced anew. */
+/** Callbacks at the end of each upload. `again`: the sent data is lost, and the file must be announced again. */
 export interface Ends {
   uploaded(sending: Sending, fileId: string | null): Promise<void>;
   failed(sending: Sending, failure: Failure): Promise<void>;
@@ -48,7 +48,7 @@ export class Pipeline {
     this.toFinish = new Queue(signal, parts.around.clock);
   }
 
-  /** Start the loops; so many send. Resolves when all have gone home. */
+  /** Start the loops, with `connections` senders. Resolves when all have ended. */
   async loops(connections: number): Promise<void> {
     const renewing = () => this.leases.renewing((sending, error) => this.ofOneFile(sending, error));
     const loops = [() => this.signing(), () => this.finishing(), renewing];
@@ -251,14 +251,14 @@ export class Leases {
     this.active.delete(sending);
   }
 
-  /** Renew what is due, for ever; `failed` hears of what one upload's renewal said. @throws Stopped */
+  /** Renew leases when they are due; `failed` receives errors of one upload. @throws Stopped */
   async renewing(failed: (sending: Sending, error: unknown) => Promise<void>): Promise<never> {
     for (;;) {
       await this.around.clock.wait(RENEW_MS, this.signal);
       checkStopped(this.signal);
       const due = this.around.clock.now() - RENEW_MS;
       for (const sending of this.active) {
-        // A paused upload holds no names: they may be taken by whoever goes on.
+        // A paused upload does not renew its leases: another client may take the names.
         if (this.around.gate.isShut || sending.ended || sending.latest === null || sending.renewedMs >= due) continue;
         sending.renewedMs = this.around.clock.now();
         try {

@@ -1,4 +1,4 @@
-// From what a person dropped to files of a mission, before a byte is read. What is left out is named, never dropped.
+// Turns dropped files into a plan, before a byte is read. Skipped files are listed with their reason.
 import { MAX_FILE_BYTES, type Found, type Identity, type LeftOut, type PlannedFile, type UploadPlan } from "./types";
 import { pathProblem } from "@/texts/upload";
 
@@ -139,7 +139,7 @@ export interface PathProblem {
 
 const encoder = new TextEncoder();
 
-/** Return the form under which a path is unique. Full case folding is the server's; this tells apart what it does. */
+/** Return the form under which a path is unique. It distinguishes at least what the server's case folding does. */
 export function nameKey(path: string): string {
   return path.normalize("NFC").toUpperCase().toLowerCase().normalize("NFC");
 }

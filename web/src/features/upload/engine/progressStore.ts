@@ -1,5 +1,5 @@
-// What an upload has come to, file by file and in all; told on in pieces, so that ten thousand files cost no more to
-// show than the few that changed.
+// The progress of an upload by file and in total. Snapshots contain only the files that changed, which keeps ten thousand
+// files cheap to show.
 import type { Failure, FileProgress, FileState, PlannedFile, WaitReason } from "./types";
 
 export interface Snapshot {
@@ -84,14 +84,14 @@ export class ProgressStore implements Watcher {
     else this.waitReasons.add(waitReason);
   }
 
-  /** Say of all that has not ended that it was left. */
+  /** Mark all unfinished files as left. */
   leave(): void {
     for (const line of this.lines.values()) {
       if (["waiting", "reading", "sending"].includes(line.state)) this.state(line.path, "left");
     }
   }
 
-  /** Return what changed since this was last asked. */
+  /** Return what changed since the last snapshot. */
   snapshot(nowMs: number): Snapshot {
     const { doneBytes, totalBytes } = this;
     const changed = [...this.changed].map((line): FileProgress => ({ ...line }));
@@ -124,14 +124,14 @@ export class RateMeter {
     this.sent += sizeBytes;
   }
 
-  /** Forget the past: after a pause it says nothing of what comes. */
+  /** Discard samples from before a pause. */
   restart(): void {
     this.samples = [];
   }
 
   /** Return the rate now, and how long `leftBytes` take at it; null where too little is known. */
   at(nowMs: number, leftBytes: number): Rate {
-    if (this.sent === 0) return { bytesPerS: null, leftS: null }; // it still reads: that says nothing of sending
+    if (this.sent === 0) return { bytesPerS: null, leftS: null }; // still reading
     this.samples.push({ atMs: nowMs, bytes: this.sent });
     while (this.samples.length > 2 && (this.samples[1]?.atMs ?? nowMs) < nowMs - WINDOW_MS) this.samples.shift();
     const first = this.samples[0];
@@ -143,11 +143,11 @@ export class RateMeter {
 
 export interface Watcher {
   state(path: string, state: FileState): void;
-  /** So many more bytes were read for the checksums of the whole, before anything is sent; 0 begins anew. */
+  /** Bytes were read for the checksums of the whole file, before sending; 0 restarts. */
   read(path: string, sizeBytes: number): void;
-  /** So many more bytes are at the store; negative when they must be sent again. */
+  /** Bytes were sent to the store; negative if they must be sent again. */
   moved(path: string, sizeBytes: number): void;
-  /** So many bytes need not be sent: the other side has them. */
+  /** Bytes need not be sent: the store has them. */
   stored(path: string, sizeBytes: number): void;
   /** A file is done, well or not. */
   ended(path: string, state: FileState, fileId: string | null, failure: Failure | null): void;

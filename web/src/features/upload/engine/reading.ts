@@ -1,4 +1,4 @@
-// Reading a chosen file in slices, and finding out whether it is still the file that was chosen.
+// Reads chosen files in slices, detects changes, walks dropped folders, and resumes from the journal.
 import { MIN_PART_BYTES, type Found, type PlannedFile, type UploadFile } from "./types";
 import type { Hashing, WholeSums } from "./checksums";
 import type { JournalFile } from "./journal";
@@ -53,7 +53,7 @@ async function readSlice(planned: PlannedFile, offset: number, end: number): Pro
   try {
     bytes = await planned.file.slice(offset, until).arrayBuffer();
   } catch (error) {
-    // Browsers say NotReadableError for a file that was written to, and NotFoundError for one that is gone.
+    // Browsers throw NotReadableError for a modified file, and NotFoundError for a missing one.
     const why = error instanceof Error ? error.name : "";
     if (why === "NotReadableError" || why === "NotFoundError") throw new FileFailure("file_changed", why);
     throw new FileFailure("file_unreadable", why);
@@ -102,13 +102,13 @@ export class Candidate {
     return was;
   }
 
-  /** Return what the server is told. */
+  /** Return the announcement to the server. */
   announcement(): UploadFile {
     const { path, identity } = this.planned;
     return { path, size_bytes: identity.sizeBytes, sha256: this.sha256, upload_id: this.uploadId };
   }
 
-  /** Read all of the file for its checksums; `read` hears of each slice and may hold or end it. @throws FileFailure */
+  /** Read all of the file for its checksums; `read` is called for each slice and can delay or abort. @throws FileFailure */
   async hashWhole(hashing: Hashing, read: (sizeBytes: number) => Promise<void>): Promise<void> {
     hashing.beginWhole();
     for await (const bytes of slices(this.planned, 0, this.planned.identity.sizeBytes)) {
@@ -140,7 +140,7 @@ export interface Walked {
   readonly unreadable: string[];
 }
 
-/** Return all files below dropped entries; `seen` hears how many there are so far. */
+/** Return all files below dropped entries; `seen` receives the count so far. */
 export async function walk(entries: readonly FileSystemEntry[], seen: (count: number) => void): Promise<Walked> {
   const walked: Walked = { droppedFiles: [], unreadable: [] };
   const waiting = [...entries];

@@ -1,4 +1,4 @@
-// One file's upload under way: which parts are left, what has been hashed, and whether it has ended.
+// The state of one file's upload (remaining parts, checksums), and sending a part with retries.
 import type { Hashing, WholeSums } from "./checksums";
 import type { Journal, JournalPart, StoredPart } from "./journal";
 import type { PartToSign, PlannedFile, SignedPart, UploadFinish, UploadRead } from "./types";
@@ -75,7 +75,7 @@ export class Sending {
     return checksum === "sha256" ? this.sums.sha256 : this.sums.crc64nvme;
   }
 
-  /** Say whether the store holds these very bytes: our journal's checksum and the store's etag both agree. */
+  /** Return whether the store holds these very bytes: our journal's checksum and the store's etag both agree. */
   isStored(number: number, sizeBytes: number, checksum: string): boolean {
     const storedParts = this.storedParts.get(number);
     const written = this.remembered.get(number);
@@ -127,7 +127,7 @@ export class StoreRefused extends Error {
 }
 
 /**
- * Send a part; resolves when the store has it and the journal says so, or its upload has ended meanwhile.
+ * Send a part; resolves when the store has it and the journal contains it, or the upload has ended.
  *
  * @throws FileFailure, ApiProblem (of this upload, or of all), StoreRefused, Stopped
  */
@@ -169,7 +169,7 @@ async function put(part: Part, signed: SignedPart, { store, around, watcher }: P
     sent += sizeBytes;
     watcher.moved(path, sizeBytes);
   });
-  // A store says no more than that it took it all; a small part may have passed unheard.
+  // The store confirms only the whole part; a small part may have caused no progress event.
   watcher.moved(path, answer.meaning === "taken" ? part.sizeBytes - sent : -sent);
   return answer;
 }

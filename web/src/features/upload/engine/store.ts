@@ -1,4 +1,4 @@
-// The door to the object store: a PUT of a signed address, with what each answer means. Knows nothing of uploads.
+// Client of the object store: a PUT to a signed URL, and the meaning of each response.
 
 import type { SignedPart } from "./types";
 
@@ -14,11 +14,11 @@ export interface PutAnswer {
 }
 
 export interface Store {
-  /** PUT a part; `moved` hears of more bytes sent. */
+  /** PUT a part; `moved` is called with the bytes sent. */
   put(part: SignedPart, body: Blob, signal: AbortSignal, moved: (sizeBytes: number) => void): Promise<PutAnswer>;
 }
 
-// A browser says these itself, and lets no page say them.
+// Browsers set these headers and forbid pages to set them.
 const BROWSERS_OWN = new Set(["content-length", "host"]);
 const STALLED_MS = 60_000;
 const GONE = new Set(["NoSuchUpload", "NoSuchKey"]);

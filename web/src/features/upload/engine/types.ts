@@ -1,4 +1,4 @@
-// The nouns of an upload: what was dropped, what is planned, how it goes and how it ends.
+// Types of an upload: dropped files, the plan, progress, outcomes.
 import type { components } from "@/api/schema";
 import type { Report } from "./uploadQueue";
 import type { JournalHead } from "./journal";
@@ -22,7 +22,7 @@ export function partSizeBytes(fileSizeBytes: number): number {
   return MIN_PART_BYTES * Math.max(1, Math.ceil(fileSizeBytes / (8192 * MIN_PART_BYTES)));
 }
 
-/** What tells that a file is still the one that was chosen, as far as a browser can tell. */
+/** Detects changes of a file, as far as a browser can. */
 export interface Identity {
   readonly sizeBytes: number;
   /** Milliseconds since 1970. */
@@ -33,7 +33,7 @@ export interface Identity {
 export interface Found {
   readonly path: string;
   readonly file: File;
-  /** Looks at the file anew, where the browser can; else only what it said first is known. */
+  /** Reads the file's size and time again, if the browser can. */
   readonly again?: () => Promise<File>;
 }
 

@@ -1,4 +1,4 @@
-// The worker in which uploads run: hashing holds up no page, and a tab in the background does not sleep here.
+// The worker that runs uploads, so that hashing does not block the page and background tabs are not throttled.
 
 import { UploadQueue } from "./uploadQueue";
 import { realClock } from "./flow";

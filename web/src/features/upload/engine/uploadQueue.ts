@@ -1,6 +1,6 @@
-// The uploads of a page: one a mission at a time, each by itself. Begins them, pauses them, ends them, and tells of them.
+// The uploads of a page, one per mission at a time: start, pause, cancel, report progress.
 
-import { ApiProblem, RetryingApi, Backoff, WaitReasons, type UploadContext, type UploadApi } from "./api";
+import { ApiProblem, Backoff, RetryingApi, WaitReasons, type UploadApi, type UploadContext } from "./api";
 import { Hashing } from "./checksums";
 import { Gate, type Clock } from "./flow";
 import { lockName, type Journal, type JournalHead } from "./journal";
@@ -95,7 +95,7 @@ export class UploadQueue {
     run.stop.abort();
   }
 
-  /** The network is back: whoever waits tries now. */
+  /** The network is back: retry now. */
   nudge(): void {
     for (const run of this.runs.values()) run.backoff.nudge();
   }
@@ -147,7 +147,7 @@ export class UploadQueue {
     const { journal, api } = this.parts;
     const open = (await journal.files(id)).flatMap(({ uploadId }) => (uploadId === null ? [] : [uploadId]));
     await journal.drop(id);
-    for (const uploadId of open) await api.abort(uploadId); // what this cannot say runs out by itself
+    for (const uploadId of open) await api.abort(uploadId); // if this fails, the upload expires
   }
 
   /** Drop the journal of an upload that is all there. */

@@ -4,8 +4,7 @@ import { UploadQueue, type Report } from "./uploadQueue";
 import { MemoryJournal, type JournalHead } from "./journal";
 import type { FileProgress, PlannedFile, WaitReason } from "./types";
 import { identityOf } from "./plan";
-import { FastClock } from "./testing/clock";
-import { House, problem, sum } from "./testing/fakeServer";
+import { FastClock, House, problem, sum } from "./testing/fakeServer";
 
 const HEAD: JournalHead = {
   id: "ada/m", personId: "ada", layout: "tree", roots: ["day1"], beganMs: 0,

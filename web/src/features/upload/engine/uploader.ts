@@ -1,6 +1,6 @@
-// Announcing files to the server, and acting on what it decides for each. The bytes are the pipeline's.
+// Announces files to the server and acts on its decisions. The pipeline sends the bytes.
 //
-// Files are announced a batch at a time, just before they are sent, so that no lease runs out while others are sent.
+// Files are announced in batches just before they are sent, so that no lease expires while others are sent.
 import { ApiProblem, type UploadContext } from "./api";
 import { batches } from "./plan";
 import { Candidate, FileFailure } from "./reading";
@@ -12,7 +12,7 @@ import { Sending, type Parts } from "./sending";
 
 export const CONNECTIONS = 4;
 const BEGINNINGS = 4;
-/** What trying again does not mend, unless somebody changes what is there. */
+/** Problems that a retry does not solve. */
 const FINAL = new Set(["file_exists", "path_conflict"]);
 
 /** One run of an upload into one mission. */
@@ -136,7 +136,7 @@ export class Uploader {
     if (files.length > 0) await this.note(files);
   }
 
-  /** Act on a decision; return true when the server wants to be asked again, with what it lacked. */
+  /** Act on a decision; return true if the file must be announced again with more data. */
   private async asksAgain(candidate: Candidate, decision: UploadDecision): Promise<boolean> {
     const { journal, watcher, around } = this.parts;
     const { planned } = candidate;
@@ -247,7 +247,7 @@ export class NameConflicts {
     this.waiting.push({ file, problem });
   }
 
-  /** Announce them again until each is free or refused; whoever announces adds those that are still held. @throws Stopped */
+  /** Announce the files again until each name is free or refused; the announcement adds those still leased. @throws Stopped */
   async settle(
     announce: (files: readonly PlannedFile[]) => Promise<void>,
     refuse: (file: PlannedFile, problem: ProblemDocument) => void,

@@ -1,6 +1,5 @@
-// A server and a store that keep the upload protocol's promises, in memory: what they take they check, as the real ones
-// do. The real ones are met by the tests in the browser; here are the ways in which they can be away, late or contrary.
-
+// An in-memory server and store that implement the upload protocol with its checks, and can be unreachable, slow, or
+// respond with errors. Browser tests use the real ones.
 import type { Answer, UploadApi } from "../api";
 import { newChecksum } from "../checksums";
 import type { Clock } from "../flow";
@@ -35,7 +34,7 @@ export class House implements UploadApi, Store {
   readonly announced: UploadFile[] = [];
   readonly puts: string[] = [];
   readonly aborted: string[] = [];
-  /** What goes wrong next: each question or PUT asks first. */
+  /** The next fault; consulted before each request and PUT. */
   fault: (what: "begin" | "sign" | "complete" | "abort" | "put") => Answer<never> | PutAnswer | "fine" = () => "fine";
   private readonly uploads = new Map<string, Upload>();
   private count = 0;
@@ -156,5 +155,59 @@ export class House implements UploadApi, Store {
     const upload = this.uploads.get(uploadId);
     if (upload !== undefined) upload.open = false;
     return Promise.resolve({ ok: null });
+  }
+}
+
+interface Waiter {
+  readonly atMs: number;
+  readonly wake: () => void;
+}
+
+export class FastClock implements Clock {
+  private nowMs = Date.UTC(2026, 0, 1);
+  private waiters: Waiter[] = [];
+  private isPumping = false;
+  private isFrozen = false;
+
+  now(): number {
+    return this.nowMs;
+  }
+
+  pass(milliseconds: number): void {
+    this.nowMs += milliseconds;
+  }
+
+  async wait(milliseconds: number, signal: AbortSignal): Promise<void> {
+    if (signal.aborted) return;
+    await new Promise<void>((resolve) => {
+      const wake = () => {
+        signal.removeEventListener("abort", wake);
+        this.waiters = this.waiters.filter((item) => item !== waiter);
+        resolve();
+      };
+      const waiter = { atMs: this.nowMs + milliseconds, wake };
+      this.waiters.push(waiter);
+      signal.addEventListener("abort", wake);
+      this.pump();
+    });
+  }
+
+  /** Waits never end: the page was closed. */
+  freeze(): void {
+    this.isFrozen = true;
+  }
+
+  private pump(): void {
+    if (this.isPumping || this.isFrozen) return;
+    this.isPumping = true;
+    setImmediate(() => {
+      this.isPumping = false;
+      const [first, ...rest] = this.waiters;
+      if (first === undefined || this.isFrozen) return;
+      const next = rest.reduce((one, other) => (other.atMs < one.atMs ? other : one), first);
+      this.nowMs = Math.max(this.nowMs, next.atMs);
+      next.wake();
+      this.pump();
+    });
   }
 }

@@ -1,5 +1,5 @@
 import { expect, it } from "vitest";
-import { byKind, severityOf, spreadOf, titleOf, type Problem } from "./problems";
+import { byKind, severityOf, spreadOf, titleOf, type Problem } from "./warnings";
 
 function problem(code: string, where = "", source = "a.mcap"): Problem {
   return { code, message: `${code} at ${where}`, where, source, fileId: null };

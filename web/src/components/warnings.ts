@@ -1,4 +1,4 @@
-// Problems of recordings and missions: how severe each kind is, and all of one kind summed up.
+// Severity and grouping of the warnings of recordings and missions.
 import { counted } from "./format";
 import type { Tone } from "./tones";
 

@@ -1,8 +1,50 @@
-import { QueryClient, VueQueryPlugin } from "@tanstack/vue-query";
 import { flushPromises, mount } from "@vue/test-utils";
-import { afterEach, beforeEach, expect, test, vi } from "vitest";
+import { afterEach, beforeEach, expect, it, test, vi } from "vitest";
+import SearchBox from "./SearchBox.vue";
+import { QueryClient, VueQueryPlugin } from "@tanstack/vue-query";
 import { createMemoryHistory, createRouter } from "vue-router";
 import SearchPage from "./SearchPage.vue";
+import { downloadScript, markedAt, searchCommands, withTerm } from "./queries";
+
+beforeEach(() => vi.useFakeTimers());
+afterEach(() => vi.useRealTimers());
+
+function box(text: string) {
+  const wrapper = mount(SearchBox, { props: { modelValue: text, wrong: null } });
+  const input = wrapper.get<HTMLInputElement>("input");
+  const lastQuery = () => wrapper.emitted<[string]>("update:modelValue")?.at(-1)?.[0];
+  return { wrapper, input, lastQuery };
+}
+
+test("what is typed while the address changes stays", async () => {
+  const { wrapper, input, lastQuery } = box("");
+  await input.setValue("alp");
+  vi.advanceTimersByTime(350);
+  expect(lastQuery()).toBe("alp");
+  await input.setValue("alps");
+  await wrapper.setProps({ modelValue: "alp" }); // only now it has changed
+  expect(input.element.value).toBe("alps");
+  vi.advanceTimersByTime(350);
+  expect(lastQuery()).toBe("alps");
+});
+
+test("a text that comes from elsewhere takes the place of what was typed", async () => {
+  const { wrapper, input, lastQuery } = box("alps");
+  await input.setValue("alps lakes");
+  await wrapper.setProps({ modelValue: "alps format:mcap" });
+  expect(input.element.value).toBe("alps format:mcap");
+  vi.advanceTimersByTime(350);
+  expect(lastQuery()).toBeUndefined();
+});
+
+test("going back to what was asked before is seen", async () => {
+  const { wrapper, input } = box("alps");
+  await input.setValue("lakes");
+  vi.advanceTimersByTime(350);
+  await wrapper.setProps({ modelValue: "lakes" });
+  await wrapper.setProps({ modelValue: "alps" });
+  expect(input.element.value).toBe("alps");
+});
 
 const PAUSE_MS = 350;
 vi.setConfig({ testTimeout: 60_000 }); // the first mounting of a whole page takes long on a busy machine
@@ -90,4 +132,26 @@ test("a search that fails shows its failure, and no results of an earlier one", 
   await settled();
   expect(wrapper.text()).not.toContain("The database is away.");
   expect(results().attributes("data-query")).toBe("alps");
+});
+
+it("quotes what a shell would read otherwise", () => {
+  expect(searchCommands("alps topic:/imu/*").cli).toBe("klein search 'alps topic:/imu/*'");
+  expect(searchCommands("").cli).toBe("klein search ''");
+  expect(searchCommands("-label:draft").cli).toBe("klein search -- -label:draft");
+});
+
+it("writes a script in which lines of a query stay within their quotes", () => {
+  const script = downloadScript('"a\nrm -rf b"', "http://lab:8000", "Fetches.");
+  expect(script).toContain("--query '\"a\nrm -rf b\"' --dest");
+  expect(script).toContain('KLEINKRAM_URL="${KLEINKRAM_URL:-http://lab:8000}"');
+});
+
+it("adds terms as the server reads them", () => {
+  expect(withTerm("alps", "topic", "/imu")).toBe("alps topic:/imu");
+  expect(withTerm("", "topic", 'a "b"')).toBe('topic:"a \\"b\\""');
+});
+
+it("finds the place of what is wrong by characters", () => {
+  expect(markedAt("🤖 size:big x", 3, "size:big")).toEqual({ before: "🤖 ", wrong: "size:big", after: " x" });
+  expect(markedAt('a "open', 3, '"open')).toEqual({ before: "a ", wrong: '"open', after: "" });
 });

@@ -1,7 +1,8 @@
 import { describe, expect, it } from "vitest";
-import { deedOf, differences, doerOf, objectOf, placeOf } from "./events";
+import { deedOf, differences, doerOf, exportAddress, objectOf, placeOf, queryOf } from "./queries";
 import type { AuditEvent } from "@/api/types";
-import { globOf } from "@/components/glob";
+import { globOf } from "@/components/format";
+import { startOfDay } from "@/components/time";
 
 const event: AuditEvent = {
   id: 1, at: "2026-11-21T20:00:00Z", actor: { id: "a", name: "Ada" }, token: null, share: null, session_id: null, address: null,
@@ -63,4 +64,18 @@ it("leads to what has a page", () => {
 it("does not say a name twice of who signs in", () => {
   expect(objectOf(event)).toBe("alpine");
   expect(objectOf({ ...event, noun: "session", noun_name: "Ada" })).toBe("");
+});
+
+it("asks for what the address says, and for nothing that says nothing", () => {
+  expect(queryOf({ person: "ada", noun: "", until: "2026-11-21", as_admin: "yes", token_id: "t", other: "x" })).toEqual({
+    person: "*ada*", until: startOfDay("2026-11-22"), as_admin: true, token_id: "t",
+  });
+});
+
+it("does not take for a day what is none", () => {
+  expect(queryOf({ since: "yesterday", until: ["a", "b"] })).toEqual({});
+});
+
+it("exports what is shown", () => {
+  expect(exportAddress({ person: "*a&b*", as_admin: true })).toBe("/api/v1/audit/export?person=*a%26b*&as_admin=true");
 });

@@ -1,0 +1,19 @@
+// The components that most pages use. Others are imported from their file.
+export { default as AppButton } from "./AppButton.vue";
+export { default as AppDialog } from "./AppDialog.vue";
+export { default as AppIcon } from "./AppIcon.vue";
+export { default as ConfirmDialog } from "./ConfirmDialog.vue";
+export { default as CopyCommand } from "./CopyCommand.vue";
+export { default as DataTable } from "./DataTable.vue";
+export { default as DialogButtons } from "./DialogButtons.vue";
+export { default as EmptyState } from "./EmptyState.vue";
+export { default as ErrorNotice } from "./ErrorNotice.vue";
+export { default as FilterBar } from "./FilterBar.vue";
+export { default as FormField } from "./FormField.vue";
+export { default as PageHeader } from "./PageHeader.vue";
+export { default as RenameDialog } from "./RenameDialog.vue";
+export { default as SecretOnce } from "./SecretOnce.vue";
+export { default as SizeText } from "./SizeText.vue";
+export { default as SkeletonBlock } from "./SkeletonBlock.vue";
+export { default as StateChip } from "./StateChip.vue";
+export { default as TimeText } from "./TimeText.vue";
