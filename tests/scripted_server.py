@@ -30,7 +30,7 @@ class RecordedRequest:
 
 @dataclass
 class Scripted:
-    """The server: its address, what it has yet to say, what it was asked."""
+    """The server: its address, what it has yet to say, what it was requests."""
 
     url: str = ""
     answers: list[Answer] = field(default_factory=list)
@@ -41,14 +41,14 @@ class Scripted:
 def scripted(*answers: Answer, by_path: Mapping[str, BaseModel] | None = None) -> Iterator[Scripted]:
     """Run the server. A model is answered with 200, an error with its status, None with a connection that breaks.
 
-    What ends as `by_path` says is answered so, whenever it is asked for.
+    What ends as `by_path` says is answered so, whenever it is requests for.
     """
     script = Scripted(answers=[*answers])
 
     class Speaker(BaseHTTPRequestHandler):
         timeout = 5
 
-        def _speak(self) -> None:
+        def _respond(self) -> None:
             body = self.rfile.read(int(self.headers.get("Content-Length", "0")))
             known = self.headers.get("Authorization")
             script.requests.append(RecordedRequest(self.command, self.path, known, json.loads(body) if body else None))
@@ -63,7 +63,7 @@ def scripted(*answers: Answer, by_path: Mapping[str, BaseModel] | None = None) -
             self.end_headers()
             self.wfile.write(answer)
 
-        do_GET = do_POST = do_DELETE = _speak  # noqa: N815  the names that http.server calls
+        do_GET = do_POST = do_DELETE = _respond  # noqa: N815  the names that http.server calls
 
         def log_message(self, format: str, *args: object) -> None:  # noqa: A002  the name that http.server gives it
             pass

@@ -27,7 +27,7 @@ class Ears:
         self.thread = threading.Thread(target=self._listen, name="ears", daemon=True)
         self.thread.start()
 
-    def hear(self, **fields: object) -> Any:
+    def receive(self, **fields: object) -> Any:
         """Wait for a change with these values, and return it."""
 
         def met() -> list[Any]:

@@ -100,30 +100,30 @@ def test_a_download_waits_for_a_server_that_does_not_answer_for_a_while(behind: 
 
 
 def test_a_followed_event_stream_is_complete(behind: Behind) -> None:
-    heard: list[str] = []
+    received: list[str] = []
     made: list[str] = []
 
     def follow() -> None:
         for event in behind.client.events.follow(for_s=60):
-            heard.extend([str(event.id)] if isinstance(event, Change) else [])
-            if len(made) == 3 and heard[-1:] == made[2:]:
+            received.extend([str(event.id)] if isinstance(event, Change) else [])
+            if len(made) == 3 and received[-1:] == made[2:]:
                 return
 
-    def is_heard() -> bool:
-        """Nobody is told from when on they are listened to: who changes things until one is heard knows."""
+    def is_received() -> bool:
+        """Nobody is told from when on they are listened to: who changes things until one is received knows."""
         behind.api.project()
-        return bool(heard)
+        return bool(received)
 
     follower = threading.Thread(target=follow, name="follower")
     follower.start()
-    wait_until(is_heard)
+    wait_until(is_received)
     for _ in range(3):
         cuts = behind.to_api.cuts
         made.append(behind.api.project()["id"])
         wait_until(lambda cuts=cuts: len(made) == 3 or behind.to_api.cuts > cuts)  # type: ignore[misc]  # as it is now
     follower.join(60)
     assert not follower.is_alive()
-    assert set(heard) >= set(made)
+    assert set(received) >= set(made)
 
 
 def test_a_followed_log_is_complete(behind: Behind) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 from kleinkram.contract.access import Scope
 from tests.integration.access.expectations import About, Verdict
-from tests.integration.access.world import Asker
+from tests.integration.access.world import Principal
 from tests.integration.api_server import Answer
 
 
@@ -38,9 +38,9 @@ class Caller:
     `is_boundless`: it is not about any place, so a credential that is limited to some is not for it.
     """
 
-    request: Callable[[Asker], Request]
+    request: Callable[[Principal], Request]
     about: About
-    shows: Callable[[Any, Asker], bool] | None = None
+    shows: Callable[[Any, Principal], bool] | None = None
     hides: bool = False
     outcome: Callable[[Any], int] | None = None
     passes: str | None = None
@@ -48,7 +48,7 @@ class Caller:
     scopes: frozenset[Scope] = frozenset(Scope)
     via: str | None = None
     is_boundless: bool = False
-    undo: Callable[[Asker], object] | None = None
+    undo: Callable[[Principal], object] | None = None
 
     def verdict(self, answer: Answer) -> Verdict | int:
         """Return how it went."""
@@ -67,45 +67,45 @@ def new_name() -> str:
     return f"new {uuid.uuid4()}"
 
 
-def get(path: str, /, **query: str) -> Callable[[Asker], Request]:
+def get(path: str, /, **query: str) -> Callable[[Principal], Request]:
     """Ask for a page; names of things in braces."""
     return lambda by: Request("GET", filled(path, by), query=tuple((k, filled(v, by)) for k, v in query.items()))
 
 
-def delete(path: str, /, **query: str) -> Callable[[Asker], Request]:
+def delete(path: str, /, **query: str) -> Callable[[Principal], Request]:
     """Delete something."""
     return lambda by: Request("DELETE", filled(path, by), query=tuple(query.items()))
 
 
-def patch(path: str, body: Callable[[Asker], Any]) -> Callable[[Asker], Request]:
+def patch(path: str, body: Callable[[Principal], Any]) -> Callable[[Principal], Request]:
     """Change something."""
     return lambda by: Request("PATCH", filled(path, by), body(by))
 
 
-def post(path: str, body: Callable[[Asker], Any] = lambda _: None) -> Callable[[Asker], Request]:
+def post(path: str, body: Callable[[Principal], Any] = lambda _: None) -> Callable[[Principal], Request]:
     """Ask for something to be done."""
     return lambda by: Request("POST", filled(path, by), body(by))
 
 
-def filled(text: str, by: Asker) -> str:
-    """Put the ids of what an asker asks about into a text."""
-    return text.format(upload=by.upload, **vars(by.things))
+def filled(text: str, by: Principal) -> str:
+    """Put the ids of what an principal asks about into a text."""
+    return text.format(upload=by.upload, **vars(by.objects))
 
 
-def lists(attribute: str) -> Callable[[Any, Asker], bool]:
+def lists(attribute: str) -> Callable[[Any, Principal], bool]:
     """Return what says whether a page lists a thing."""
 
-    def shows(page: Any, by: Asker) -> bool:
-        return getattr(by.things, attribute) in {item["id"] for item in page["items"]}
+    def shows(page: Any, by: Principal) -> bool:
+        return getattr(by.objects, attribute) in {item["id"] for item in page["items"]}
 
     return shows
 
 
-def has_items(page: Any, _: Asker) -> bool:
+def has_items(page: Any, _: Principal) -> bool:
     """Say whether a page lists anything."""
     return bool(page["items"])
 
 
-def sets(statement: str, *attributes: str) -> Callable[[Asker], object]:
+def sets(statement: str, *attributes: str) -> Callable[[Principal], object]:
     """Return what runs a statement behind the API's back, with the ids of things."""
-    return lambda by: by.api.sql(statement, *(getattr(by.things, name) for name in attributes))
+    return lambda by: by.api.sql(statement, *(getattr(by.objects, name) for name in attributes))

@@ -2,9 +2,9 @@
 
 from tests.integration.access.call import Caller
 from tests.integration.access.callers_of_objects import OF_THINGS
-from tests.integration.access.callers_of_people import DOORS, OF_PEOPLE
+from tests.integration.access.callers_of_people import OF_PEOPLE, PUBLIC_OPERATIONS
 from tests.integration.access.callers_of_runs import OF_RUNS
 
 CALLERS: dict[str, tuple[Caller, ...]] = {**OF_THINGS, **OF_RUNS, **OF_PEOPLE}
 
-__all__ = ["CALLERS", "DOORS"]
+__all__ = ["CALLERS", "PUBLIC_OPERATIONS"]

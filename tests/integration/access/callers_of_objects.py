@@ -6,7 +6,7 @@ from typing import Any
 
 from tests.integration.access.call import Caller, delete, get, has_items, lists, new_name, patch, post, sets
 from tests.integration.access.expectations import About
-from tests.integration.access.world import Asker, trash
+from tests.integration.access.world import Principal, trash
 
 
 def _outcome(answer: Any) -> int:
@@ -15,20 +15,20 @@ def _outcome(answer: Any) -> int:
     return 200 if status == 409 else status
 
 
-def _part(by: Asker) -> Any:
+def _part(by: Principal) -> Any:
     return {"parts": [{"upload_id": by.upload, "number": 1, "checksum": "0" * 16}]}
 
 
-def _unsign(by: Asker) -> None:
+def _unsign(by: Principal) -> None:
     by.api.sql("UPDATE upload SET signed_checksum = NULL WHERE id = %s", by.upload)
 
 
-def _finish(by: Asker) -> Any:
+def _finish(by: Principal) -> Any:
     return {"uploads": [{"upload_id": by.upload, "sha256": "0" * 64, "crc64nvme": "0" * 16}]}
 
 
-def _trash_again(table: str, attribute: str) -> Callable[[Asker], None]:
-    return lambda by: trash(by.api, table, getattr(by.things, attribute))
+def _trash_again(table: str, attribute: str) -> Callable[[Principal], None]:
+    return lambda by: trash(by.api, table, getattr(by.objects, attribute))
 
 
 OF_THINGS: dict[str, tuple[Caller, ...]] = {
@@ -54,7 +54,7 @@ OF_THINGS: dict[str, tuple[Caller, ...]] = {
     "update_mission": (Caller(patch("/missions/{mission}", lambda _: {"notes": ""}), About.mission),),
     "move_mission": (
         Caller(
-            patch("/missions/{mission}", lambda by: {"project_id": by.things.target}),
+            patch("/missions/{mission}", lambda by: {"project_id": by.objects.target}),
             About.mission,
             undo=sets("UPDATE mission SET project_id = %s WHERE id = %s", "project", "mission"),
         ),
@@ -66,7 +66,7 @@ OF_THINGS: dict[str, tuple[Caller, ...]] = {
         Caller(
             get("/overview", project_id="{project}"),
             About.mission,
-            shows=lambda found, _: found["total"]["files"] > 0,
+            shows=lambda result, _: result["total"]["files"] > 0,
         ),
     ),
     "list_mission_topics": (Caller(get("/missions/{mission}/topics"), About.mission),),
@@ -74,13 +74,13 @@ OF_THINGS: dict[str, tuple[Caller, ...]] = {
     "get_recording": (Caller(get("/recordings/{recording}"), About.file),),
     "list_files": (Caller(get("/files", project_id="{project}"), About.file, shows=lists("file")),),
     "get_file": (Caller(get("/files/{file}"), About.file),),
-    "download_files": (Caller(post("/files/download", lambda by: {"file_ids": [by.things.file]}), About.file),),
+    "download_files": (Caller(post("/files/download", lambda by: {"file_ids": [by.objects.file]}), About.file),),
     "list_file_topics": (Caller(get("/files/{file}/topics"), About.file),),
     "verify_file": (Caller(post("/files/{file}/verify"), About.file),),
     "update_file": (Caller(patch("/files/{file}", lambda _: {"labels": []}), About.file),),
     "move_file": (
         Caller(
-            patch("/files/{file}", lambda by: {"mission_id": by.things.target_mission}),
+            patch("/files/{file}", lambda by: {"mission_id": by.objects.target_mission}),
             About.file,
             undo=sets("UPDATE file SET mission_id = %s WHERE id = %s", "mission", "file"),
         ),
@@ -88,7 +88,7 @@ OF_THINGS: dict[str, tuple[Caller, ...]] = {
     "delete_file": (Caller(delete("/files/{file}", dry_run="true"), About.file),),
     "label_files": (
         Caller(
-            post("/files/labels", lambda by: {"file_ids": [by.things.file], "add": [new_name()]}),
+            post("/files/labels", lambda by: {"file_ids": [by.objects.file], "add": [new_name()]}),
             About.file,
             undo=sets("UPDATE file SET labels = '{}' WHERE id = %s", "file"),
             outcome=lambda answer: (answer["items"][0]["problem"] or {"status": 200})["status"],
@@ -98,21 +98,21 @@ OF_THINGS: dict[str, tuple[Caller, ...]] = {
         Caller(
             get("/search", query="project:{project} path:one.mcap"),
             About.file,
-            shows=lambda found, by: by.things.file in {item["id"] for item in found["files"]["items"]},
+            shows=lambda result, by: by.objects.file in {item["id"] for item in result["files"]["items"]},
         ),
     ),
     "get_facets": (
         Caller(
             get("/search/facets", query="project:{project} path:one.mcap"),
             About.file,
-            shows=lambda found, _: found["file_count"] > 0,
+            shows=lambda result, _: result["file_count"] > 0,
         ),
     ),
     "list_topics": (
         Caller(
             get("/topics", project_id="{project}"),
             About.file,
-            shows=lambda page, by: by.things.file in {item["file_id"] for item in page["items"]},
+            shows=lambda page, by: by.objects.file in {item["file_id"] for item in page["items"]},
         ),
     ),
     "get_stats": (

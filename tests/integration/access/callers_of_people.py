@@ -21,14 +21,14 @@ from tests.integration.access.call import (
     sets,
 )
 from tests.integration.access.expectations import About
-from tests.integration.access.world import Asker
+from tests.integration.access.world import Principal
 
 _READ, _WRITE = 1, 3
 _ROLES = {About.edited_group: True, About.joined_group: False}
 
 
-def _new_group(by: Asker, about: About) -> tuple[str, str]:
-    """Put a group that the asker edits, is in, or is not in; returns its id and its name."""
+def _new_group(by: Principal, about: About) -> tuple[str, str]:
+    """Put a group that the principal edits, is in, or is not in; returns its id and its name."""
     name = new_name()
     group_id = people.group(by.api, name)
     if by.person_id is not None and about in _ROLES:
@@ -41,7 +41,7 @@ def _of_group(method: str, path: str, *, needs: int, body: Callable[[], Any] = l
     """Return a caller each for a group that one edits, is in, and is not in; `{person}` is one of its members."""
 
     def caller(about: About) -> Caller:
-        def request(by: Asker) -> Request:
+        def request(by: Principal) -> Request:
             group_id, _ = _new_group(by, about)
             return Request(method, path.format(group=group_id, person=OWNER_ID), body())
 
@@ -51,7 +51,7 @@ def _of_group(method: str, path: str, *, needs: int, body: Callable[[], Any] = l
 
 
 def _list_groups(about: About) -> Caller:
-    def request(by: Asker) -> Request:
+    def request(by: Principal) -> Request:
         return Request("GET", "/groups", query=(("name", _new_group(by, about)[1]),))
 
     return Caller(request, about, needs=_READ, shows=has_items)
@@ -61,14 +61,14 @@ def _new_email() -> str:
     return f"{uuid.uuid4().hex}@lab.test"
 
 
-def _grant(_: Asker) -> Any:
+def _grant(_: Principal) -> Any:
     return {"email": _new_email(), "right": Right.read.value}
 
 
-def _on_new_grant(method: str, noun: str, body: Any = None) -> Callable[[Asker], Request]:
+def _on_new_grant(method: str, noun: str, body: Any = None) -> Callable[[Principal], Request]:
     """Ask for something to be done with a grant that was made for it."""
 
-    def request(by: Asker) -> Request:
+    def request(by: Principal) -> Request:
         place = filled(f"{{{noun}}}", by)
         to = people.email_group(by.api, _new_email())
         of = (place, None) if noun == "project" else (None, place)
@@ -78,7 +78,7 @@ def _on_new_grant(method: str, noun: str, body: Any = None) -> Callable[[Asker],
     return request
 
 
-def _end_session(by: Asker) -> Request:
+def _end_session(by: Principal) -> Request:
     session_id = str(uuid.uuid4())
     if by.person_id is not None:
         by.api.sql(
@@ -89,7 +89,7 @@ def _end_session(by: Asker) -> Request:
     return Request("DELETE", f"/me/sessions/{session_id}")
 
 
-def _unlink_identity(by: Asker) -> Request:
+def _unlink_identity(by: Principal) -> Request:
     """Put an identity that is not the last way in: there is a password beside it."""
     identity_id = str(uuid.uuid4())
     if by.person_id is not None:
@@ -108,31 +108,31 @@ def _unlink_identity(by: Asker) -> Request:
     return Request("DELETE", f"/me/identities/{identity_id}")
 
 
-def _forget_ways_in(by: Asker) -> None:
+def _forget_ways_in(by: Principal) -> None:
     by.api.sql("DELETE FROM identity WHERE person_id = %s", by.person_id)
     by.api.sql("DELETE FROM password WHERE person_id = %s AND hash = '$argon2id$none'", by.person_id)
     by.api.sql("DELETE FROM person_email WHERE person_id = %s AND verified_by = 'unlinking'", by.person_id)
 
 
-def _begin_sessions_again(by: Asker) -> None:
+def _begin_sessions_again(by: Principal) -> None:
     by.api.sql("UPDATE session SET revoked_at = NULL WHERE person_id = %s", by.person_id)
 
 
-def _revoke_token(by: Asker) -> Request:
+def _revoke_token(by: Principal) -> Request:
     made = people.token(by.api, by.person_id or str(OWNER_ID))
     return Request("DELETE", f"/tokens/{made.id}")
 
 
-def _share(_: Asker) -> Any:
+def _share(_: Principal) -> Any:
     tomorrow = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(days=1)
     return {"name": "a link", "expires_at": tomorrow.isoformat()}
 
 
-def _loopback(_: Asker) -> Any:
+def _loopback(_: Principal) -> Any:
     return {"port": 8080, "state": "12345678", "code_challenge": "x" * 43}
 
 
-def _code(_: Asker) -> Any:
+def _code(_: Principal) -> Any:
     return {"user_code": "NOBODYHASIT"}
 
 
@@ -226,7 +226,7 @@ OF_PEOPLE: dict[str, tuple[Caller, ...]] = {
     "disable_totp": (Caller(delete("/me/totp"), About.server, passes="not_found"),),
 }
 # For whoever comes, with nothing to see but what they bring: tests/integration/auth say what they answer.
-DOORS = {
+PUBLIC_OPERATIONS = {
     "list_sign_in_methods",
     "sign_in_by_password",
     "sign_in_by_link",

@@ -5,7 +5,7 @@ from typing import Any
 
 from tests.integration.access.call import Caller, get, has_items, lists, new_name, patch, post
 from tests.integration.access.expectations import About
-from tests.integration.access.world import ACTION, Asker
+from tests.integration.access.world import ACTION, Principal
 
 _DELETE = 4
 _NOBODY = "00000000-0000-0000-0000-000000000001"
@@ -14,7 +14,7 @@ _FREE = {"cores": 1, "memory_bytes": 1, "disk_bytes": 1, "gpus": 0}
 _SUMS = {"sha256": "0" * 64, "crc64nvme": "0" * 16, "md5": "0" * 32}
 
 
-def _hello(by: Asker) -> Any:
+def _hello(by: Principal) -> Any:
     # One that could do the runs of the matrix: with several accounts, runs without containers are refused.
     networks = ["none", "api", "open"]
     abilities = {"executor": "docker", "isolation": "container", "images": True, "networks": networks, "gpus": False}
@@ -28,8 +28,8 @@ def _hello(by: Asker) -> Any:
     }
 
 
-def _launch(by: Asker) -> Any:
-    return {"mission_ids": [by.things.mission], "definition": ACTION, "force": True}
+def _launch(by: Principal) -> Any:
+    return {"mission_ids": [by.objects.mission], "definition": ACTION, "force": True}
 
 
 def _launched(answer: Any) -> int:
@@ -45,7 +45,9 @@ OF_RUNS: dict[str, tuple[Caller, ...]] = {
     "list_actions": (Caller(get("/actions", project_id="{project}"), About.project, shows=lists("action")),),
     "create_action": (
         Caller(
-            post("/actions", lambda by: {"project_id": by.things.project, "definition": ACTION | {"name": new_name()}}),
+            post(
+                "/actions", lambda by: {"project_id": by.objects.project, "definition": ACTION | {"name": new_name()}}
+            ),
             About.project,
         ),
     ),
@@ -65,7 +67,7 @@ OF_RUNS: dict[str, tuple[Caller, ...]] = {
     "list_artifacts": (Caller(get("/runs/{run}/artifacts"), About.mission),),
     "download_artifacts": (
         Caller(
-            post("/runs/{run}/artifacts/download", lambda by: {"artifact_ids": [by.things.artifact]}), About.mission
+            post("/runs/{run}/artifacts/download", lambda by: {"artifact_ids": [by.objects.artifact]}), About.mission
         ),
     ),
     "get_run_log": (Caller(get("/runs/{run}/log"), About.mission),),

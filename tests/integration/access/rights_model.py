@@ -51,7 +51,7 @@ class Rights:
             (grant.level for group, grant in self._on(place) if self._counts(person, group, grant, last)), default=0
         )
 
-    def held(self, person: str, place: str, *, last: tuple[str, ...] = (NEVER, LATER)) -> int:
+    def level(self, person: str, place: str, *, last: tuple[str, ...] = (NEVER, LATER)) -> int:
         """What somebody may do on a place that is not in the trash."""
         if self.is_gone(place) or not self.active[person]:
             return 0

@@ -35,8 +35,12 @@ def test_a_second_person_is_refused_then_granted_then_sees(api: Api, klein: Klei
     name = klein(ada, "project", "create", f"alps of {ada.name}")["name"]
     with pytest.raises(NotFound):
         klein(bob, "project", "info", name)
-    given = klein(ada, "access", "grant", "-p", name, "--to", "bob@lab.example", "read", "--until", "2090-01-01")
-    assert (given["to"]["name"], given["right"], given["expires_at"][:10]) == ("bob@lab.example", "READ", "2090-01-01")
+    values = klein(ada, "access", "grant", "-p", name, "--to", "bob@lab.example", "read", "--until", "2090-01-01")
+    assert (values["to"]["name"], values["right"], values["expires_at"][:10]) == (
+        "bob@lab.example",
+        "READ",
+        "2090-01-01",
+    )
     assert klein(bob, "project", "info", name)["right"] == "READ"
     (way,) = klein(bob, "access", "list", "-p", name)["items"]
     assert (way["person"]["id"], way["to"]["name"], way["through"]) == (bob.id, "bob@lab.example", "project grant")
@@ -64,8 +68,8 @@ def test_a_group_is_made_filled_granted_and_ended(api: Api, klein: Klein) -> Non
     klein(ada, "access", "grant", *place, "--to", name, "CREATE")
     assert klein(bob, "mission", "info", "-m", mission["id"])["mission"]["right"] == "CREATE"
     assert [row["name"] for row in klein(bob, "group", "list", "drivers*")["items"]] == [name]
-    told = klein(bob, "group", "info", name)
-    assert [row["person"]["name"] for row in told["members"]] == sorted([ada.name, bob.name])
+    message = klein(bob, "group", "info", name)
+    assert [row["person"]["name"] for row in message["members"]] == sorted([ada.name, bob.name])
     assert bob.name in klein(ada, "access", "list", *place, as_json=False)
     assert name in klein(ada, "access", "list", *place, "--grants", as_json=False)
     with pytest.raises(Forbidden):
@@ -80,12 +84,12 @@ def test_a_group_is_made_filled_granted_and_ended(api: Api, klein: Klein) -> Non
 
 def test_a_name_of_both_a_person_and_a_group_must_be_disambiguated(api: Api, klein: Klein) -> None:
     ada, bob = person(api), person(api)
-    twin = group(api, bob.name, members=[ada, bob])
+    duplicate = group(api, bob.name, members=[ada, bob])
     project = api.as_(ada.token).project()
     with pytest.raises(AmbiguousName):
         klein(ada, "access", "grant", "-p", project["name"], "--to", bob.name, "READ")
-    given = klein(ada, "access", "grant", "-p", project["name"], "--to", twin, "WRITE")
-    assert given["to"] == {"kind": "group", "id": twin, "name": bob.name}
+    values = klein(ada, "access", "grant", "-p", project["name"], "--to", duplicate, "WRITE")
+    assert values["to"] == {"kind": "group", "id": duplicate, "name": bob.name}
     with pytest.raises(RightExceeded):
         klein(bob, "access", "grant", "-p", project["name"], "--to", bob.id, "DELETE")
 
@@ -93,8 +97,8 @@ def test_a_name_of_both_a_person_and_a_group_must_be_disambiguated(api: Api, kle
 def test_an_admin_sees_everybody_and_lets_them_go(api: Api, klein: Klein) -> None:
     ada = person(api, email="ada@lab.example")
     project = api.as_(ada.token).project()
-    (found,) = klein(None, "person", "list", "ada@lab.example")["items"]
-    assert (found["id"], found["emails"], found["is_admin"]) == (ada.id, ["ada@lab.example"], False)
+    (actual,) = klein(None, "person", "list", "ada@lab.example")["items"]
+    assert (actual["id"], actual["emails"], actual["is_admin"]) == (ada.id, ["ada@lab.example"], False)
     assert klein(None, "person", "admin", "ada@lab.example", "--yes")["is_admin"] is True
     assert klein(ada, "person", "info", ada.id)["is_admin"] is True
     assert klein(None, "person", "admin", ada.id, "--end")["is_admin"] is False

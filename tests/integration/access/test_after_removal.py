@@ -18,9 +18,9 @@ def test_a_link_rests_while_its_maker_may_not_share(api: Api) -> None:
     mission_id = api.mission(project["id"])["id"]
     upload(api, mission_id, "a.bag", b"bytes")
     grant_id = people.grant(api, ada, Right.write, project_id=project["id"])
-    wanted = {"name": "for a reviewer", "expires_at": _soon()}
-    guest = api.as_(api.as_(ada.token).post(f"/missions/{mission_id}/shares", wanted).ok(201)["secret"])
-    assert [each["path"] for each in guest.all("/files")] == ["a.bag"]
+    expected = {"name": "for a reviewer", "expires_at": _soon()}
+    guest = api.as_(api.as_(ada.token).post(f"/missions/{mission_id}/shares", expected).ok(201)["secret"])
+    assert [item["path"] for item in guest.all("/files")] == ["a.bag"]
     lower = {"right": Right.read.value}
     api.patch(f"/projects/{project['id']}/grants/{grant_id}", lower).ok()
     guest.get("/files").refused(401, "not_authenticated")
@@ -36,12 +36,12 @@ def test_no_credential_is_created_for_a_person_who_is_being_removed(api: Api) ->
     mission_id = api.mission(project["id"])["id"]
     people.grant(api, ada, Right.write, project_id=project["id"])
     hers, shared = api.as_(ada.token), {"name": "kept", "expires_at": _soon()}
-    asked = [("/tokens", {"name": "kept"}), (f"/missions/{mission_id}/shares", shared)]
+    requested = [("/tokens", {"name": "kept"}), (f"/missions/{mission_id}/shares", shared)]
     with ThreadPoolExecutor() as at_once, api.database.transaction():
         # As where an admin deactivates her: her row is held, and what asks meanwhile was let in before.
         api.sql("SELECT 1 FROM person WHERE id = %s FOR UPDATE", ada.id)
-        answers = [at_once.submit(hers.post, path, body) for path, body in asked]
-        wait_until(lambda: _waiting(api) == len(asked))
+        answers = [at_once.submit(hers.post, path, body) for path, body in requested]
+        wait_until(lambda: _waiting(api) == len(requested))
         api.sql("UPDATE person SET deactivated_at = now() WHERE id = %s", ada.id)
     for answer in answers:
         answer.result().refused(401, "not_authenticated")
@@ -61,7 +61,7 @@ def test_a_stranger_learns_of_a_public_project_neither_its_quota_nor_what_is_on_
     upload(api, mission_id, "there.bag", b"there")
     begin(api, mission_id, {"coming.bag": b"on its way"})
     api.patch(f"/projects/{project['id']}", {"is_public": True, "quota_bytes": 1000}).ok()
-    told = api.as_(None).get(f"/projects/{project['id']}").ok()
-    assert (told["quota_bytes"], told["used_bytes"], told["used_files"]) == (None, 5, 1)
+    message = api.as_(None).get(f"/projects/{project['id']}").ok()
+    assert (message["quota_bytes"], message["used_bytes"], message["used_files"]) == (None, 5, 1)
     known = api.get(f"/projects/{project['id']}").ok()
     assert (known["quota_bytes"], known["used_bytes"], known["used_files"]) == (1000, 15, 2)

@@ -28,10 +28,10 @@ from tests.integration.openapi_check import assert_is_described
 
 _CHECKS = [not_a_server_error, status_code_conformance, content_type_conformance, response_schema_conformance]
 _MODES = (GenerationMode("positive"), GenerationMode("negative"))
-# The short round asks so many operations; requests each, by one of six kinds of asker, in the short and the long one.
+# Operations in the short round; requests for each of them, by each of six kinds of principal, in both rounds.
 # To think of a request takes longer than to answer it.
 _SOME = 30
-_FEW, _MANY, _VERY_MANY = 3, 10, 60
+_SAMPLE_SIZE, _MANY, _VERY_MANY = 3, 10, 60
 
 # Answered by what reads HTTP, before there is a request: longer or stranger than that bears.
 _NOT_HTTP = "Invalid HTTP request received."
@@ -43,52 +43,54 @@ class ProxiedRequest:
     """The API, who asks by what headers, and ids that lead to something."""
 
     api: Api
-    askers: Mapping[str, Mapping[str, str]]
+    principals: Mapping[str, Mapping[str, str]]
     known: Mapping[str, str]
 
 
 @pytest.fixture(scope="module")
-def asked(start_api: StartApi) -> ProxiedRequest:
+def requested(start_api: StartApi) -> ProxiedRequest:
     api = start_api()
-    things = worlds.put_things(api, is_public=False)
+    items = worlds.put_things(api, is_public=False)
     member, group = people.person(api), people.group(api)
     people.join(api, member, group, is_editor=True)
-    people.grant(api, member, Right.delete, project_id=things.project)
-    robot = people.token(api, member, [Scope.upload], limits=[things.project], kind=TokenKind.robot)
+    people.grant(api, member, Right.delete, project_id=items.project)
+    robot = people.token(api, member, [Scope.upload], limits=[items.project], kind=TokenKind.robot)
     runner = people.token(api, member, [Scope.run], kind=TokenKind.runner)
     secrets = {
         "member": member.token,
         "robot": robot.secret,
         "runner": runner.secret,
-        "link": people.share(api, things.mission).secret,
+        "link": people.share(api, items.mission).secret,
         "admin": people.person(api, admin=True).token,
     }
     known = {
-        "project_id": things.project,
-        "mission_id": things.mission,
-        "file_id": things.file,
-        "recording_id": things.recording,
-        "upload_id": worlds.begun(api, member.id, things.mission),
+        "project_id": items.project,
+        "mission_id": items.mission,
+        "file_id": items.file,
+        "recording_id": items.recording,
+        "upload_id": worlds.begun(api, member.id, items.mission),
         "group_id": group,
-        "person_id": things.hermit,
+        "person_id": items.hermit,
         "token_id": people.token(api, member).id,
-        "share_id": things.link,
-        "grant_id": people.grant(api, group, Right.read, project_id=things.project),
+        "share_id": items.link,
+        "grant_id": people.grant(api, group, Right.read, project_id=items.project),
         "noun": "mission",
-        "noun_id": things.trashed_mission,
+        "noun_id": items.trashed_mission,
         "name": "none",
     }
-    askers = {name: {"Authorization": f"Bearer {secret}"} for name, secret in secrets.items()}
-    return ProxiedRequest(api, {**askers, "stranger": {}}, known)
+    principals = {name: {"Authorization": f"Bearer {secret}"} for name, secret in secrets.items()}
+    return ProxiedRequest(api, {**principals, "stranger": {}}, known)
 
 
-def _ask(asked: ProxiedRequest, case: Case[Any], who: str, *, is_known: bool) -> None:
+def _ask(requested: ProxiedRequest, case: Case[Any], who: str, *, is_known: bool) -> None:
     case.headers.pop("Authorization", None)
     if is_known:
-        case.path_parameters.update({name: asked.known[name] for name in case.path_parameters if name in asked.known})
+        case.path_parameters.update(
+            {name: requested.known[name] for name in case.path_parameters if name in requested.known}
+        )
     if case.operation.path == "/api/v1/events":
         case.query["for_s"] = "0"  # what else it says is for whoever listens for longer
-    response = case.call(base_url=asked.api.url, headers=dict(asked.askers[who]))
+    response = case.call(base_url=requested.api.url, headers=dict(requested.principals[who]))
     if response.text == _NOT_HTTP:
         return
     if response.status_code == _HEAD_TOO_LARGE:
@@ -102,15 +104,15 @@ def _ask(asked: ProxiedRequest, case: Case[Any], who: str, *, is_known: bool) ->
     assert_is_described(case.method, path, response.status_code, body)
 
 
-def _ask_much(asked: ProxiedRequest, examples: int, *, operations: int | None = None) -> list[str]:
+def _ask_much(requested: ProxiedRequest, examples: int, *, operations: int | None = None) -> list[str]:
     """Ask each operation, or so many of them, so many things, and return what went wrong."""
-    described = schemathesis.openapi.from_dict(asked.api.app.openapi())
-    found = []
+    described = schemathesis.openapi.from_dict(requested.api.app.openapi())
+    actual = []
     for result in described.get_all_operations():
         assert isinstance(result, Ok), result
-        found.append(result.ok())
+        actual.append(result.ok())
     wrong = []
-    for operation in found if operations is None else random.Random(operations).sample(found, operations):
+    for operation in actual if operations is None else random.Random(operations).sample(actual, operations):
         allowed, forbidden = (operation.as_strategy(generation_mode=mode) for mode in _MODES)
 
         @seed(operation.label)
@@ -121,9 +123,9 @@ def _ask_much(asked: ProxiedRequest, examples: int, *, operations: int | None = 
             phases=[Phase.generate],
             suppress_health_check=list(HealthCheck),
         )
-        @given(case=allowed | forbidden, who=st.sampled_from(sorted(asked.askers)), is_known=st.booleans())
+        @given(case=allowed | forbidden, who=st.sampled_from(sorted(requested.principals)), is_known=st.booleans())
         def ask(case: Case[Any], who: str, is_known: bool) -> None:
-            _ask(asked, case, who, is_known=is_known)
+            _ask(requested, case, who, is_known=is_known)
 
         try:
             ask()
@@ -133,19 +135,19 @@ def _ask_much(asked: ProxiedRequest, examples: int, *, operations: int | None = 
     return wrong
 
 
-def test_everything_is_answered_as_described(asked: ProxiedRequest) -> None:
-    wrong = _ask_much(asked, _FEW, operations=_SOME)
+def test_everything_is_answered_as_described(requested: ProxiedRequest) -> None:
+    wrong = _ask_much(requested, _SAMPLE_SIZE, operations=_SOME)
     assert not wrong, "\n\n".join(wrong)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_much_is_answered_as_described(asked: ProxiedRequest) -> None:
-    wrong = _ask_much(asked, _MANY)
+def test_much_is_answered_as_described(requested: ProxiedRequest) -> None:
+    wrong = _ask_much(requested, _MANY)
     assert not wrong, "\n\n".join(wrong)
 
 
 @pytest.mark.soak
-def test_very_much_is_answered_as_described(asked: ProxiedRequest) -> None:
-    wrong = _ask_much(asked, _VERY_MANY)
+def test_very_much_is_answered_as_described(requested: ProxiedRequest) -> None:
+    wrong = _ask_much(requested, _VERY_MANY)
     assert not wrong, "\n\n".join(wrong)

@@ -59,22 +59,22 @@ def test_a_grant_is_created_listed_changed_and_revoked(
     api: Api, ada: Person, bob: Person, project: Any, right: str
 ) -> None:
     path, hers, his = f"/projects/{project['id']}", api.as_(ada.token), api.as_(bob.token)
-    given = hers.post(f"{path}/grants", {"person_id": bob.id, "right": right}).ok(201)
-    assert given["to"] == {"kind": "person", "id": bob.id, "name": bob.name}
-    assert (given["right"], given["on"], given["granted_by"]["id"]) == (right, "project", ada.id)
+    values = hers.post(f"{path}/grants", {"person_id": bob.id, "right": right}).ok(201)
+    assert values["to"] == {"kind": "person", "id": bob.id, "name": bob.name}
+    assert (values["right"], values["on"], values["granted_by"]["id"]) == (right, "project", ada.id)
     assert his.get(path).ok()["right"] == right
     assert his.all("/projects", {"name": project["name"]})[0]["right"] == right
     mission = hers.mission(project["id"])
     assert his.get(f"/missions/{mission['id']}").ok()["right"] == right
-    changed = hers.patch(f"{path}/grants/{given['id']}", {"right": "READ", "expires_at": in_days(1)}).ok()
+    changed = hers.patch(f"{path}/grants/{values['id']}", {"right": "READ", "expires_at": in_days(1)}).ok()
     assert (changed["right"], changed["has_expired"]) == ("READ", False)
     assert his.get(path).ok()["right"] == "READ"
-    assert hers.delete(f"{path}/grants/{given['id']}").status == 204
+    assert hers.delete(f"{path}/grants/{values['id']}").status == 204
     his.get(path).refused(404, "not_found")
-    told = [event for event in api.all("/audit", {"project_id": project["id"]}) if event["noun"] == "grant"]
-    assert [event["operation"] for event in told] == ["grant.revoke", "grant.change", "grant.give"]
-    assert [event["after"].get("right") for event in told] == [None, "READ", right]
-    assert {event["noun_name"] for event in told} == {bob.name}
+    message = [event for event in api.all("/audit", {"project_id": project["id"]}) if event["noun"] == "grant"]
+    assert [event["operation"] for event in message] == ["grant.revoke", "grant.change", "grant.give"]
+    assert [event["after"].get("right") for event in message] == [None, "READ", right]
+    assert {event["noun_name"] for event in message} == {bob.name}
 
 
 def test_the_same_grant_again_changes_nothing_and_another_takes_its_place(
@@ -89,24 +89,24 @@ def test_the_same_grant_again_changes_nothing_and_another_takes_its_place(
     assert len(api.events(first["id"])) == 2
 
 
-@pytest.mark.parametrize("held", RIGHTS)
+@pytest.mark.parametrize("locked", RIGHTS)
 def test_a_grant_cannot_exceed_the_rights_of_its_grantor(
-    api: Api, ada: Person, bob: Person, project: Any, held: str
+    api: Api, ada: Person, bob: Person, project: Any, locked: str
 ) -> None:
-    grant(api, bob, Right(held), project_id=project["id"])
+    grant(api, bob, Right(locked), project_id=project["id"])
     carol = person(api)
     met(api, bob, carol)
     path, his = f"/projects/{project['id']}/grants", api.as_(bob.token)
-    for wanted in RIGHTS:
-        answer = his.post(path, {"person_id": carol.id, "right": wanted})
-        if held in ("READ", "CREATE"):
+    for expected in RIGHTS:
+        answer = his.post(path, {"person_id": carol.id, "right": expected})
+        if locked in ("READ", "CREATE"):
             answer.refused(403, "forbidden")
-        elif RIGHTS.index(wanted) > RIGHTS.index(held):
+        elif RIGHTS.index(expected) > RIGHTS.index(locked):
             answer.refused(403, "right_exceeded")
         else:
             answer.ok(201)
-    mine = f"{path}/{grant(api, bob, Right(held), project_id=project['id'])}"
-    if held == "WRITE":
+    mine = f"{path}/{grant(api, bob, Right(locked), project_id=project['id'])}"
+    if locked == "WRITE":
         his.patch(mine, {"right": "DELETE"}).refused(403, "right_exceeded")
 
 
@@ -115,12 +115,12 @@ def test_a_grant_cannot_outlast_the_rights_of_its_grantor(api: Api, ada: Person,
     path, his = f"/projects/{project['id']}/grants", api.as_(bob.token)
     carol = person(api)
     met(api, bob, carol)
-    wanted = {"person_id": carol.id, "right": "WRITE"}
-    problem = his.post(path, wanted).refused(403, "right_exceeded")
+    expected = {"person_id": carol.id, "right": "WRITE"}
+    problem = his.post(path, expected).refused(403, "right_exceeded")
     assert "without an end" in problem["requested"]
-    his.post(path, {**wanted, "expires_at": in_days(2)}).refused(403, "right_exceeded")
+    his.post(path, {**expected, "expires_at": in_days(2)}).refused(403, "right_exceeded")
     his.patch(f"{path}/{mine}", {"expires_at": None}).refused(403, "right_exceeded")
-    his.post(path, {**wanted, "expires_at": in_days(0.5)}).ok(201)
+    his.post(path, {**expected, "expires_at": in_days(0.5)}).ok(201)
 
 
 def test_a_temporary_membership_bounds_the_grants_made_through_it(api: Api, ada: Person, project: Any) -> None:
@@ -135,7 +135,7 @@ def test_a_temporary_membership_bounds_the_grants_made_through_it(api: Api, ada:
 def test_writers_touch_no_owner(api: Api, ada: Person, bob: Person, project: Any) -> None:
     grant(api, bob, Right.write, project_id=project["id"])
     path, his = f"/projects/{project['id']}/grants", api.as_(bob.token)
-    (owners,) = [each for each in his.all(path) if each["to"]["id"] == ada.id]
+    (owners,) = [item for item in his.all(path) if item["to"]["id"] == ada.id]
     his.delete(f"{path}/{owners['id']}").refused(403, "forbidden")
     his.patch(f"{path}/{owners['id']}", {"right": "READ"}).refused(403, "forbidden")
     his.post(path, {"person_id": ada.id, "right": "READ"}).refused(403, "forbidden")
@@ -166,7 +166,7 @@ def test_two_owners_who_remove_each_other_at_the_same_time_cannot_both_succeed(
 ) -> None:
     path = f"/projects/{project['id']}/grants"
     his = grant(api, bob, Right.delete, project_id=project["id"])
-    (hers,) = [each["id"] for each in api.as_(bob.token).all(path) if each["to"]["id"] == ada.id]
+    (hers,) = [item["id"] for item in api.as_(bob.token).all(path) if item["to"]["id"] == ada.id]
     with racing(api, "SELECT pg_advisory_xact_lock(%s)", 0x6B6C5247) as send:
         answers = [
             send(api.as_(ada.token).delete, f"{path}/{his}"),
@@ -182,7 +182,7 @@ def test_two_owners_who_leave_at_the_same_time_cannot_leave_a_project_without_ow
 ) -> None:
     path = f"/projects/{project['id']}/grants"
     his = grant(api, bob, Right.delete, project_id=project["id"])
-    (hers,) = [each["id"] for each in api.as_(bob.token).all(path) if each["to"]["id"] == ada.id]
+    (hers,) = [item["id"] for item in api.as_(bob.token).all(path) if item["to"]["id"] == ada.id]
     with racing(api, "SELECT pg_advisory_xact_lock(%s)", 0x6B6C5247) as send:
         answers = [
             send(api.as_(ada.token).delete, f"{path}/{hers}"),
@@ -196,7 +196,7 @@ def test_an_address_is_answered_the_same_whether_or_not_somebody_has_it(api: Api
     path, hers = f"/projects/{project['id']}", api.as_(ada.token)
     known, unknown = (f"{uuid.uuid4().hex}@lab.example" for _ in range(2))
     zoe = person(api, email=known)
-    said = []
+    message = []
     for address in (known, unknown):
         made = hers.post(f"{path}/grants", {"email": address.upper(), "right": "WRITE"})
         listed = hers.get(f"{path}/grants").ok()
@@ -204,11 +204,11 @@ def test_an_address_is_answered_the_same_whether_or_not_somebody_has_it(api: Api
         people = hers.get("/people", {"count": "true"}).ok()
         left = hers.delete(f"{path}/grants/{made.body['id']}").status
         text = repr((made.status, made.body, listed, access, people, left))
-        said.append(
+        message.append(
             text.replace(address, "ADDRESS").replace(made.body["id"], "ID").replace(made.body["granted_at"], "")
         )
-    assert said[0] == said[1]
-    assert "ADDRESS" in said[0]
+    assert message[0] == message[1]
+    assert "ADDRESS" in message[0]
     hers.post(f"{path}/grants", {"email": known, "right": "WRITE"}).ok(201)
     assert api.as_(zoe.token).get(path).ok()["right"] == "WRITE"
     hers.get(f"/people/{zoe.id}").refused(404, "not_found")
@@ -222,10 +222,10 @@ def test_only_visible_people_can_be_granted_rights_by_id(api: Api, ada: Person, 
     met(api, ada, gone)
     deactivate(api, gone)
     foreign = group(api, members=[stranger])
-    for whom in ({"person_id": stranger.id}, {"person_id": str(uuid.uuid4())}, {"person_id": gone.id}):
-        hers.post(path, {**whom, "right": "READ"}).refused(404, "not_found")
-    for whom in ({"group_id": foreign}, {"group_id": stranger.group_id}, {"group_id": ada.group_id}):
-        hers.post(path, {**whom, "right": "READ"}).refused(404, "not_found")
+    for people in ({"person_id": stranger.id}, {"person_id": str(uuid.uuid4())}, {"person_id": gone.id}):
+        hers.post(path, {**people, "right": "READ"}).refused(404, "not_found")
+    for people in ({"group_id": foreign}, {"group_id": stranger.group_id}, {"group_id": ada.group_id}):
+        hers.post(path, {**people, "right": "READ"}).refused(404, "not_found")
 
 
 def test_a_grant_names_one_and_ends_in_the_future(api: Api, ada: Person, project: Any) -> None:
@@ -246,9 +246,9 @@ def test_a_grant_names_one_and_ends_in_the_future(api: Api, ada: Person, project
 
 def test_a_right_ends_the_second_its_time_passes(api: Api, ada: Person, bob: Person, project: Any) -> None:
     path, his = f"/projects/{project['id']}", api.as_(bob.token)
-    given = api.as_(ada.token).post(f"{path}/grants", {"person_id": bob.id, "right": "READ", "expires_at": in_days(1)})
+    values = api.as_(ada.token).post(f"{path}/grants", {"person_id": bob.id, "right": "READ", "expires_at": in_days(1)})
     his.get(path).ok()
-    api.sql("UPDATE access_grant SET expires_at = now() WHERE id = %s", given.ok(201)["id"])
+    api.sql("UPDATE access_grant SET expires_at = now() WHERE id = %s", values.ok(201)["id"])
     his.get(path).refused(404, "not_found")
     (old,) = [row for row in api.as_(ada.token).all(f"{path}/grants") if row["to"]["id"] == bob.id]
     assert old["has_expired"] is True
@@ -280,8 +280,8 @@ def test_a_mission_right_shows_the_projects_name_and_nothing_else_of_it(
     assert {row["person"]["id"] for row in his.all(f"{path}/access") if row["person"]} == {bob.id, carol.id}
     assert {row["to"]["id"] for row in his.all(f"{path}/grants")} == {bob.id, carol.id}
     assert api.events(shown["id"]) != []
-    told = api.all("/audit", {"mission_id": shown["id"], "noun": "grant"})
-    assert {(event["project_id"], event["mission_id"]) for event in told} == {(project["id"], shown["id"])}
+    message = api.all("/audit", {"mission_id": shown["id"], "noun": "grant"})
+    assert {(event["project_id"], event["mission_id"]) for event in message} == {(project["id"], shown["id"])}
 
 
 def test_the_higher_of_two_rights_counts(api: Api, ada: Person, bob: Person, project: Any) -> None:
@@ -301,16 +301,16 @@ def test_access_says_who_has_what_from_where(api: Api, ada: Person, bob: Person,
     carol, dan, guest = person(api), person(api), person(api)
     lab, foreign = group(api, members=[ada, carol]), group(api, members=[dan])
     join(api, guest, lab, expires_s=3600)
-    for whom in (lab, foreign):
-        grant(api, whom, Right.create, project_id=project["id"])
+    for people in (lab, foreign):
+        grant(api, people, Right.create, project_id=project["id"])
     grant(api, bob, Right.write, mission_id=mission["id"])
     hers.post(f"/projects/{project['id']}/grants", {"email": "x@lab.example", "right": "READ"}).ok(201)
     ways = hers.all(f"/missions/{mission['id']}/access")
-    told = {
+    message = {
         (row["person"] and row["person"]["id"], row["to"] and row["to"]["kind"], row["right"], row["through"])
         for row in ways
     }
-    assert told == {
+    assert message == {
         (ada.id, "person", "DELETE", "project grant"),
         (ada.id, "group", "CREATE", "project grant"),
         (carol.id, "group", "CREATE", "project grant"),

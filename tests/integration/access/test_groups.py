@@ -18,7 +18,7 @@ from tests.integration.api_server import Api
 from tests.integration.people import Person, deactivate, grant, group, join, person
 from tests.integration.races import racing
 
-_HELD = ("SELECT pg_advisory_xact_lock(%s)", 0x6B6C5247)
+_RIGHTS = ("SELECT pg_advisory_xact_lock(%s)", 0x6B6C5247)
 
 
 @pytest.fixture
@@ -76,8 +76,8 @@ def test_editors_manage_and_members_see(api: Api, ada: Person, bob: Person) -> N
     his.delete(f"{path}/members/{ada.id}").ok(204)
     hers.get(path).refused(404, "not_found")
     his.delete(path).ok(204)
-    told = [event["operation"] for event in api.events(made["id"])]
-    assert told == ["group.delete", "group.member", "group.rename", "group.member", "group.member", "group.create"]
+    message = [event["operation"] for event in api.events(made["id"])]
+    assert message == ["group.delete", "group.member", "group.rename", "group.member", "group.member", "group.create"]
 
 
 def test_a_membership_gives_rights_until_the_second_it_ends(api: Api, ada: Person, bob: Person) -> None:
@@ -109,11 +109,11 @@ def test_past_members_and_addresses_show_to_editors_only(api: Api, ada: Person) 
     assert seen[gone.id]["is_active"] is False
 
 
-def test_only_people_one_knows_of_can_be_added(api: Api, ada: Person) -> None:
+def test_only_visible_people_can_be_added(api: Api, ada: Person) -> None:
     made, stranger = made_by(api, ada), person(api)
     path = f"/groups/{made['id']}/members"
-    for whom in (stranger.id, str(uuid.uuid4())):
-        api.as_(ada.token).call("PUT", f"{path}/{whom}", {}).refused(404, "not_found")
+    for people in (stranger.id, str(uuid.uuid4())):
+        api.as_(ada.token).call("PUT", f"{path}/{people}", {}).refused(404, "not_found")
     api.call("PUT", f"{path}/{stranger.id}", {}).ok()  # admins know everybody
     past = {"expires_at": in_days(-1)}
     api.as_(ada.token).call("PUT", f"{path}/{stranger.id}", past).refused(422, "invalid_request")
@@ -164,8 +164,8 @@ def test_two_members_of_an_owning_group_who_leave_at_the_same_time_cannot_leave_
     hers.post(grants, {"group_id": made["id"], "right": "DELETE"}).ok(201)
     (own,) = [row["id"] for row in hers.all(grants) if row["to"]["kind"] == "person"]
     hers.delete(f"{grants}/{own}").ok(204)
-    with racing(api, *_HELD) as send:
-        sent = [send(api.as_(each.token).delete, f"{path}/members/{each.id}") for each in (ada, bob)]
+    with racing(api, *_RIGHTS) as send:
+        sent = [send(api.as_(item.token).delete, f"{path}/members/{item.id}") for item in (ada, bob)]
     assert sorted(future.result().status for future in sent) == [204, 409]
 
 
@@ -177,8 +177,8 @@ def test_deleting_a_group_takes_its_grants_and_says_so(api: Api, ada: Person, bo
     grant(api, made["id"], Right.write, mission_id=mission["id"])
     api.as_(ada.token).delete(f"/groups/{made['id']}").ok(204)
     api.as_(bob.token).get(f"/missions/{mission['id']}").refused(404, "not_found")
-    told = api.all("/audit", {"project_id": project["id"], "operation": "grant.revoke"})
-    assert {(event["mission_id"], event["before"]["right"]) for event in told} == {
+    message = api.all("/audit", {"project_id": project["id"], "operation": "grant.revoke"})
+    assert {(event["mission_id"], event["before"]["right"]) for event in message} == {
         (None, "READ"),
         (mission["id"], "WRITE"),
     }
@@ -203,8 +203,8 @@ def test_admins_are_a_group_of_their_own(start_api: Callable[..., Api]) -> None:
     assert hers.post(f"/people/{bob.id}/admin").ok()["is_admin"] is True
     hers.delete(f"/people/{owner}/admin").ok()
     api.get(path).refused(404, "not_found")
-    told = api.as_(bob.token).all("/audit", {"operation": "person.*"})
-    assert [(event["operation"], event["as_admin"]) for event in told] == [
+    message = api.as_(bob.token).all("/audit", {"operation": "person.*"})
+    assert [(event["operation"], event["as_admin"]) for event in message] == [
         ("person.unmake_admin", True),
         ("person.make_admin", True),
     ]
@@ -218,13 +218,13 @@ def test_a_setting_restricts_who_creates_projects_and_groups(start_api: Callable
     (lab_id,) = [row["id"] for row in api.all("/groups", {"name": "lab"})]
     join(api, ours, lab_id)
     may = {"affiliated": [ours], "everybody": [ours, theirs], "admins": []}[creators]
-    for each in (ours, theirs):
+    for item in (ours, theirs):
         for path in ("/projects", "/groups"):
-            answer = api.as_(each.token).post(path, {"name": f"x {uuid.uuid4().hex}"})
-            answer.ok(201) if each in may else answer.refused(403, "forbidden")
+            answer = api.as_(item.token).post(path, {"name": f"x {uuid.uuid4().hex}"})
+            answer.ok(201) if item in may else answer.refused(403, "forbidden")
     project = api.project()
-    (given,) = [row for row in api.all(f"/projects/{project['id']}/grants") if row["to"]["kind"] == "group"]
-    assert (given["to"]["name"], given["right"]) == ("Lab", "READ")
+    (values,) = [row for row in api.all(f"/projects/{project['id']}/grants") if row["to"]["kind"] == "group"]
+    assert (values["to"]["name"], values["right"]) == ("Lab", "READ")
     assert api.as_(ours.token).get(f"/projects/{project['id']}").ok()["right"] == "READ"
     api.as_(theirs.token).get(f"/projects/{project['id']}").refused(404, "not_found")
     (made,) = api.events(project["id"])
@@ -241,7 +241,7 @@ def test_an_affiliation_is_filled_by_exact_domain(start_api: Callable[..., Api])
     (seen,) = api.all("/groups", {"name": "Lab"})
     assert (seen["kind"], seen["domains"]) == ("affiliation", ["lab.example", "lab.example.org"])
     path = f"/groups/{seen['id']}"
-    assert {row["person"]["id"] for row in api.all(f"{path}/members")} == {each.id for each in inside}
+    assert {row["person"]["id"] for row in api.all(f"{path}/members")} == {item.id for item in inside}
     api.delete(f"{path}/members/{inside[0].id}").refused(409, "group_fixed")
     api.call("PUT", f"{path}/members/{person(api).id}", {}).refused(409, "group_fixed")
     api.call("PUT", f"{path}/members/{inside[0].id}", {"expires_at": in_days(1)}).refused(409, "group_fixed")

@@ -38,13 +38,13 @@ def _own_mission(api: Api, who: Person) -> str:
 def _same_but_for_ids(one: Answer, other: Answer) -> bool:
     """Whether two refusals say the same, the ids that were asked for apart."""
 
-    def told(answer: Answer) -> dict[str, Any]:
+    def answers(answer: Answer) -> dict[str, Any]:
         ref = str(answer.body.get("ref"))
-        kept = {name: value for name, value in answer.body.items() if name not in {"request_id", "ref"}}
-        return {**kept, "detail": kept["detail"].replace(ref, "REF")}
+        remaining = {name: value for name, value in answer.body.items() if name not in {"request_id", "ref"}}
+        return {**remaining, "detail": remaining["detail"].replace(ref, "REF")}
 
     headers = [{name for name in answer.headers if name != "date"} for answer in (one, other)]
-    return (one.status, told(one), headers[0]) == (other.status, told(other), headers[1])
+    return (one.status, answers(one), headers[0]) == (other.status, answers(other), headers[1])
 
 
 @pytest.mark.parametrize("path", ["", "/template", "/access", "/grants"])
@@ -76,21 +76,21 @@ def test_changes_to_what_is_hidden_are_refused_like_those_to_nothing(api: Api, h
 
 
 def test_a_name_that_is_taken_out_of_sight_says_that_and_no_more(api: Api, hidden: Any, member: Person) -> None:
-    """Names of projects are one space, as people speak of them: see docs/access.md. Whose it is, is not told."""
+    """Names of projects are one space, as people speak of them: see docs/access.md. Whose it is, is not answers."""
     problem = api.as_(member.token).post("/projects", {"name": hidden["name"]}).refused(409, "name_taken")
-    told = problem.keys() - {"type", "title", "status", "detail", "code", "request_id"}
-    assert (told, problem["noun"], problem["name"]) == ({"noun", "name"}, "project", hidden["name"])
+    message = problem.keys() - {"type", "title", "status", "detail", "code", "request_id"}
+    assert (message, problem["noun"], problem["name"]) == ({"noun", "name"}, "project", hidden["name"])
 
 
-def test_a_hash_does_not_tell_whether_somebody_has_those_bytes(api: Api, hidden: Any, member: Person) -> None:
+def test_a_hash_does_not_reveal_whether_the_bytes_exist(api: Api, hidden: Any, member: Person) -> None:
     secret, other = os.urandom(2000), os.urandom(2000)
     upload(api, api.mission(hidden["id"])["id"], "secret.bin", secret)
     api.sql(_VERIFIED, bytes.fromhex(sha256(secret)))
     theirs, mine = api.as_(member.token), _own_mission(api, member)
     decisions = begin(theirs, mine, {"a.bin": secret, "b.bin": other})
     decisions += begin(theirs, mine, {"c.bin": secret, "d.bin": os.urandom(2001)}, hashed=False)
-    assert [each["decision"] for each in decisions] == ["send"] * 4
-    assert [sorted(each["upload"]) for each in decisions[1:]] == [sorted(decisions[0]["upload"])] * 3
+    assert [item["decision"] for item in decisions] == ["send"] * 4
+    assert [sorted(item["upload"]) for item in decisions[1:]] == [sorted(decisions[0]["upload"])] * 3
 
 
 def test_one_who_may_only_upload_learns_no_hash_and_no_other_path(api: Api, member: Person) -> None:
@@ -102,9 +102,9 @@ def test_one_who_may_only_upload_learns_no_hash_and_no_other_path(api: Api, memb
     for path in ("Runs/one.bin", "runs/ONE.bin", "Runs", "Runs/one.bin/more"):
         (refused,) = begin(theirs, mission, {path: b"something else"})
         assert refused["decision"] == "refused", path
-        told = str(refused["problem"]).replace(repr(path), "")
-        assert sha256(there) not in told, path
-        assert "one.bin" not in told.replace(path, ""), path
+        message = str(refused["problem"]).replace(repr(path), "")
+        assert sha256(there) not in message, path
+        assert "one.bin" not in message.replace(path, ""), path
 
 
 def test_a_hidden_person_looks_like_a_missing_one(api: Api, member: Person) -> None:
@@ -113,11 +113,11 @@ def test_a_hidden_person_looks_like_a_missing_one(api: Api, member: Person) -> N
     assert _same_but_for_ids(*answers), answers
     project = api.project()["id"]
     people.grant(api, member, Right.delete, project_id=project)
-    given = [
+    values = [
         theirs.post(f"/projects/{project}/grants", {"person_id": str(ref), "right": "READ"})
         for ref in (stranger.id, uuid.uuid4())
     ]
-    assert _same_but_for_ids(*given), given
+    assert _same_but_for_ids(*values), values
 
 
 def test_a_right_on_a_mission_shows_its_projects_name_and_no_more(api: Api, hidden: Any, member: Person) -> None:

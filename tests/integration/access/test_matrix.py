@@ -8,10 +8,10 @@ import pytest
 from kleinkram.server.access.operations import OPERATIONS, ResourceKind
 from tests.integration.access import world as worlds
 from tests.integration.access.call import Caller, Request
-from tests.integration.access.callers import CALLERS, DOORS
+from tests.integration.access.callers import CALLERS, PUBLIC_OPERATIONS
 from tests.integration.access.credentials import MEMBER, PLACED, UNPLACED
 from tests.integration.access.expectations import About, Verdict, admitted, level, needed
-from tests.integration.access.world import Asker, World
+from tests.integration.access.world import Principal, World
 from tests.integration.conftest import StartApi
 
 # The short round asks an operation for so many of each: places of the plain member, others who are somewhere, others.
@@ -32,11 +32,11 @@ def whole_world(start_api: StartApi) -> World:
     return worlds.build(start_api())
 
 
-def _wrong(world: World, operation: str, caller: Caller, by: Asker) -> str | None:
+def _wrong(world: World, operation: str, caller: Caller, by: Principal) -> str | None:
     """Make one request, and return what is wrong with its answer."""
-    asked = caller.request(by)
-    answer = world.api.as_(None).call(asked.method, asked.path, asked.body, asked.query, by.headers)
-    verdict, expected = caller.verdict(answer), _expected(operation, caller, by, asked)
+    requested = caller.request(by)
+    answer = world.api.as_(None).call(requested.method, requested.path, requested.body, requested.query, by.headers)
+    verdict, expected = caller.verdict(answer), _expected(operation, caller, by, requested)
     if answer.status < 300 and caller.undo is not None:
         caller.undo(by)
     if verdict is not expected:
@@ -48,58 +48,58 @@ def _wrong(world: World, operation: str, caller: Caller, by: Asker) -> str | Non
     return None
 
 
-def _expected(operation: str, caller: Caller, by: Asker, asked: Request) -> Verdict:
-    for each in filter(None, (caller.via, operation)):
-        verdict = _expected_of(each, caller, by, asked)
+def _expected(operation: str, caller: Caller, by: Principal, requested: Request) -> Verdict:
+    for item in filter(None, (caller.via, operation)):
+        verdict = _expected_of(item, caller, by, requested)
         if verdict is not Verdict.done:
             return verdict
     return Verdict.done
 
 
-def _expected_of(operation: str, caller: Caller, by: Asker, asked: Request) -> Verdict:
-    at_the_door = admitted(OPERATIONS[operation], by.carrier, is_change=asked.method != "GET")
-    if at_the_door is not Verdict.done:
-        return at_the_door
+def _expected_of(operation: str, caller: Caller, by: Principal, requested: Request) -> Verdict:
+    without_rights = admitted(OPERATIONS[operation], by.carrier, is_change=requested.method != "GET")
+    if without_rights is not Verdict.done:
+        return without_rights
     if (caller.is_boundless and by.carrier.is_limited) or not caller.scopes & by.carrier.scopes:
         return Verdict.refused
     if caller.about is About.server or caller.shows is not None:
         return Verdict.done
-    held = level(by.carrier, by.place, caller.about)
-    if held >= _needed(operation, caller):
+    locked = level(by.carrier, by.place, caller.about)
+    if locked >= _needed(operation, caller):
         return Verdict.done
     if caller.about is About.owner:
         return Verdict.refused
-    return Verdict.unseen if held == 0 or caller.hides else Verdict.refused
+    return Verdict.unseen if locked == 0 or caller.hides else Verdict.refused
 
 
 def _needed(operation: str, caller: Caller) -> int:
     return caller.needs or needed(OPERATIONS[operation])
 
 
-def _some(world: World, operation: str) -> Sequence[Asker]:
+def _some(world: World, operation: str) -> Sequence[Principal]:
     """Return some of all who ask; which ones differs between operations."""
     rng = random.Random(operation)
-    members = [by for by in world.askers if by.carrier is MEMBER]
-    unplaced = [by for by in world.askers if by.carrier in UNPLACED]
-    others = [[by for by in world.askers if by.carrier is carrier] for carrier in PLACED if carrier is not MEMBER]
-    chosen = [rng.choice(each) for each in rng.sample(others, _PLACED)]
+    members = [by for by in world.principals if by.carrier is MEMBER]
+    unplaced = [by for by in world.principals if by.carrier in UNPLACED]
+    others = [[by for by in world.principals if by.carrier is carrier] for carrier in PLACED if carrier is not MEMBER]
+    chosen = [rng.choice(item) for item in rng.sample(others, _PLACED)]
     return [*rng.sample(members, _MEMBERS), *chosen, *rng.sample(unplaced, _UNPLACED)]
 
 
 @pytest.mark.parametrize("operation", sorted(CALLERS))
 def test_operation(world: World, operation: str) -> None:
     """Each operation answers some of all who ask as the rule says."""
-    found = [_wrong(world, operation, caller, by) for caller in CALLERS[operation] for by in _some(world, operation)]
-    assert [each for each in found if each] == []
+    actual = [_wrong(world, operation, caller, by) for caller in CALLERS[operation] for by in _some(world, operation)]
+    assert [item for item in actual if item] == []
 
 
-def _many(world: World, operation: str) -> Sequence[Asker]:
+def _many(world: World, operation: str) -> Sequence[Principal]:
     """Return all kinds of those who ask; the places from which they do differ between operations."""
     rng = random.Random(operation)
     chosen = []
     for carrier in (*PLACED, *UNPLACED):
-        those = [by for by in world.askers if by.carrier is carrier]
-        chosen += those if carrier is MEMBER else rng.sample(those, min(len(those), _LONG_PLACES_EACH))
+        others = [by for by in world.principals if by.carrier is carrier]
+        chosen += others if carrier is MEMBER else rng.sample(others, min(len(others), _LONG_PLACES_EACH))
     return chosen
 
 
@@ -109,14 +109,16 @@ def _many(world: World, operation: str) -> Sequence[Asker]:
     "chosen",
     [
         pytest.param(_many, id="everybody", marks=pytest.mark.slow),
-        pytest.param(lambda world, _: world.askers, id="everybody-everywhere", marks=pytest.mark.soak),
+        pytest.param(lambda world, _: world.principals, id="everybody-everywhere", marks=pytest.mark.soak),
     ],
 )
-def test_operation_in_full(whole_world: World, operation: str, chosen: Callable[[World, str], Sequence[Asker]]) -> None:
+def test_operation_in_full(
+    whole_world: World, operation: str, chosen: Callable[[World, str], Sequence[Principal]]
+) -> None:
     """Each operation answers everybody as the rule says, wherever they are."""
-    askers = chosen(whole_world, operation)
-    found = [_wrong(whole_world, operation, caller, by) for caller in CALLERS[operation] for by in askers]
-    assert [each for each in found if each] == []
+    principals = chosen(whole_world, operation)
+    actual = [_wrong(whole_world, operation, caller, by) for caller in CALLERS[operation] for by in principals]
+    assert [item for item in actual if item] == []
 
 
 def test_every_operation_is_called() -> None:
@@ -124,10 +126,12 @@ def test_every_operation_is_called() -> None:
 
     That every route has its row in the table of operations, the app sees to itself.
     """
-    called = CALLERS.keys() | DOORS
+    called = CALLERS.keys() | PUBLIC_OPERATIONS
     how = "add to tests/integration/access/callers_of_objects.py, or callers_of_people.py, how to call:"
     assert sorted(OPERATIONS.keys() - called) == [], how
     assert sorted(called - OPERATIONS.keys()) == [], "these are no operations any more; drop their callers:"
-    assert sorted(CALLERS.keys() & DOORS) == []
-    doors = {name for name, need in OPERATIONS.items() if need.guests and need.on is ResourceKind.nothing}
-    assert doors == DOORS, "whatever is for whoever comes, and about nothing that is there, is a door, and only that"
+    assert sorted(CALLERS.keys() & PUBLIC_OPERATIONS) == []
+    ports = {name for name, need in OPERATIONS.items() if need.guests and need.on is ResourceKind.nothing}
+    assert ports == PUBLIC_OPERATIONS, (
+        "whatever is for whoever comes, and about nothing that is there, is a door, and only that"
+    )

@@ -21,51 +21,51 @@ def bob(api: Api) -> Person:
     return person(api, email=f"bob-{uuid.uuid4().hex}@lab.example")
 
 
-def knows(api: Api, who: Person, whom: Person) -> bool:
+def sees(api: Api, who: Person, people: Person) -> bool:
     """Whether the API tells somebody of somebody, in the one way as in the other."""
-    asked = api.as_(who.token)
-    status = asked.get(f"/people/{whom.id}").status
-    listed = whom.id in [row["id"] for row in asked.all("/people", {"text": whom.name})]
-    counted = asked.get("/people", {"text": whom.name, "count": "true"}).ok()["total"]
+    requested = api.as_(who.token)
+    status = requested.get(f"/people/{people.id}").status
+    listed = people.id in [row["id"] for row in requested.all("/people", {"text": people.name})]
+    counted = requested.get("/people", {"text": people.name, "count": "true"}).ok()["total"]
     assert (status, counted) == ((200, 1) if listed else (404, 0))
     return listed
 
 
 def test_people_without_a_shared_group_or_project_do_not_see_each_other(api: Api, ada: Person, bob: Person) -> None:
-    assert knows(api, ada, ada)
-    assert not knows(api, ada, bob)
+    assert sees(api, ada, ada)
+    assert not sees(api, ada, bob)
     hers = api.as_(ada.token)
     project = hers.project()
-    assert not knows(api, bob, ada)
+    assert not sees(api, bob, ada)
     grant(api, bob, Right.read, project_id=project["id"])
-    assert knows(api, ada, bob)
-    assert knows(api, bob, ada)
+    assert sees(api, ada, bob)
+    assert sees(api, bob, ada)
 
 
 def test_a_shared_group_ends_with_the_membership(api: Api, ada: Person, bob: Person) -> None:
     made = group(api, members=[ada, bob])
-    assert knows(api, ada, bob)
+    assert sees(api, ada, bob)
     join(api, bob, made, expires_s=-1)
-    assert not knows(api, ada, bob)
-    assert not knows(api, bob, ada)
+    assert not sees(api, ada, bob)
+    assert not sees(api, bob, ada)
 
 
 def test_a_shared_project_ends_with_the_grant(api: Api, ada: Person, bob: Person) -> None:
     project = api.as_(ada.token).project()
     grant(api, bob, Right.write, project_id=project["id"], expires_s=-1)
-    assert not knows(api, ada, bob)
-    assert not knows(api, bob, ada)
+    assert not sees(api, ada, bob)
+    assert not sees(api, bob, ada)
 
 
 def test_project_members_see_people_of_a_mission_but_not_vice_versa(api: Api, ada: Person, bob: Person) -> None:
     project = api.as_(ada.token).project()
     mission = api.as_(ada.token).mission(project["id"])
     grant(api, bob, Right.read, mission_id=mission["id"])
-    assert knows(api, ada, bob)
-    assert not knows(api, bob, ada)  # the project's people are the project's
+    assert sees(api, ada, bob)
+    assert not sees(api, bob, ada)  # the project's people are the project's
     carol = person(api)
     grant(api, carol, Right.read, mission_id=mission["id"])
-    assert knows(api, bob, carol)
+    assert sees(api, bob, carol)
 
 
 def test_an_address_that_was_granted_to_does_not_show_who_has_it(api: Api, ada: Person, bob: Person) -> None:
@@ -73,8 +73,8 @@ def test_an_address_that_was_granted_to_does_not_show_who_has_it(api: Api, ada: 
     address = api.sql("SELECT email FROM person_email WHERE person_id = %s", bob.id)[0][0]
     grant(api, email_group(api, address), Right.write, project_id=project["id"])
     assert api.as_(bob.token).get(f"/projects/{project['id']}").ok()["right"] == "WRITE"
-    assert not knows(api, ada, bob)
-    assert knows(api, bob, ada)
+    assert not sees(api, ada, bob)
+    assert sees(api, bob, ada)
 
 
 def test_the_admins_and_the_public_make_no_acquaintance(api: Api, ada: Person, bob: Person) -> None:
@@ -82,9 +82,9 @@ def test_the_admins_and_the_public_make_no_acquaintance(api: Api, ada: Person, b
     project = api.as_(ada.token).project()
     api.sql("UPDATE project SET is_public = true WHERE id = %s", project["id"])
     api.as_(bob.token).get(f"/projects/{project['id']}").ok()
-    assert not knows(api, bob, ada)
-    assert not knows(api, ada, boss)
-    assert knows(api, boss, ada)
+    assert not sees(api, bob, ada)
+    assert not sees(api, ada, boss)
+    assert sees(api, boss, ada)
     quiet = token(api, boss, [Scope.read])
     api.as_(quiet.secret).get(f"/people/{ada.id}").refused(404, "not_found")
 
@@ -142,7 +142,7 @@ def test_former_members_are_visible_to_admins_only(api: Api, ada: Person, bob: P
     assert api.all("/people", {"text": bob.name, "active": "true"}) == []
 
 
-def test_a_limited_token_tells_of_nobody_else_and_of_no_group(api: Api, ada: Person, bob: Person) -> None:
+def test_a_limited_token_shows_no_other_person_and_no_group(api: Api, ada: Person, bob: Person) -> None:
     made = group(api, members=[ada, bob])
     project = api.as_(ada.token).project()
     limited = api.as_(token(api, ada, limits=[project["id"]]).secret)

@@ -97,7 +97,7 @@ class History:
 
     def _writer(self, place: str) -> str:
         """Somebody who may give rights on a place, more often than not; else most of it would be refusals."""
-        writers = [name for name in _PEOPLE if self.rights.held(name, place) >= WRITE]
+        writers = [name for name in _PEOPLE if self.rights.level(name, place) >= WRITE]
         return self.choose.choice(writers) if writers and self.choose.random() < 0.7 else self._somebody()
 
     def _path(self, place: str) -> str:
@@ -133,11 +133,11 @@ class History:
             self.rights = after
 
     def _may_give(self, who: str, place: str, group: str, grant: Grant) -> int:
-        rights, held = self.rights, self.rights.held(who, place)
+        rights, locked = self.rights, self.rights.level(who, place)
         if not rights.active[who]:
             return 401
-        if held < WRITE:
-            return 403 if held else 404
+        if locked < WRITE:
+            return 403 if locked else 404
         if group in _GROUPS and not (rights.is_admin(who) or rights.is_live_member(who, group)):
             return 404
         if group.startswith("~") and not rights.active[group[1:]]:
@@ -145,16 +145,16 @@ class History:
         old = rights.grants.get((place, group))
         if old == grant:
             return 201
-        too_high = old is not None and old.ends != OVER and old.level > held
+        too_high = old is not None and old.ends != OVER and old.level > locked
         last = (NEVER,) if grant.ends == NEVER else (NEVER, LATER)
-        return 403 if too_high or grant.level > rights.held(who, place, last=last) else 201
+        return 403 if too_high or grant.level > rights.level(who, place, last=last) else 201
 
     def revoke(self) -> None:
         """Somebody takes a grant away."""
         who, (place, group) = self._somebody(), self.choose.choice(list(self.rights.grants))
-        held, after = self.rights.held(who, place), copy.deepcopy(self.rights)
+        locked, after = self.rights.level(who, place), copy.deepcopy(self.rights)
         grant, grant_id = after.grants.pop((place, group)), self._grant_id(place, group)
-        expected = 204 if held >= WRITE and (grant.ends == OVER or grant.level <= held) else 403 if held else 404
+        expected = 204 if locked >= WRITE and (grant.ends == OVER or grant.level <= locked) else 403 if locked else 404
         expected = expected if self.rights.active[who] else 401
         answer = self._as(who).delete(f"{self._path(place)}/grants/{grant_id}")
         if self._saw(answer, self._try(after, expected, 204), who, "revokes", grant, "of", group, "on", place):
@@ -164,40 +164,44 @@ class History:
         column = "mission_id" if place in self.rights.project_of else "project_id"
         of_group = "g.kind = 'email' AND g.name = %s" if group.startswith("@") else "g.id = %s"
         value = f"{self.tag}.{group[1:]}@lab.example" if group.startswith("@") else self.ids[group]
-        found = self.api.sql(
+        actual = self.api.sql(
             f"SELECT a.id::text FROM access_grant a JOIN access_group g ON g.id = a.group_id"
             f" WHERE a.{column} = %s AND {of_group}",
             *(self.ids[place], value),
         )
-        return str(found[0][0])
+        return str(actual[0][0])
 
     def set_member(self) -> None:
         """Somebody puts somebody into a group, or changes until when they are in it."""
-        who, group, whom = self._somebody(), self.choose.choice(_GROUPS), self.choose.choice(_PEOPLE)
-        wanted = Membership(self.choose.choice([NEVER, NEVER, LATER]), self.choose.random() < 0.5)
+        who, group, people = self._somebody(), self.choose.choice(_GROUPS), self.choose.choice(_PEOPLE)
+        requested = Membership(self.choose.choice([NEVER, NEVER, LATER]), self.choose.random() < 0.5)
         after = copy.deepcopy(self.rights)
-        after.members[group][whom] = wanted
+        after.members[group][people] = requested
         expected = self._may_manage(who, group)
-        if expected == 200 and whom not in self.rights.members[group] and not self.rights.active[whom]:
+        if expected == 200 and people not in self.rights.members[group] and not self.rights.active[people]:
             expected = 404
-        if expected == 200 and wanted != self.rights.members[group].get(whom) and self._is_too_long(who, group, wanted):
+        if (
+            expected == 200
+            and requested != self.rights.members[group].get(people)
+            and self._is_too_long(who, group, requested)
+        ):
             expected = 403
-        body: dict[str, Any] = {"is_editor": wanted.is_editor}
-        body |= {} if wanted.ends == NEVER else {"expires_at": _UNTIL.isoformat()}
-        answer = self._as(who).call("PUT", f"/groups/{self.ids[group]}/members/{self.ids[whom]}", body)
-        if self._saw(answer, self._try(after, expected, 200), who, "puts", whom, "into", group, wanted):
+        body: dict[str, Any] = {"is_editor": requested.is_editor}
+        body |= {} if requested.ends == NEVER else {"expires_at": _UNTIL.isoformat()}
+        answer = self._as(who).call("PUT", f"/groups/{self.ids[group]}/members/{self.ids[people]}", body)
+        if self._saw(answer, self._try(after, expected, 200), who, "puts", people, "into", group, requested):
             self.rights = after
 
     def remove_member(self) -> None:
         """Somebody takes somebody out of a group, or leaves it."""
-        who, group, whom = self._somebody(), self.choose.choice(_GROUPS), self.choose.choice(_PEOPLE)
+        who, group, people = self._somebody(), self.choose.choice(_GROUPS), self.choose.choice(_PEOPLE)
         after = copy.deepcopy(self.rights)
-        was_in = after.members[group].pop(whom, None) is not None
+        was_in = after.members[group].pop(people, None) is not None
         expected = self._may_manage(who, group)
-        expected = 200 if who == whom and expected == 403 else expected
+        expected = 200 if who == people and expected == 403 else expected
         expected = (204 if was_in else 404) if expected == 200 else expected
-        answer = self._as(who).delete(f"/groups/{self.ids[group]}/members/{self.ids[whom]}")
-        if self._saw(answer, self._try(after, expected, 204), who, "takes", whom, "out of", group):
+        answer = self._as(who).delete(f"/groups/{self.ids[group]}/members/{self.ids[people]}")
+        if self._saw(answer, self._try(after, expected, 204), who, "takes", people, "out of", group):
             self.rights = after
 
     def _may_manage(self, who: str, group: str) -> int:
@@ -209,15 +213,15 @@ class History:
             return 404
         return 200 if self.rights.members[group][who].is_editor else 403
 
-    def _is_too_long(self, who: str, group: str, wanted: Membership) -> bool:
+    def _is_too_long(self, who: str, group: str, expected: Membership) -> bool:
         own = self.rights.members[group].get(who)
-        return not self.rights.is_admin(who) and own is not None and (own.ends, wanted.ends) == (LATER, NEVER)
+        return not self.rights.is_admin(who) and own is not None and (own.ends, expected.ends) == (LATER, NEVER)
 
     def move(self) -> None:
         """Somebody moves a mission to a project; what was granted on it goes along."""
         who, mission = self._somebody(), self.choose.choice(list(self.rights.project_of))
         target = self.choose.choice([name for name in self.rights.projects if name != self.rights.project_of[mission]])
-        may = self.rights.held(who, mission) >= DELETE and self.rights.held(who, target) >= CREATE
+        may = self.rights.level(who, mission) >= DELETE and self.rights.level(who, target) >= CREATE
         answer = self._as(who).patch(self._path(mission), {"project_id": self.ids[target]})
         self.log.append((who, "moves", mission, "to", target, answer.status))
         assert (answer.status == 200) == may, f"{self.log}: {answer.body}"
@@ -227,8 +231,8 @@ class History:
     def delete(self) -> None:
         """Somebody moves a project or a mission to the trash."""
         who, place = self._somebody(), self._place()
-        held = self.rights.held(who, place)
-        expected = 200 if held == DELETE else 403 if held else 404 if self.rights.active[who] else 401
+        locked = self.rights.level(who, place)
+        expected = 200 if locked == DELETE else 403 if locked else 404 if self.rights.active[who] else 401
         if self._saw(self._as(who).delete(self._path(place)), expected, who, "deletes", place):
             self.rights.deleted.add(place)
 
@@ -250,7 +254,7 @@ class History:
             self.api.sql("UPDATE access_grant SET expires_at = now() WHERE id = %s", grant_id)
             self.rights.grants[place, group].ends = OVER
         ending = [
-            (group, who) for group in _GROUPS for who, each in self.rights.members[group].items() if each.ends == LATER
+            (group, who) for group in _GROUPS for who, item in self.rights.members[group].items() if item.ends == LATER
         ]
         if ending:
             group, who = self.choose.choice(ending)
@@ -261,11 +265,11 @@ class History:
 
     def leave(self) -> None:
         """Somebody leaves; what only they owned goes to the admins."""
-        whom = self.choose.choice(_PEOPLE)
-        expected = 200 if self.rights.active[whom] else 404
-        answer = self._as("owner").post(f"/people/{self.ids[whom]}/deactivate")
-        if self._saw(answer, expected, whom, "leaves"):
-            self.rights.active[whom] = False
+        people = self.choose.choice(_PEOPLE)
+        expected = 200 if self.rights.active[people] else 404
+        answer = self._as("owner").post(f"/people/{self.ids[people]}/deactivate")
+        if self._saw(answer, expected, people, "leaves"):
+            self.rights.active[people] = False
             handed = self.rights.unowned()
             assert answer.body["projects"] == sorted(f"{self.tag} {name}" for name in handed), self.log
             for project in handed:
@@ -273,11 +277,11 @@ class History:
 
     def come_back(self) -> None:
         """Somebody who left is let in again, with a new token."""
-        whom = self.choose.choice(_PEOPLE)
-        self._saw(self._as("owner").post(f"/people/{self.ids[whom]}/reactivate"), 200, whom, "comes back")
-        if not self.rights.active[whom]:
-            self.tokens[whom] = token(self.api, self.ids[whom]).secret
-            self.rights.active[whom] = True
+        people = self.choose.choice(_PEOPLE)
+        self._saw(self._as("owner").post(f"/people/{self.ids[people]}/reactivate"), 200, people, "comes back")
+        if not self.rights.active[people]:
+            self.tokens[people] = token(self.api, self.ids[people]).secret
+            self.rights.active[people] = True
 
     def see_rights(self, who: str) -> None:
         """See that lists show somebody exactly what the model says, with the right that it says."""
@@ -286,10 +290,10 @@ class History:
             if not self.rights.active[who]:
                 answer.refused(401, "not_authenticated")
                 return
-            told = {item["id"]: item["right"] for item in answer.ok()["items"]}
-            levels = {self.ids[place]: self.rights.held(who, place) for place in places}
+            message = {item["id"]: item["right"] for item in answer.ok()["items"]}
+            levels = {self.ids[place]: self.rights.level(who, place) for place in places}
             expected = {place: Right.of_level(level).value for place, level in levels.items() if level}
-            assert told == expected, (who, self.log)
+            assert message == expected, (who, self.log)
 
     def see_owners(self) -> None:
         """See that each project has a lasting owner, by the rows of the database themselves."""

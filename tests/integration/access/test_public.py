@@ -34,18 +34,18 @@ def test_a_stranger_lists_searches_reads_and_downloads(api: Api, sample: Sample,
     file_id = sample.file(mission["id"], "a.mcap", topics=[{"name": "/imu", "message_type": "Imu"}])
     recording = sample.recording(mission["id"], "a", [file_id])
 
-    (seen,) = [each for each in stranger.all("/projects") if each["id"] == public["id"]]
+    (seen,) = [item for item in stranger.all("/projects") if item["id"] == public["id"]]
     assert (seen["licence"], seen["citation"], seen["is_public"]) == ("CC-BY-4.0", "Lovelace, A.: Alps. 2026.", True)
     assert (seen["right"], seen["file_count"]) == ("READ", 1)
-    assert hidden["id"] not in {each["id"] for each in stranger.all("/missions")}
-    assert [each["id"] for each in stranger.all("/missions", {"where": "robot=anymal", "project_id": public["id"]})]
-    assert {each["mission"]["project"]["id"] for each in stranger.all("/files", {"project_id": public["id"]})} == {
+    assert hidden["id"] not in {item["id"] for item in stranger.all("/missions")}
+    assert [item["id"] for item in stranger.all("/missions", {"where": "robot=anymal", "project_id": public["id"]})]
+    assert {item["mission"]["project"]["id"] for item in stranger.all("/files", {"project_id": public["id"]})} == {
         public["id"]
     }
     stranger.get(f"/missions/{hidden['id']}").refused(404, "not_found")
     for path in (f"/missions/{mission['id']}", f"/files/{file_id}", f"/recordings/{recording}"):
         stranger.get(path).ok()
-    assert [each["name"] for each in stranger.all(f"/files/{file_id}/topics")] == ["/imu"]
+    assert [item["name"] for item in stranger.all(f"/files/{file_id}/topics")] == ["/imu"]
     links = stranger.post("/files/download", {"file_ids": [file_id]}).ok()["items"]
     assert links[0]["url"].startswith("http")
     (fetched,) = [event for event in api.events(file_id) if event["operation"] == "file.download"]
@@ -108,7 +108,7 @@ def test_a_limited_token_does_not_reach_a_public_project_beside_its_own(api: Api
     people.grant(api, ada, Right.create, project_id=project["id"])
     robot = api.as_(people.token(api, ada, [Scope.upload], limits=[project["id"]]).secret)
     robot.get(f"/projects/{public['id']}").refused(404, "not_found")
-    assert [each["id"] for each in robot.all("/projects")] == [project["id"]]
+    assert [item["id"] for item in robot.all("/projects")] == [project["id"]]
 
 
 @pytest.mark.parametrize("change", [{"is_public": True}, {"licence": "MIT"}, {"citation": "me"}])

@@ -148,8 +148,8 @@ def test_quotas_are_for_admins(api: Api) -> None:
     api.patch(f"/projects/{project['id']}", {"quota_bytes": 5}).ok()
     quota, update = api.events(project["id"])[:2]
     assert {quota["operation"], update["operation"]} == {"project.set_quota", "project.update"}
-    (told,) = [event for event in (quota, update) if event["operation"] == "project.set_quota"]
-    assert (told["before"], told["after"]) == ({"quota_bytes": None}, {"quota_bytes": 5})
+    (message,) = [event for event in (quota, update) if event["operation"] == "project.set_quota"]
+    assert (message["before"], message["after"]) == ({"quota_bytes": None}, {"quota_bytes": 5})
 
 
 @pytest.mark.parametrize("who", ["robot", "partner"])

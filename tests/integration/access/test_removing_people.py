@@ -12,7 +12,7 @@ from tests.integration.api_server import Api
 from tests.integration.people import Person, grant, group, person, session, token
 from tests.integration.races import racing
 
-_HELD = ("SELECT pg_advisory_xact_lock(%s)", 0x6B6C5247)
+_RIGHTS = ("SELECT pg_advisory_xact_lock(%s)", 0x6B6C5247)
 
 
 @pytest.fixture
@@ -45,8 +45,10 @@ def test_sessions_tokens_and_links_end_at_once(api: Api, ada: Person) -> None:
     guest.get(f"/missions/{mission['id']}").refused(401, "not_authenticated")
     cookie = {"Cookie": f"kleinkram={browser}"}
     api.as_(None).call("GET", "/projects", headers=cookie).refused(401, "not_authenticated")
-    told = api.all("/audit", {"noun_id": second.id}) + api.all("/audit", {"noun": "share", "mission_id": mission["id"]})
-    assert [event["operation"] for event in told] == ["token.revoke", "share.revoke"]
+    message = api.all("/audit", {"noun_id": second.id}) + api.all(
+        "/audit", {"noun": "share", "mission_id": mission["id"]}
+    )
+    assert [event["operation"] for event in message] == ["token.revoke", "share.revoke"]
     (left,) = api.all("/audit", {"noun_id": ada.id, "operation": "person.deactivate"})
     assert (left["after"]["tokens"], left["after"]["projects"], left["as_admin"]) == (2, [project["name"]], True)
 
@@ -54,17 +56,17 @@ def test_sessions_tokens_and_links_end_at_once(api: Api, ada: Person) -> None:
 def test_projects_without_another_owner_pass_to_the_admins(api: Api, ada: Person) -> None:
     bob, hers = person(api), api.as_(ada.token)
     alone, shared, ending, trashed, by_address = (hers.project() for _ in range(5))
-    for each, until in ((shared, None), (ending, 3600)):
-        grant(api, bob, Right.delete, project_id=each["id"], expires_s=until)
+    for item, until in ((shared, None), (ending, 3600)):
+        grant(api, bob, Right.delete, project_id=item["id"], expires_s=until)
     hers.delete(f"/projects/{trashed['id']}").ok()
     hers.post(f"/projects/{by_address['id']}/grants", {"email": "zoe@lab.example", "right": "DELETE"}).ok(201)
-    assert leave(api, ada)["projects"] == sorted(each["name"] for each in (alone, ending, trashed, by_address))
+    assert leave(api, ada)["projects"] == sorted(item["name"] for item in (alone, ending, trashed, by_address))
     owners = [(row["to"]["name"], row["right"]) for row in api.all(f"/projects/{alone['id']}/grants")]
     assert sorted(owners) == sorted([(ada.name, "DELETE"), ("admins", "DELETE")])
     assert "admins" not in [row["to"]["name"] for row in api.all(f"/projects/{shared['id']}/grants")]
     api.post(f"/trash/project/{trashed['id']}/restore").ok(204)
-    told = api.all("/audit", {"project_id": alone["id"], "operation": "grant.give"})
-    assert [(event["noun_name"], event["after"]["right"]) for event in told] == [("admins", "DELETE")]
+    message = api.all("/audit", {"project_id": alone["id"], "operation": "grant.give"})
+    assert [(event["noun_name"], event["after"]["right"]) for event in message] == [("admins", "DELETE")]
     # Her name stays in the record, and beside what she made.
     assert api.get(f"/projects/{alone['id']}").ok()["created_by"] == {"id": ada.id, "name": ada.name}
 
@@ -115,7 +117,7 @@ def test_an_owner_cannot_leave_while_the_only_other_owner_is_removed(api: Api, a
     grant(api, ada, Right.delete, project_id=project["id"])
     grants = f"/projects/{project['id']}/grants"
     (own,) = [row["id"] for row in api.all(grants) if row["to"]["id"] == bob.id]
-    with racing(api, *_HELD) as send:
+    with racing(api, *_RIGHTS) as send:
         gone = send(api.as_(bob.token).delete, f"{grants}/{own}")
         left = send(api.post, f"/people/{ada.id}/deactivate")
     handed = left.result().ok()["projects"]
@@ -124,7 +126,7 @@ def test_an_owner_cannot_leave_while_the_only_other_owner_is_removed(api: Api, a
 
 def test_a_person_removed_while_creating_a_project_leaves_none_without_owner(api: Api, ada: Person) -> None:
     name = f"project {uuid.uuid4()}"
-    with racing(api, *_HELD) as send:
+    with racing(api, *_RIGHTS) as send:
         made = send(api.as_(ada.token).post, "/projects", {"name": name})
         left = send(api.post, f"/people/{ada.id}/deactivate")
     if made.result().status == 201:

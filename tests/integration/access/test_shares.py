@@ -24,8 +24,8 @@ def _in(**span: float) -> str:
     return (datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(**span)).isoformat()
 
 
-def _link(api: Api, mission_id: str, **wanted: Any) -> Any:
-    body = {"name": "for a partner", "expires_at": _in(days=1), **wanted}
+def _link(api: Api, mission_id: str, **expected: Any) -> Any:
+    body = {"name": "for a partner", "expires_at": _in(days=1), **expected}
     return api.post(f"/missions/{mission_id}/shares", body).ok(201)
 
 
@@ -84,8 +84,8 @@ def test_a_link_to_a_mission_shows_it_whole_and_nothing_else(api: Api, outing: O
     assert (shown["mission"]["name"], shown["file_count"], shown["size_bytes"]) == (outing.mission["name"], 3, 1199)
     (mission,) = guest.all("/missions")
     assert (mission["metadata"], mission["notes"]) == ({"robot": "anymal"}, "the secret of the mission")
-    assert {each["id"] for each in guest.all("/files")} == {outing.first, outing.second, outing.other}
-    assert {each["id"] for each in guest.all(f"/missions/{mission['id']}/recordings")} == {outing.split, outing.alone}
+    assert {item["id"] for item in guest.all("/files")} == {outing.first, outing.second, outing.other}
+    assert {item["id"] for item in guest.all(f"/missions/{mission['id']}/recordings")} == {outing.split, outing.alone}
     assert guest.all("/projects") == []
     guest.get(f"/projects/{outing.project['id']}").refused(404, "not_found")
 
@@ -104,11 +104,11 @@ def test_a_link_to_one_half_leaks_nothing_of_the_rest(api: Api, outing: Outing) 
     assert mission["metadata"] == {}
     assert guest.get(f"/missions/{mission['id']}").ok() == mission
 
-    assert [each["id"] for each in guest.all("/files")] == [outing.first]
+    assert [item["id"] for item in guest.all("/files")] == [outing.first]
     assert guest.get("/files", {"count": "true"}).ok()["total"] == 1
     guest.get(f"/files/{outing.other}").refused(404, "not_found")
     guest.post("/files/download", {"file_ids": [outing.first, outing.other]}).refused(404, "not_found")
-    assert [each["name"] for each in guest.all("/topics")] == ["/imu"]
+    assert [item["name"] for item in guest.all("/topics")] == ["/imu"]
     assert guest.all("/missions", {"topic": "/hidden"}) == []
     assert guest.all("/missions", {"recorded_after": "1970-01-02T00:00:00Z"}) == []
     assert len(guest.all("/missions", {"topic": "/imu"})) == 1
@@ -122,7 +122,7 @@ def test_a_link_to_one_half_leaks_nothing_of_the_rest(api: Api, outing: Outing) 
 
 def test_a_link_to_both_halves_shows_their_recording(api: Api, outing: Outing) -> None:
     guest = api.as_(_link(api, outing.mission["id"], file_ids=[outing.first, outing.second])["secret"])
-    assert [each["id"] for each in guest.all(f"/missions/{outing.mission['id']}/recordings")] == [outing.split]
+    assert [item["id"] for item in guest.all(f"/missions/{outing.mission['id']}/recordings")] == [outing.split]
     total = guest.get("/stats", {"by": "project"}).ok()["total"]
     assert [total[name] for name in ("files", "recordings", "duration_ns")] == [2, 1, 2 * _HOUR_NS]
 
@@ -160,7 +160,7 @@ def test_the_sdk_takes_the_address_of_a_link(api: Api, outing: Outing) -> None:
     with connect(api.url, api.token) as client:
         assert [client.shares.get(ref).id for ref in (made.url, made.secret, made.share.prefix)] == [made.share.id] * 3
         client.shares.revoke(made.share.id)
-        assert [each.id for each in client.shares.list(mission_id=mission_id, ended=True)] == [made.share.id]
+        assert [item.id for item in client.shares.list(mission_id=mission_id, ended=True)] == [made.share.id]
 
 
 def test_a_link_only_reads(api: Api, outing: Outing) -> None:
@@ -188,14 +188,14 @@ def test_downloads_are_counted_and_recorded_under_the_link(api: Api, outing: Out
     assert listed["last_used_at"] is not None
     assert made["secret"] not in str(listed)
     fetched = [event for event in api.events(outing.other) if event["operation"] == "file.download"]
-    kept = api.sql("SELECT share_id::text, address FROM audit_event WHERE id = %s", fetched[0]["id"])
-    assert kept == [(made["share"]["id"], "127.0.0.1")]
+    remaining = api.sql("SELECT share_id::text, address FROM audit_event WHERE id = %s", fetched[0]["id"])
+    assert remaining == [(made["share"]["id"], "127.0.0.1")]
 
 
 def test_a_link_ends_when_it_is_revoked_expired_or_its_mission_is_gone(api: Api, outing: Outing) -> None:
     mission_id = outing.mission["id"]
     revoked, expired, rests = (_link(api, mission_id) for _ in range(3))
-    guests = [api.as_(each["secret"]) for each in (revoked, expired, rests)]
+    guests = [api.as_(item["secret"]) for item in (revoked, expired, rests)]
     for guest in guests:
         guest.get("/share").ok()
     api.delete(f"/shares/{revoked['share']['id']}").ok(204)
@@ -204,9 +204,9 @@ def test_a_link_ends_when_it_is_revoked_expired_or_its_mission_is_gone(api: Api,
     for guest in guests[:2]:
         guest.get("/share").refused(401, "not_authenticated")
         guest.get("/files").refused(401, "not_authenticated")
-    assert [each["id"] for each in api.all("/shares", {"mission_id": mission_id})] == [rests["share"]["id"]]
+    assert [item["id"] for item in api.all("/shares", {"mission_id": mission_id})] == [rests["share"]["id"]]
     ended = api.all("/shares", {"mission_id": mission_id, "ended": "true"})
-    assert {each["id"] for each in ended} == {each["share"]["id"] for each in (revoked, expired, rests)}
+    assert {item["id"] for item in ended} == {item["share"]["id"] for item in (revoked, expired, rests)}
     assert [event["operation"] for event in api.events(revoked["share"]["id"])] == ["share.revoke", "share.create"]
 
     api.delete(f"/missions/{mission_id}").ok()
@@ -265,10 +265,10 @@ def test_its_creator_and_writers_can_revoke_a_share(api: Api, outing: Outing) ->
     bobs.delete(f"/shares/{first}").refused(403, "forbidden")
     assert bobs.all("/shares") == []
     people.grant(api, bob, Right.write, mission_id=mission_id)
-    assert {each["id"] for each in bobs.all("/shares")} == {first, second}
+    assert {item["id"] for item in bobs.all("/shares")} == {first, second}
     bobs.delete(f"/shares/{first}").ok(204)
     api.sql("DELETE FROM access_grant WHERE group_id = %s", ada.group_id)
-    assert [each["id"] for each in hers.all("/shares")] == [second], "what one made, one finds again"
+    assert [item["id"] for item in hers.all("/shares")] == [second], "what one made, one finds again"
     hers.delete(f"/shares/{second}").ok(204)
 
 

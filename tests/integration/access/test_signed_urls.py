@@ -55,8 +55,8 @@ def test_addresses_live_as_long_as_decided() -> None:
 
 def test_an_address_is_good_for_reading_one_object(api: Api, mission_id: str) -> None:
     mine, other = (upload(api, mission_id, name, name.encode()) for name in ("mine", "other"))
-    found = api.sql("SELECT path, key FROM file JOIN blob ON blob.id = blob_id WHERE mission_id = %s", mission_id)
-    keys = {str(path): str(key) for path, key in found}
+    actual = api.sql("SELECT path, key FROM file JOIN blob ON blob.id = blob_id WHERE mission_id = %s", mission_id)
+    keys = {str(path): str(key) for path, key in actual}
     url = _link(api, mine)
     assert fetch(url) == (200, b"mine")
     assert fetch(url.replace(keys["mine"], keys["other"]))[0] == 403
@@ -81,14 +81,14 @@ def test_an_address_of_a_part_takes_that_part_and_no_other(api: Api, mission_id:
 
 def test_signed_urls_expire_soon_after_the_right_was_revoked(brief: Api) -> None:
     mission_id, partner = _mission(brief, Right.read)
-    wanted = {"file_ids": [upload(brief, mission_id, "run.bin", b"secret")["id"]]}
+    expected = {"file_ids": [upload(brief, mission_id, "run.bin", b"secret")["id"]]}
     theirs = brief.as_(partner.token)
-    answer = theirs.post("/files/download", wanted).ok()["items"][0]
+    answer = theirs.post("/files/download", expected).ok()["items"][0]
     _withdraw(brief, partner)
-    theirs.post("/files/download", wanted).refused(404, "not_found")
+    theirs.post("/files/download", expected).refused(404, "not_found")
     wait_until(lambda: fetch(answer["url"])[0] == 403, limit_s=_SHORT_S + 5)
-    said = datetime.datetime.fromisoformat(answer["expires_at"]) - datetime.timedelta(seconds=1)
-    assert said <= datetime.datetime.now(datetime.timezone.utc), "not before it said"
+    text = datetime.datetime.fromisoformat(answer["expires_at"]) - datetime.timedelta(seconds=1)
+    assert text <= datetime.datetime.now(datetime.timezone.utc), "not before it said"
 
 
 def test_an_upload_completed_after_the_right_was_revoked_creates_no_file(api: Api) -> None:

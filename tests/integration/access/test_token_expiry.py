@@ -24,9 +24,9 @@ def _in_days(days: float) -> str:
 
 
 @pytest.mark.parametrize(("kind", "days"), [("personal", 90), ("runner", 365)])
-@pytest.mark.parametrize("said", [{}, {"expires_at": None}])
-def test_a_token_ends_after_the_usual_time(api: Api, kind: str, days: float, said: dict[str, None]) -> None:
-    made = api.post("/tokens", {"name": "usual", "kind": kind, **said}).ok(201)
+@pytest.mark.parametrize("text", [{}, {"expires_at": None}])
+def test_a_token_ends_after_the_usual_time(api: Api, kind: str, days: float, text: dict[str, None]) -> None:
+    made = api.post("/tokens", {"name": "usual", "kind": kind, **text}).ok(201)
     assert _days(made) == pytest.approx(days, abs=0.1)
 
 
@@ -44,5 +44,5 @@ def test_a_server_may_allow_tokens_without_an_end(lasting: Api) -> None:
 
 
 def test_the_server_says_how_long_tokens_are_good(api: Api, lasting: Api) -> None:
-    said = [each.get("/service").ok() for each in (api, lasting)]
-    assert [(each["token_days_default"], each["token_days_max"]) for each in said] == [(90, 365), (90, 0)]
+    text = [item.get("/service").ok() for item in (api, lasting)]
+    assert [(item["token_days_default"], item["token_days_max"]) for item in text] == [(90, 365), (90, 0)]

@@ -20,8 +20,8 @@ from tests.integration.races import racing
 from tests.integration.upload_client import upload
 
 
-def _made(api: Api, **wanted: Any) -> Any:
-    return api.post("/tokens", {"name": "a token", **wanted}).ok(201)
+def _made(api: Api, **expected: Any) -> Any:
+    return api.post("/tokens", {"name": "a token", **expected}).ok(201)
 
 
 def _in(**span: float) -> str:
@@ -38,20 +38,20 @@ def test_a_secret_is_shown_once_and_works_until_it_is_revoked(api: Api) -> None:
     assert is_whole(made["secret"])
     token_id = made["token"]["id"]
     assert made["secret"].startswith(made["token"]["prefix"])
-    listed = {each["id"]: each for each in hers.all("/tokens")}
+    listed = {item["id"]: item for item in hers.all("/tokens")}
     assert listed[token_id]["last_used_at"] is None
     assert "secret" not in str(listed)
     assert made["secret"][20:] not in str([hers.events(token_id), api.events(token_id), listed])
 
     with_it = api.as_(made["secret"])
-    assert project["id"] in {each["id"] for each in with_it.all("/projects")}
+    assert project["id"] in {item["id"] for item in with_it.all("/projects")}
     with_it.post("/projects", {"name": "x"}).refused(403, "scope_missing")
-    assert {each["id"]: each for each in hers.all("/tokens")}[token_id]["last_used_at"] is not None
+    assert {item["id"]: item for item in hers.all("/tokens")}[token_id]["last_used_at"] is not None
 
     hers.delete(f"/tokens/{token_id}").ok(204)
     with_it.get("/projects").refused(401, "not_authenticated")
-    assert token_id not in {each["id"] for each in hers.all("/tokens")}
-    assert {each["id"]: each for each in hers.all("/tokens", {"ended": "true"})}[token_id]["revoked_at"] is not None
+    assert token_id not in {item["id"] for item in hers.all("/tokens")}
+    assert {item["id"]: item for item in hers.all("/tokens", {"ended": "true"})}[token_id]["revoked_at"] is not None
     hers.delete(f"/tokens/{token_id}").ok(204)
     assert [event["operation"] for event in api.events(token_id)] == ["token.revoke", "token.create"]
 
@@ -64,7 +64,7 @@ def test_only_the_hash_of_a_token_is_stored(api: Api) -> None:
 
 
 @pytest.mark.parametrize(
-    ("wanted", "field"),
+    ("expected", "field"),
     [
         ({"kind": "robot"}, "limited"),
         ({"kind": "robot", "scopes": ["admin"], "project_ids": ["PROJECT"]}, "admin"),
@@ -75,9 +75,9 @@ def test_only_the_hash_of_a_token_is_stored(api: Api) -> None:
         ({"name": ""}, "name"),
     ],
 )
-def test_invalid_token_requests_name_the_invalid_field(api: Api, wanted: dict[str, Any], field: str) -> None:
+def test_invalid_token_requests_name_the_invalid_field(api: Api, expected: dict[str, Any], field: str) -> None:
     project_id = api.project()["id"]
-    body = {"name": "x", **wanted}
+    body = {"name": "x", **expected}
     if "project_ids" in body:
         body["project_ids"] = [project_id]
     assert field in str(api.post("/tokens", body).refused(422, "invalid_request"))
@@ -96,7 +96,7 @@ def test_a_token_is_limited_to_what_its_maker_sees(api: Api) -> None:
     assert made["token"]["limits"] == [{"noun": "project", "id": seen["id"], "name": seen["name"]}]
     # What she may no longer see keeps its id there, and loses its name.
     api.sql("DELETE FROM access_grant WHERE group_id = %s", ada.group_id)
-    (limit,) = {each["id"]: each for each in hers.all("/tokens")}[made["token"]["id"]]["limits"]
+    (limit,) = {item["id"]: item for item in hers.all("/tokens")}[made["token"]["id"]]["limits"]
     assert limit == {"noun": "project", "id": seen["id"], "name": None}
 
 
@@ -131,15 +131,15 @@ def test_a_robot_that_may_only_upload_to_one_project_sees_no_other(api: Api) -> 
     robot = _made(api, name="anymal", kind="robot", project_ids=[project["id"]])
     assert robot["token"]["scopes"] == ["upload"]
     its = api.as_(robot["secret"])
-    assert [each["id"] for each in its.all("/projects")] == [project["id"]]
-    assert [each["id"] for each in its.all("/missions")] == [mission["id"]]
+    assert [item["id"] for item in its.all("/projects")] == [project["id"]]
+    assert [item["id"] for item in its.all("/missions")] == [mission["id"]]
     its.get(f"/projects/{other['id']}").refused(404, "not_found")
     its.post(f"/projects/{other['id']}/missions", {"name": "x"}).refused(404, "not_found")
     for path in ("/files", "/topics", "/stats", "/trash", "/audit", "/tokens"):
         its.get(path).refused(403, "scope_missing")
 
 
-def test_a_robot_hears_that_a_file_is_there_and_no_more_of_it(api: Api, tmp_path: Path) -> None:
+def test_an_upload_only_token_sees_that_a_file_exists_and_nothing_else(api: Api, tmp_path: Path) -> None:
     ada, mission = people.person(api), api.mission(api.project()["id"], notes="secret", metadata_yaml="robot: spot\n")
     people.grant(api, ada, Right.create, mission_id=mission["id"])
     secret = people.token(api, ada, [Scope.upload], limits=[mission["id"]]).secret
@@ -188,8 +188,8 @@ def test_admins_list_and_revoke_those_of_others(api: Api) -> None:
     bobs = api.as_(bob.token)
     bobs.get("/tokens", {"person_id": ada.id}).refused(403, "forbidden")
     bobs.delete(f"/tokens/{hers['id']}").refused(404, "not_found")
-    assert hers["id"] in {each["id"] for each in api.all("/tokens", {"person_id": ada.id})}
-    assert {ada.id, bob.id} <= {each["person"]["id"] for each in api.all("/tokens", {"everybody": "true"})}
+    assert hers["id"] in {item["id"] for item in api.all("/tokens", {"person_id": ada.id})}
+    assert {ada.id, bob.id} <= {item["person"]["id"] for item in api.all("/tokens", {"everybody": "true"})}
     limited = people.token(api, people.person(api, admin=True), [Scope.admin], limits=[api.project()["id"]])
     api.as_(limited.secret).get("/tokens", {"everybody": "true"}).refused(403, "scope_missing")
     api.delete(f"/tokens/{hers['id']}").ok(204)
@@ -270,11 +270,11 @@ def test_a_truncated_or_mistyped_token_is_recognised(api: Api) -> None:
     secret = _made(api)["secret"]
     wrong = secret[:-10] + ("a" if secret[-10] != "a" else "b") + secret[-9:]
     assert not is_mangled(secret)
-    assert [is_mangled(each) for each in (wrong, secret[:-1], secret + "x")] == [True] * 3
+    assert [is_mangled(item) for item in (wrong, secret[:-1], secret + "x")] == [True] * 3
     assert not is_mangled("something else")
 
 
-def test_a_lost_robot_or_runner_tells_no_address_and_no_group_of_its_person(api: Api) -> None:
+def test_tokens_of_robots_and_runners_reveal_no_address_and_no_group(api: Api) -> None:
     ada, project = people.person(api, email=f"{uuid.uuid4().hex}@lab.example"), api.project()
     people.group(api, members=[ada])
     limited = people.token(api, ada, (Scope.upload,), limits=[project["id"]], kind=TokenKind.robot)

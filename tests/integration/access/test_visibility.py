@@ -47,13 +47,13 @@ def _ids(items: Iterable[Any], key: str = "id") -> list[str]:
     return sorted(str(item[key]) for item in items)
 
 
-def _some(lab: Lab, eye: Eye, things: Sequence[T]) -> Sequence[T]:
-    return random.Random(f"{lab.seed} {eye.name}").sample(things, min(len(things), _SOME[_round(lab.seed)]))
+def _some(lab: Lab, eye: Eye, items: Sequence[T]) -> Sequence[T]:
+    return random.Random(f"{lab.seed} {eye.name}").sample(items, min(len(items), _SOME[_round(lab.seed)]))
 
 
 def _visible_files(lab: Lab, eye: Eye, missions: Iterable[Mission] | None = None) -> list[File]:
-    found = lab.missions if missions is None else missions
-    return [file for mission in found for file in mission.files if visibility_model.sees_file(eye, file)]
+    actual = lab.missions if missions is None else missions
+    return [file for mission in actual for file in mission.files if visibility_model.sees_file(eye, file)]
 
 
 def test_projects(lab: Lab) -> None:
@@ -113,8 +113,8 @@ def test_files_in_the_order_of_time(lab: Lab, monkeypatch: pytest.MonkeyPatch) -
         if not eye.reads:
             continue
         visible = sorted(file.id for file in _visible_files(lab, eye))
-        for asked in ({}, {"message_type": "std_msgs/String"}):
-            assert _ids(api.all("/files", {"sort": "-start", "limit": "50", **asked})) == visible, (eye, asked)
+        for requested in ({}, {"message_type": "std_msgs/String"}):
+            assert _ids(api.all("/files", {"sort": "-start", "limit": "50", **requested})) == visible, (eye, requested)
 
 
 def test_searches(lab: Lab) -> None:
@@ -123,16 +123,16 @@ def test_searches(lab: Lab) -> None:
         if not eye.reads:
             continue
         for query, files in _some(lab, eye, _queries(lab, eye)):
-            found = api.get("/search", {"query": query, "limit": "500"}).ok()
-            assert _ids(found["files"]["items"]) == sorted(file.id for file in files), eye
-            assert found["files"]["total"] == found["topics"]["total"] == len(files), eye
-            assert sum(item["file_count"] for item in found["topics"]["items"]) == len(files), eye
+            actual = api.get("/search", {"query": query, "limit": "500"}).ok()
+            assert _ids(actual["files"]["items"]) == sorted(file.id for file in files), eye
+            assert actual["files"]["total"] == actual["topics"]["total"] == len(files), eye
+            assert sum(item["file_count"] for item in actual["topics"]["items"]) == len(files), eye
             if query:  # what says nothing finds missions without files, too
-                assert _ids(found["missions"]["items"]) == sorted({file.mission.id for file in files}), eye
-            facets = {each["name"]: each for each in api.get("/search/facets", {"query": query}).ok()["facets"]}
+                assert _ids(actual["missions"]["items"]) == sorted({file.mission.id for file in files}), eye
+            facets = {entry["name"]: entry for entry in api.get("/search/facets", {"query": query}).ok()["facets"]}
             projects = Counter(file.mission.project.name for file in files)
             shown = facets.get("project", {"values": []})["values"]
-            assert {each["value"]: each["file_count"] for each in shown} == projects, eye
+            assert {entry["value"]: entry["file_count"] for entry in shown} == projects, eye
             assert facets.get("topic", {"value_count": 0})["value_count"] == len(files), eye
 
 
@@ -171,17 +171,17 @@ def test_statistics(lab: Lab, by: str) -> None:
 def test_search_finds_only_visible_missions(lab: Lab) -> None:
     for eye, api in _looks(lab):
         for project in _some(lab, eye, lab.projects):
-            found = _found(api, "/projects", name=project.name)
-            assert found == ([project.id] if visibility_model.sees_project(eye, project) else []), eye
+            actual = _search(api, "/projects", name=project.name)
+            assert actual == ([project.id] if visibility_model.sees_project(eye, project) else []), eye
             missions = sorted(mission.id for mission in project.missions if visibility_model.sees_mission(eye, mission))
             files = sorted(file.id for file in _visible_files(lab, eye, project.missions))
             for query in ({"project": project.name}, {"project_id": project.id}, {"text": project.name}):
-                assert _found(api, "/missions", **query) == missions, (eye, query)
+                assert _search(api, "/missions", **query) == missions, (eye, query)
                 if eye.reads:
-                    assert _found(api, "/files", **query) == files, (eye, query)
+                    assert _search(api, "/files", **query) == files, (eye, query)
 
 
-def _found(api: Api, path: str, **query: str) -> list[str]:
+def _search(api: Api, path: str, **query: str) -> list[str]:
     return _ids(api.get(path, {"limit": "500", **query}).ok()["items"])
 
 
@@ -215,8 +215,8 @@ def test_the_record(lab: Lab) -> None:
     for eye, api in _looks(lab):
         if eye.secret is None or eye.is_link or not eye.reads:
             continue
-        told = {event["project_id"] for event in api.all("/audit", {"limit": "500"})} - {None}
-        assert told == {project.id for project in lab.projects if visibility_model.level(eye, project) == 4}, eye
+        message = {event["project_id"] for event in api.all("/audit", {"limit": "500"})} - {None}
+        assert message == {project.id for project in lab.projects if visibility_model.level(eye, project) == 4}, eye
 
 
 def test_a_page_of_somebody_elses_list_goes_on_with_ones_own(lab: Lab) -> None:

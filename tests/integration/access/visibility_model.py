@@ -98,7 +98,7 @@ def level(eye: Eye, place: Project | Mission) -> int:
     if eye.is_link:
         return 0 if place is project else _READ
     public = _READ if project.is_public else 0
-    return _OWNER if eye.is_admin else max(public, *(eye.levels.get(each.id, 0) for each in (place, project)))
+    return _OWNER if eye.is_admin else max(public, *(eye.levels.get(item.id, 0) for item in (place, project)))
 
 
 def sees_project(eye: Eye, project: Project) -> bool:
@@ -147,7 +147,7 @@ def build(api: Api, seed: int) -> Lab:
     bounded = people.token(api, people.person(api, admin=True), limits=sorted(limit))
     eyes.append(Eye("admin, limited", bounded.secret, is_admin=True, reach=limit))
     # A link to what is in the trash rests: it is no credential meanwhile.
-    for mission in rng.sample([each for each in missions if not each.is_gone and not each.project.is_gone], 3):
+    for mission in rng.sample([item for item in missions if not item.is_gone and not item.project.is_gone], 3):
         some = {file.id for file in rng.sample(mission.files, 2)}
         for chosen in (None, some):
             made = people.share(api, mission.id, file_ids=None if chosen is None else sorted(chosen))
@@ -158,16 +158,16 @@ def build(api: Api, seed: int) -> Lab:
 def _project(api: Api, rng: random.Random, number: int, uploaders: list[str]) -> Project:
     made = api.project(name=f"lab {number} {uuid.uuid4().hex[:6]}")
     project = Project(made["id"], made["name"], is_public=number == 1)
-    for each in range(3):
-        mission = api.mission(project.id, name=f"outing {each}")
+    for item in range(3):
+        mission = api.mission(project.id, name=f"outing {item}")
         project.missions.append(Mission(mission["id"], mission["name"], project))
         _fill(api, rng, project.missions[-1], uploaders)
     api.sql("UPDATE project SET is_public = %s WHERE id = %s", project.is_public, project.id)
-    things: list[Project | Mission | File] = [rng.choice(project.missions), rng.choice(project.missions[0].files[:2])]
-    things += [project] if number == 2 else []
-    for thing in things:
-        trash(api, type(thing).__name__.lower(), thing.id)
-        thing.is_gone = True
+    items: list[Project | Mission | File] = [rng.choice(project.missions), rng.choice(project.missions[0].files[:2])]
+    items += [project] if number == 2 else []
+    for object_ in items:
+        trash(api, type(object_).__name__.lower(), object_.id)
+        object_.is_gone = True
     return project
 
 
@@ -184,9 +184,9 @@ def _fill(api: Api, rng: random.Random, mission: Mission, uploaders: list[str]) 
     *split, alone = mission.files
     for name, members in (("split", split), ("alone", [alone])):
         span = {"start_ns": 0, "end_ns": rng.randrange(1, 10**12)}
-        recording = sample.recording(mission.id, name, [each.id for each in members], **span)
-        for each in members:
-            each.recording = recording
+        recording = sample.recording(mission.id, name, [item.id for item in members], **span)
+        for item in members:
+            item.recording = recording
 
 
 def _grants(

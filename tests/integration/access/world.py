@@ -54,13 +54,13 @@ class Things:
 
 
 @dataclass(frozen=True)
-class Asker:
+class Principal:
     """Somebody in one place, what their requests carry, an upload they began in the mission; `api` is for behind it."""
 
     api: Api
     carrier: Carrier
     place: Place
-    things: Things
+    objects: Things
     headers: dict[str, str]
     upload: str
     person_id: str | None = None
@@ -77,21 +77,21 @@ class World:
     """The API, what it holds, and all who ask."""
 
     api: Api
-    askers: Sequence[Asker]
+    principals: Sequence[Principal]
 
 
 def build(api: Api, *, places_each: int = len(PLACES)) -> World:
     """Put everything and everybody into an API's database; the plain member in all places, others in so many."""
     sides = {is_public: put_things(api, is_public=is_public) for is_public in (False, True)}
-    wanted = {carrier: set(random.Random(carrier.name).sample(PLACES, places_each)) for carrier in PLACED}
-    wanted[MEMBER] = set(PLACES)
-    askers: list[Asker] = []
+    expected = {carrier: set(random.Random(carrier.name).sample(PLACES, places_each)) for carrier in PLACED}
+    expected[MEMBER] = set(PLACES)
+    principals: list[Principal] = []
     for place in PLACES:
-        carriers = [carrier for carrier in PLACED if place in wanted[carrier]]
-        askers += _placed(api, place, sides[place.is_public], carriers)
-    for is_public, things in sides.items():
-        askers += _unplaced(api, Place(is_public=is_public), things)
-    return World(api, askers)
+        carriers = [carrier for carrier in PLACED if place in expected[carrier]]
+        principals += _placed(api, place, sides[place.is_public], carriers)
+    for is_public, items in sides.items():
+        principals += _unplaced(api, Place(is_public=is_public), items)
+    return World(api, principals)
 
 
 def put_things(api: Api, *, is_public: bool) -> Things:
@@ -106,7 +106,7 @@ def put_things(api: Api, *, is_public: bool) -> Things:
     )
     hermit = people.person(api)
     action, run, artifact = _put_run(api, project["id"], mission["id"], file)
-    things = Things(
+    items = Things(
         project=project["id"],
         project_name=project["name"],
         mission=mission["id"],
@@ -131,7 +131,7 @@ def put_things(api: Api, *, is_public: bool) -> Things:
     api.sql("UPDATE file SET created_at = now() - interval '2 hours' WHERE mission_id = %s", mission["id"])
     for table, gone in (("mission", trashed_mission), ("file", trashed), ("project", trashed_project)):
         trash(api, table, gone)
-    return things
+    return items
 
 
 ACTION = {"name": "count", "script": "print(1)"}
@@ -140,8 +140,8 @@ ACTION = {"name": "count", "script": "print(1)"}
 def _put_run(api: Api, project_id: str, mission_id: str, file_id: str) -> tuple[str, str, str]:
     """Put an action, and a run of it that is over; returns the ids of both, and of what the run left."""
     made = api.post("/actions", {"project_id": project_id, "definition": ACTION}).ok(201)
-    wanted = {"mission_ids": [mission_id], "action_id": made["id"], "force": True}
-    run = api.post("/runs", wanted).ok()["items"][0]["run"]["id"]
+    expected = {"mission_ids": [mission_id], "action_id": made["id"], "force": True}
+    run = api.post("/runs", expected).ok()["items"][0]["run"]["id"]
     api.post(f"/runs/{run}/cancel").ok()
     artifact = str(uuid.uuid4())
     api.sql(
@@ -160,25 +160,25 @@ def trash(api: Api, table: str, ref: str) -> None:
     api.sql(f"UPDATE {table} SET deleted_at = now(), deleted_by_id = %s WHERE id = %s", OWNER_ID, ref)
 
 
-def _grant(api: Api, group_id: str, place: Place, things: Things, *, expires_s: float | None = None) -> None:
-    for project in (things.project, things.trashed_project):
+def _grant(api: Api, group_id: str, place: Place, items: Things, *, expires_s: float | None = None) -> None:
+    for project in (items.project, items.trashed_project):
         if place.project:
             people.grant(api, group_id, Right.of_level(place.project), project_id=project, expires_s=expires_s)
-    for mission in (things.mission, things.trashed_mission):
+    for mission in (items.mission, items.trashed_mission):
         if place.mission:
             people.grant(api, group_id, Right.of_level(place.mission), mission_id=mission, expires_s=expires_s)
-    people.grant(api, group_id, Right.create, project_id=things.target, expires_s=expires_s)
+    people.grant(api, group_id, Right.create, project_id=items.target, expires_s=expires_s)
 
 
-def _placed(api: Api, place: Place, things: Things, carriers: Sequence[Carrier]) -> Iterator[Asker]:
+def _placed(api: Api, place: Place, items: Things, carriers: Sequence[Carrier]) -> Iterator[Principal]:
     """Give everybody who comes by a group, or by grants of their own, the levels of a place."""
     group_id, expired_id, elsewhere = people.group(api), people.group(api), api.project()["id"]
-    _grant(api, group_id, place, things)
-    _grant(api, expired_id, place, things, expires_s=_PAST_S)
+    _grant(api, group_id, place, items)
+    _grant(api, expired_id, place, items, expires_s=_PAST_S)
     for carrier in carriers:
         who = people.person(api, admin=carrier.name.startswith("admin"))
         if carrier.name == "person with grants of their own":
-            _grant(api, who.group_id, place, things)
+            _grant(api, who.group_id, place, items)
         elif carrier.name == "person whose grants expired":
             people.join(api, who, expired_id)
         else:
@@ -186,13 +186,13 @@ def _placed(api: Api, place: Place, things: Things, carriers: Sequence[Carrier])
         if carrier.name == "admin whose membership of the admins expired":
             people.join(api, who, str(ADMINS_ID), expires_s=_PAST_S)
         reached = {
-            Reach.project: [things.project, things.target, things.trashed_project],
-            Reach.mission: [things.mission, things.trashed_mission, things.target],
+            Reach.project: [items.project, items.target, items.trashed_project],
+            Reach.mission: [items.mission, items.trashed_mission, items.target],
             Reach.elsewhere: [elsewhere],
         }
         headers = _headers(api, carrier, who, reached.get(carrier.reach))
-        upload = begun(api, who.id, things.mission)
-        yield Asker(api, carrier, place, things, headers, upload, who.id)
+        upload = begun(api, who.id, items.mission)
+        yield Principal(api, carrier, place, items, headers, upload, who.id)
 
 
 def _headers(api: Api, carrier: Carrier, who: Person, limits: list[str] | None) -> dict[str, str]:
@@ -214,20 +214,20 @@ def _headers(api: Api, carrier: Carrier, who: Person, limits: list[str] | None) 
     return _bearer(made)
 
 
-def _unplaced(api: Api, place: Place, things: Things) -> Iterator[Asker]:
-    chosen = {Reach.file: [things.file], Reach.other_file: [things.other_file]}
-    upload = begun(api, str(OWNER_ID), things.mission)
+def _unplaced(api: Api, place: Place, items: Things) -> Iterator[Principal]:
+    chosen = {Reach.file: [items.file], Reach.other_file: [items.other_file]}
+    upload = begun(api, str(OWNER_ID), items.mission)
     for carrier in UNPLACED:
         headers = {}
         if "link" in carrier.name:
             expires_s = _PAST_S if carrier.name == "ended link" else _AHEAD_S
-            made = people.share(api, things.mission, file_ids=chosen.get(carrier.reach), expires_s=expires_s)
+            made = people.share(api, items.mission, file_ids=chosen.get(carrier.reach), expires_s=expires_s)
             if carrier.name == "revoked link":
                 api.sql("UPDATE share SET revoked_at = now() WHERE id = %s", made.id)
             headers = _bearer(made)
         elif carrier.name == "carrier of nonsense":
             headers = {"Authorization": "Bearer nonsense"}
-        yield Asker(api, carrier, place, things, headers, upload)
+        yield Principal(api, carrier, place, items, headers, upload)
 
 
 def _bearer(made: Token) -> dict[str, str]:

@@ -29,20 +29,20 @@ def test_storage_is_reported_by_state(lab: Api) -> None:
     lab.delete(f"/files/{trashed}").ok()
     sample.blob(size_bytes=7, marked_for_deletion_at="2026-01-01T00:00:00Z")
     begin(lab, mission["id"], {"coming.bin": b"eleven byte"}, hashed=False)
-    told = lab.get("/admin/storage").ok()
-    assert told["blobs"] == [{"state": "stored", "count": 2, "size_bytes": 8}]
-    assert told["trash"] == {"state": "trash", "count": 1, "size_bytes": 5}
-    assert told["marked_for_deletion"] == {"state": "marked_for_deletion", "count": 1, "size_bytes": 7}
-    assert told["uploads"] == {"state": "under_way", "count": 1, "size_bytes": 11}
+    message = lab.get("/admin/storage").ok()
+    assert message["blobs"] == [{"state": "stored", "count": 2, "size_bytes": 8}]
+    assert message["trash"] == {"state": "trash", "count": 1, "size_bytes": 5}
+    assert message["marked_for_deletion"] == {"state": "marked_for_deletion", "count": 1, "size_bytes": 7}
+    assert message["uploads"] == {"state": "under_way", "count": 1, "size_bytes": 11}
 
 
 def test_a_failed_job_is_shown_and_put_back(lab: Api) -> None:
     insert = "INSERT INTO procrastinate_jobs (queue_name, task_name, status, args) VALUES"
     job_id = lab.sql(f"{insert} ('default', 'verify_blob', 'failed', '{{\"ref\": \"x\"}}') RETURNING id")[0][0]
     with connect(lab.url, lab.token) as client:
-        told = client.admin.jobs()
-        assert [(each.id, each.kind, each.ref) for each in told.failed] == [(job_id, "verify_blob", "x")]
-        assert ("verify_blob", "failed", 1) in [(each.kind, each.state, each.count) for each in told.queue]
+        message = client.admin.jobs()
+        assert [(item.id, item.kind, item.ref) for item in message.failed] == [(job_id, "verify_blob", "x")]
+        assert ("verify_blob", "failed", 1) in [(item.kind, item.state, item.count) for item in message.queue]
         client.admin.retry_job(job_id)
         assert client.admin.jobs().failed == []
         with pytest.raises(NotFound):
@@ -69,11 +69,11 @@ def test_a_job_that_fails_leaves_a_sentence_that_goes_with_it(lab: Api, monkeypa
     )[0][0]
     run_jobs(lab)
     with connect(lab.url, lab.token) as client:
-        (told,) = [each for each in client.admin.jobs().failed if each.id == job_id]
-        assert told.error == fails[0].sentence()
+        (message,) = [item for item in client.admin.jobs().failed if item.id == job_id]
+        assert message.error == fails[0].sentence()
         fails.clear()
         client.admin.retry_job(job_id)
-        assert [each for each in client.admin.jobs().failed if each.id == job_id] == []
+        assert [item for item in client.admin.jobs().failed if item.id == job_id] == []
     run_jobs(lab)
     lab.sql("DELETE FROM procrastinate_jobs WHERE id = %s RETURNING id", job_id)
     assert lab.sql("SELECT 1 FROM job_error WHERE job_id = %s", job_id) == []
@@ -96,10 +96,10 @@ def test_a_job_shows_why_it_failed_while_it_is_tried_again(
     )[0][0]
     run_jobs(lab)
     with connect(lab.url, lab.token) as client:
-        (told,) = [each for each in client.admin.jobs().retrying if each.id == job_id]
-    assert (told.attempts, told.ref, told.error) == (1, blob_id, error.sentence())
-    assert told.next_attempt_at is not None
-    (line,) = [each for each in caplog.records if each.getMessage() == f"job failed: {error.sentence()}"]
+        (message,) = [item for item in client.admin.jobs().retrying if item.id == job_id]
+    assert (message.attempts, message.ref, message.error) == (1, blob_id, error.sentence())
+    assert message.next_attempt_at is not None
+    (line,) = [item for item in caplog.records if item.getMessage() == f"job failed: {error.sentence()}"]
     assert line.levelname == "WARNING"
     fields = vars(line)["fields"]
     assert (fields["id"], fields["job"], fields["ref"], fields["attempt"]) == (job_id, "summarise_blob", blob_id, 1)
@@ -116,29 +116,29 @@ def test_all_failed_jobs_are_retried_and_none_is_scheduled_later(lab: Api) -> No
     for kind, at in (("failed", "now() - interval '1 h'"), ("scheduled", "now() + interval '1 h'")):
         lab.sql(f"INSERT INTO procrastinate_events (job_id, type, at) VALUES (%s, '{kind}', {at})", job_id)
     with connect(lab.url, lab.token) as client:
-        told = client.admin.jobs().failed
-        (failed_at,) = [each.failed_at for each in told if each.id == job_id]
+        message = client.admin.jobs().failed
+        (failed_at,) = [item.failed_at for item in message if item.id == job_id]
         assert failed_at is not None
         assert failed_at < client.admin.health().now
-        assert client.admin.retry_jobs() == len(told)
+        assert client.admin.retry_jobs() == len(message)
         assert client.admin.jobs().failed == []
         assert client.admin.retry_jobs() == 0
     lab.sql("DELETE FROM procrastinate_jobs WHERE task_name = 'collect_garbage'")
 
 
 def test_health_says_how_database_and_store_are(lab: Api) -> None:
-    told = lab.get("/admin/health").ok()
-    assert told["not_ready"] is None
-    assert told["database_bytes"] > 1_000_000
-    assert abs(told["clock_skew_s"]) < 5
-    assert (told["store_checksum"], told["store_takes_pages"]) == ("crc64nvme", True)
+    message = lab.get("/admin/health").ok()
+    assert message["not_ready"] is None
+    assert message["database_bytes"] > 1_000_000
+    assert abs(message["clock_skew_s"]) < 5
+    assert (message["store_checksum"], message["store_takes_pages"]) == ("crc64nvme", True)
 
 
 def test_effective_settings_contain_no_secret(lab: Api) -> None:
-    told = {each["name"]: each for each in lab.get("/admin/settings").ok()["settings"]}
-    assert told["KLEINKRAM_S3_BUCKET"]["value"] == lab.app.state.settings.s3_bucket
-    assert told["KLEINKRAM_S3_BUCKET"]["is_set"] is True
-    assert told["KLEINKRAM_TRASH_DAYS"] == {
+    message = {item["name"]: item for item in lab.get("/admin/settings").ok()["settings"]}
+    assert message["KLEINKRAM_S3_BUCKET"]["value"] == lab.app.state.settings.s3_bucket
+    assert message["KLEINKRAM_S3_BUCKET"]["is_set"] is True
+    assert message["KLEINKRAM_TRASH_DAYS"] == {
         "name": "KLEINKRAM_TRASH_DAYS",
         "value": 30,
         "is_set": False,
@@ -148,7 +148,7 @@ def test_effective_settings_contain_no_secret(lab: Api) -> None:
     password = settings.database_url.hosts()[0]["password"]
     secrets = [settings.s3_secret_key.get_secret_value(), settings.s3_access_key, password]
     assert all(secrets)
-    assert [each for each in secrets if each in json.dumps(told)] == []
+    assert [item for item in secrets if item in json.dumps(message)] == []
 
 
 def test_only_admins_have_access(lab: Api) -> None:

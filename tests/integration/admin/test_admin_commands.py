@@ -50,8 +50,8 @@ def test_failed_jobs_are_shown_with_why_and_put_back(lab: Api, klein: Klein) -> 
     shown = klein("jobs")
     assert f"{job_id}  verify_blob" in shown
     assert "the store is \\x1b[31m away" in shown, "a terminal obeys nothing of it"
-    (told,) = json.loads(klein("jobs", "--json"))["failed"]
-    assert (told["id"], told["error"]) == (job_id, "the store is \x1b[31m away")
+    (message,) = json.loads(klein("jobs", "--json"))["failed"]
+    assert (message["id"], message["error"]) == (job_id, "the store is \x1b[31m away")
     assert json.loads(klein("retry", str(job_id), "--json")) == {"retried": job_id}
     assert json.loads(klein("jobs", "--json"))["failed"] == []
 
@@ -69,8 +69,8 @@ def test_health_and_storage_are_shown(klein: Klein) -> None:
     health = klein("health")
     assert "ready:" in health
     assert "PostgreSQL" in health
-    told: Any = json.loads(klein("health", "--json"))
-    assert told["not_ready"] is None
+    message: Any = json.loads(klein("health", "--json"))
+    assert message["not_ready"] is None
     assert "under_way" in klein("storage")
     assert json.loads(klein("storage", "--json"))["marked_for_deletion"] == {
         "state": "marked_for_deletion",

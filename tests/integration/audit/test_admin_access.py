@@ -24,14 +24,14 @@ def _marks(api: Api, who: Person) -> list[tuple[str, bool]]:
 
 
 def test_access_to_own_data_is_not_recorded_as_admin_access(api: Api, admin: Person, sample: Sample) -> None:
-    asked = api.as_(admin.token)
-    project = asked.project()["id"]
-    mission = asked.mission(project)["id"]
+    requested = api.as_(admin.token)
+    project = requested.project()["id"]
+    mission = requested.mission(project)["id"]
     file_id = sample.file(mission, "a.mcap")
-    asked.post("/files/download", {"file_ids": [file_id]}).ok()
-    asked.patch(f"/projects/{project}", {"description": "x"}).ok()
-    asked.delete(f"/projects/{project}").ok()
-    asked.post(f"/trash/project/{project}/restore").ok(204)
+    requested.post("/files/download", {"file_ids": [file_id]}).ok()
+    requested.patch(f"/projects/{project}", {"description": "x"}).ok()
+    requested.delete(f"/projects/{project}").ok()
+    requested.post(f"/trash/project/{project}/restore").ok(204)
     marks = _marks(api, admin)
     assert len(marks) == 6
     assert not any(marked for _, marked in marks)
@@ -57,19 +57,19 @@ def test_access_beyond_own_rights_is_recorded_as_admin_access(
     api: Api, sample: Sample, operation: str, on_mission: bool
 ) -> None:
     needed, act = ACTS[operation]
-    for held in [None, *Right]:
+    for locked in [None, *Right]:
         admin = people.person(api, admin=True)
         project = api.project()["id"]
         mission = api.mission(project)["id"]
         place = {"mission_id": mission} if on_mission else {"project_id": project}
-        if held is not None:
-            people.grant(api, admin, held, **place)
+        if locked is not None:
+            people.grant(api, admin, locked, **place)
         act(api.as_(admin.token), {"project": project, "mission": mission, "file": sample.file(mission, "a.mcap")})
-        helps = held is not None and not (
+        helps = locked is not None and not (
             on_mission and operation in {"project.update", "project.delete", "mission.create"}
         )
-        enough = helps and held is not None and held.level >= needed.level
-        assert _marks(api, admin)[-1] == (operation, not enough), held
+        enough = helps and locked is not None and locked.level >= needed.level
+        assert _marks(api, admin)[-1] == (operation, not enough), locked
 
 
 def test_downloads_of_public_data_are_not_recorded_as_admin_access(api: Api, sample: Sample, admin: Person) -> None:

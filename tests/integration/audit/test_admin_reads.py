@@ -29,20 +29,20 @@ def test_one_look_an_hour_is_noted_for_each_mission_and_project(own: Api) -> Non
     mission, other = own.mission(project)["id"], own.mission(project)["id"]
     file_id = Sample(own).file(mission, "a.mcap")
     admin = people.person(own, admin=True)
-    asked = own.as_(admin.token)
+    requested = own.as_(admin.token)
     for _ in range(2):
         own.app.state.admin_reads = admin_access.AdminReads()  # as in another process
-        asked.get(f"/files/{file_id}").ok()
-        asked.get(f"/missions/{mission}/recordings").ok()
-        asked.get("/files", {"mission_id": mission}).ok()
-    asked.get(f"/missions/{other}").ok()
-    asked.get(f"/projects/{project}").ok()
+        requested.get(f"/files/{file_id}").ok()
+        requested.get(f"/missions/{mission}/recordings").ok()
+        requested.get("/files", {"mission_id": mission}).ok()
+    requested.get(f"/missions/{other}").ok()
+    requested.get(f"/projects/{project}").ok()
     assert _looks(own, admin) == [("mission", mission), ("mission", other), ("project", project)]
     (event,) = own.all("/audit", {"operation": "admin.look", "mission_id": mission})
     assert (event["as_admin"], event["project_id"], event["after"]) == (True, project, {"operation": "get_file"})
     own.sql("UPDATE audit_event SET at = at - interval '61 minutes' WHERE operation = 'admin.look'")
     own.app.state.admin_reads = admin_access.AdminReads()
-    asked.get(f"/missions/{mission}").ok()
+    requested.get(f"/missions/{mission}").ok()
     assert _looks(own, admin)[3:] == [("mission", mission)]
 
 
@@ -52,10 +52,10 @@ def test_reads_with_own_rights_are_not_recorded_as_admin_access(own: Api, right:
     mission = own.mission(project)["id"]
     admin = people.person(own, admin=True)
     people.grant(own, admin, right, mission_id=mission)
-    asked = own.as_(admin.token)
-    asked.get(f"/missions/{mission}").ok()
+    requested = own.as_(admin.token)
+    requested.get(f"/missions/{mission}").ok()
     assert _looks(own, admin) == []
-    asked.get(f"/projects/{project}").ok()
+    requested.get(f"/projects/{project}").ok()
     assert _looks(own, admin) == [("project", project)]
 
 
@@ -63,22 +63,22 @@ def test_the_record_and_the_trash_take_more_than_reading(own: Api) -> None:
     project = own.project()["id"]
     admin = people.person(own, admin=True)
     people.grant(own, admin, Right.write, project_id=project)
-    asked = own.as_(admin.token)
-    asked.get(f"/projects/{project}").ok()
+    requested = own.as_(admin.token)
+    requested.get(f"/projects/{project}").ok()
     assert _looks(own, admin) == []
-    asked.get("/audit", {"project_id": project}).ok()
+    requested.get("/audit", {"project_id": project}).ok()
     assert _looks(own, admin) == [("project", project)]
 
 
 def test_lists_of_everything_are_noted_by_their_name_where_they_show_more_than_one_s_own(start_api: StartApi) -> None:
     api = start_api()
     owner = people.person(api, admin=True)
-    asked = api.as_(owner.token)
-    project = asked.project()["id"]
+    requested = api.as_(owner.token)
+    project = requested.project()["id"]
     for path in ("/projects", "/missions", "/files", "/topics", "/stats", "/trash"):
-        asked.get(path).ok()
-    asked.get(f"/projects/{project}").ok()
-    asked.get("/service").ok()
+        requested.get(path).ok()
+    requested.get(f"/projects/{project}").ok()
+    requested.get("/service").ok()
     assert _looks(api, owner) == []
     other = people.person(api, admin=True)
     api.as_(other.token).get("/files").ok()
@@ -101,10 +101,10 @@ def test_without_the_power_or_for_what_is_not_there_nothing_is_noted(own: Api) -
 def test_a_limited_token_s_looks_are_those_within_its_limits(own: Api) -> None:
     here, there = own.project()["id"], own.project()["id"]
     admin = people.person(own, admin=True)
-    asked = own.as_(people.token(own, admin.id, limits=[here]).secret)
-    asked.get(f"/projects/{there}").refused(404, "not_found")
-    asked.get(f"/groups/{admin.group_id}")
+    requested = own.as_(people.token(own, admin.id, limits=[here]).secret)
+    requested.get(f"/projects/{there}").refused(404, "not_found")
+    requested.get(f"/groups/{admin.group_id}")
     assert _looks(own, admin) == []
-    asked.get(f"/projects/{here}").ok()
-    asked.get("/files").ok()
+    requested.get(f"/projects/{here}").ok()
+    requested.get("/files").ok()
     assert _looks(own, admin) == [("project", here), ("server", "list_files")]

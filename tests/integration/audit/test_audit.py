@@ -5,7 +5,7 @@ import uuid
 from tests.integration.api_server import Api
 
 
-def test_tells_who_did_what_latest_first(api: Api) -> None:
+def test_events_are_listed_latest_first(api: Api) -> None:
     project = api.project()
     mission = api.mission(project["id"])
     sent = api.call("PATCH", f"/missions/{mission['id']}", {"notes": "x"}, headers={"X-Request-Id": "my-request"})

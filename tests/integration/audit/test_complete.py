@@ -7,7 +7,7 @@ import pytest
 from kleinkram.server.access.operations import OPERATIONS
 from tests.integration.access import world as worlds
 from tests.integration.access.callers import CALLERS
-from tests.integration.access.world import Asker, World
+from tests.integration.access.world import Principal, World
 from tests.integration.conftest import StartApi
 
 # What an operation writes; in brackets what no way to call it in the matrix comes to; tests of that operation do.
@@ -112,9 +112,9 @@ def world(start_api: StartApi) -> World:
 
 
 @pytest.fixture(scope="module")
-def admin(world: World) -> Asker:
+def admin(world: World) -> Principal:
     """Somebody whom nothing is refused."""
-    return next(by for by in world.askers if by.named.startswith("admin with"))
+    return next(by for by in world.principals if by.named.startswith("admin with"))
 
 
 def test_every_operation_that_changes_something_is_listed(world: World) -> None:
@@ -133,12 +133,12 @@ def test_every_operation_that_changes_something_is_listed(world: World) -> None:
 
 
 @pytest.mark.parametrize("operation", [name for name, written in WRITES.items() if any("[" not in w for w in written)])
-def test_an_operation_writes_what_it_did(world: World, admin: Asker, operation: str) -> None:
+def test_an_operation_writes_what_it_did(world: World, admin: Principal, operation: str) -> None:
     written = set()
     for caller in CALLERS[operation]:
-        asked, request_id = caller.request(admin), uuid.uuid4().hex
+        requested, request_id = caller.request(admin), uuid.uuid4().hex
         headers = {**admin.headers, "X-Request-Id": request_id}
-        answer = world.api.as_(None).call(asked.method, asked.path, asked.body, asked.query, headers)
+        answer = world.api.as_(None).call(requested.method, requested.path, requested.body, requested.query, headers)
         assert answer.status < 300, answer
         rows = world.api.sql(
             "SELECT operation, actor_id, token_id, session_id, address FROM audit_event WHERE request_id = %s",
@@ -151,4 +151,4 @@ def test_an_operation_writes_what_it_did(world: World, admin: Asker, operation: 
             assert actor_id is not None
             assert token_id is not None or session_id is not None
             assert address == "127.0.0.1"
-    assert written == {each for each in WRITES[operation] if "[" not in each}
+    assert written == {item for item in WRITES[operation] if "[" not in item}

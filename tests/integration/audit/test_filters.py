@@ -35,7 +35,7 @@ def _operations(answer: Answer) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("wanted", "found"),
+    ("expected", "actual"),
     [
         ({}, ["file.download", "mission.create", "project.create"]),
         ({"person_id": "guest"}, ["file.download", "mission.create"]),
@@ -53,12 +53,12 @@ def _operations(answer: Answer) -> list[str]:
         ({"share_id": str(uuid.uuid4())}, []),
     ],
 )
-def test_narrows(api: Api, lab: Lab, wanted: dict[str, str], found: list[str]) -> None:
+def test_narrows(api: Api, lab: Lab, expected: dict[str, str], actual: list[str]) -> None:
     ids = {"mission": lab["mission"], "robot": lab["robot"].id, "guest": lab["guest"].id}
-    query = {name: ids.get(value, value) for name, value in wanted.items()}
-    if wanted.get("person") == "guest":
+    query = {name: ids.get(value, value) for name, value in expected.items()}
+    if expected.get("person") == "guest":
         query["person"] = lab["guest"].name
-    assert _operations(api.get("/audit", {"project_id": lab["project"], **query})) == found
+    assert _operations(api.get("/audit", {"project_id": lab["project"], **query})) == actual
 
 
 def test_narrows_by_time_from_inclusive_to_exclusive(api: Api, lab: Lab) -> None:
@@ -121,7 +121,7 @@ def _export(api: Api, token: str | None, query: dict[str, str]) -> tuple[urllib3
 
 
 def test_exports_what_a_list_shows_the_other_way_round(api: Api, lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kleinkram.server.audit.service._AT_ONCE", 2)
+    monkeypatch.setattr("kleinkram.server.audit.service._EXPORT_BATCH", 2)
     query = {"project_id": lab["project"]}
     answer, events = _export(api, api.token, query)
     assert answer.headers["content-type"] == "application/jsonl"

@@ -90,8 +90,17 @@ def test_the_noise_of_strangers_hides_nobody_s_denial_and_is_one_row_a_minute(
 def test_each_who_is_known_has_a_share_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(refusals, "PER_MINUTE", 2)
     noted, ada = Refusals(), uuid.uuid4()
-    asked = [(None, 1000), (None, 1001), (None, 1030), (ada, 1031), (ada, 1032), (ada, 1059), (None, 1060), (ada, 1061)]
-    assert [noted.admits(whose, now) for whose, now in asked] == [True, True, False, True, True, False, True, True]
+    requested = [
+        (None, 1000),
+        (None, 1001),
+        (None, 1030),
+        (ada, 1031),
+        (ada, 1032),
+        (ada, 1059),
+        (None, 1060),
+        (ada, 1061),
+    ]
+    assert [noted.admits(whose, now) for whose, now in requested] == [True, True, False, True, True, False, True, True]
 
 
 def test_the_owner_s_tokens_are_recorded_as_they_come_and_go(start_api: StartApi) -> None:

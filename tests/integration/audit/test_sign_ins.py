@@ -52,12 +52,12 @@ def test_creation_and_use_of_the_owner_link_are_recorded(api: Api) -> None:
     assert _latest(api, "session.create")["after"] == {"method": "link"}
 
 
-@pytest.mark.parametrize(("act", "told"), [("approve", "login.approve"), ("deny", "login.deny")])
-def test_approval_of_a_program_is_recorded(api: Api, act: str, told: str) -> None:
+@pytest.mark.parametrize(("act", "message"), [("approve", "login.approve"), ("deny", "login.deny")])
+def test_approval_of_a_program_is_recorded(api: Api, act: str, message: str) -> None:
     ada = account(api)
     shown = api.as_(None).post("/auth/device", {"client": "klein on anymal"}).ok()["user_code"]
     ada.browser.post(f"/auth/device/{act}", {"user_code": shown}).ok()
-    event = _latest(api, told)
+    event = _latest(api, message)
     assert (event["actor"]["id"], event["noun_name"]) == (ada.id, "klein on anymal")
     assert event["session_id"] is not None
 

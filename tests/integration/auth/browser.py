@@ -58,8 +58,8 @@ class Browser:
         address = self.api.url + path.removeprefix(self.public_url)
         answer = self._pool.request(method, address, body=data, headers=headers, redirect=False)
         self._keep(answer.headers.getlist("set-cookie"))
-        told = {name.lower(): value for name, value in answer.headers.items()}
-        return Answer(answer.status, told, _parsed(told, answer.data))
+        message = {name.lower(): value for name, value in answer.headers.items()}
+        return Answer(answer.status, message, _parsed(message, answer.data))
 
     def me(self) -> Any:
         """Return who the server takes the browser for."""

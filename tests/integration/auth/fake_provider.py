@@ -36,7 +36,7 @@ class FakeProvider:
     change: Callable[[dict[str, Any]], dict[str, Any]] = field(default=lambda claims: claims)
     algorithm: str = "RS256"
     issuer: str | None = None
-    tells_in_userinfo: bool = False
+    userinfo_claims: bool = False
     error: str | None = None
     is_dead: set[str] = field(default_factory=set)
     seen: list[str] = field(default_factory=list)
@@ -53,16 +53,16 @@ class FakeProvider:
 
     def authorize(self, url: str) -> str:
         """Do what a browser and a person do at the provider; return where the browser is sent back to."""
-        asked = {name: values[0] for name, values in parse_qs(urlsplit(url).query).items()}
-        assert (asked["client_id"], asked["response_type"], asked["code_challenge_method"]) == (
+        requested = {name: values[0] for name, values in parse_qs(urlsplit(url).query).items()}
+        assert (requested["client_id"], requested["response_type"], requested["code_challenge_method"]) == (
             *(CLIENT_ID, "code", "S256"),
         )
-        assert "openid" in asked["scope"].split()
+        assert "openid" in requested["scope"].split()
         if self.error is not None:
-            return f"{asked['redirect_uri']}?{urlencode({'error': self.error, 'state': asked['state']})}"
+            return f"{requested['redirect_uri']}?{urlencode({'error': self.error, 'state': requested['state']})}"
         code = secrets.token_urlsafe(16)
-        self._codes[code] = asked
-        return f"{asked['redirect_uri']}?{urlencode({'code': code, 'state': asked['state'], 'iss': self.url})}"
+        self._codes[code] = requested
+        return f"{requested['redirect_uri']}?{urlencode({'code': code, 'state': requested['state'], 'iss': self.url})}"
 
     def answer(self, path: str, body: dict[str, str], headers: dict[str, str]) -> tuple[int, Any]:
         """Answer a request of the relying party."""
@@ -82,16 +82,20 @@ class FakeProvider:
         return self._token(body, headers)
 
     def _token(self, body: dict[str, str], headers: dict[str, str]) -> tuple[int, Any]:
-        asked = self._codes.pop(body.get("code", ""), None)
+        requested = self._codes.pop(body.get("code", ""), None)
         sent = base64.b64decode(headers["authorization"].removeprefix("Basic ")).decode()
         assert parse_qs(f"x={sent.partition(':')[2]}")["x"] == [CLIENT_SECRET]
         digest = hashlib.sha256(body["code_verifier"].encode()).digest()
         challenge = base64.urlsafe_b64encode(digest).decode().rstrip("=")
-        if asked is None or challenge != asked["code_challenge"] or body["redirect_uri"] != asked["redirect_uri"]:
+        if (
+            requested is None
+            or challenge != requested["code_challenge"]
+            or body["redirect_uri"] != requested["redirect_uri"]
+        ):
             return 400, {"error": "invalid_grant"}
         now = int(time.time())
-        person = {"sub": self.person["sub"]} if self.tells_in_userinfo else self.person
-        claims = {"iss": self.url, "aud": CLIENT_ID, "exp": now + 60, "iat": now, "nonce": asked["nonce"], **person}
+        person = {"sub": self.person["sub"]} if self.userinfo_claims else self.person
+        claims = {"iss": self.url, "aud": CLIENT_ID, "exp": now + 60, "iat": now, "nonce": requested["nonce"], **person}
         key = self.keys[0]
         header = {"alg": self.algorithm, "kid": key.kid}
         signed = jwt.encode(header, self.change(claims), key, algorithms=[self.algorithm])
@@ -125,8 +129,8 @@ def running_provider() -> Iterator[FakeProvider]:
 
         def _answer(self, body: dict[str, str]) -> None:
             headers = {name.lower(): value for name, value in self.headers.items()}
-            status, told = provider.answer(urlsplit(self.path).path, body, headers)
-            data = told if isinstance(told, bytes) else json.dumps(told).encode()
+            status, message = provider.answer(urlsplit(self.path).path, body, headers)
+            data = message if isinstance(message, bytes) else json.dumps(message).encode()
             self.send_response(status)
             self.send_header("Content-Type", "application/json")
             self.send_header("Content-Length", str(len(data)))

@@ -23,8 +23,8 @@ class Lab:
 
     def come_back(self, browser: Browser, *, return_to: str = "/") -> Answer:
         """Sign in as far as the provider sends the browser back, and return what the server says then."""
-        told = browser.post("/auth/providers/lab", {"return_to": return_to}).ok()
-        return browser.get(self.provider.authorize(told["url"]))
+        message = browser.post("/auth/providers/lab", {"return_to": return_to}).ok()
+        return browser.get(self.provider.authorize(message["url"]))
 
     def sign_in(self, subject: str, **claims: Any) -> Browser:
         """Sign in a new browser as somebody; it must go well."""
@@ -46,9 +46,9 @@ class Lab:
 
 def sentence(answer: Answer) -> str:
     """Return what the page of a failure says."""
-    found = re.search(r'<p role="alert">(.*?)</p>', str(answer.body))
-    assert found is not None, answer.body
-    return found.group(1)
+    actual = re.search(r'<p role="alert">(.*?)</p>', str(answer.body))
+    assert actual is not None, answer.body
+    return actual.group(1)
 
 
 def provider_settings(name: str, url: str, **settings: Any) -> OidcProvider:

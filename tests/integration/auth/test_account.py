@@ -44,11 +44,11 @@ def test_an_account_says_what_is_known_of_one(start_api: StartApi) -> None:
     eth = Affiliation(name="ETH", domains=("lab.example",))
     api = start_api(affiliations=[eth])
     made = account(api)
-    told_of = made.browser.get("/api/v1/me/account").ok()
-    assert told_of["person"] == {"id": made.id, "name": "Ada"}
-    (address,) = told_of["addresses"]
+    reported = made.browser.get("/api/v1/me/account").ok()
+    assert reported["person"] == {"id": made.id, "name": "Ada"}
+    (address,) = reported["addresses"]
     assert (address["email"], address["verified_by"]) == (made.email, "invitation")
-    assert (told_of["affiliations"], told_of["has_password"]) == (["ETH"], True)
+    assert (reported["affiliations"], reported["has_password"]) == (["ETH"], True)
     without = signed_in(api)
     assert without.browser.get("/api/v1/me/account").ok()["has_password"] is False
     robot = people.token(api, made.id, [Scope.read])
@@ -66,7 +66,7 @@ def test_a_provider_is_unlinked_where_a_password_stays_and_nothing_else_ends(lab
     assert _identities(made.browser) == []
     assert by_provider.is_signed_in(), "sessions stay"
     assert lab.api.as_(token.secret).get("/me").ok()["emails"] == [made.email]
-    (event,) = [each for each in lab.api.events(linked["id"]) if each["operation"] == "identity.unlink"]
+    (event,) = [item for item in lab.api.events(linked["id"]) if item["operation"] == "identity.unlink"]
     assert (event["noun_name"], event["before"]["email"]) == ("The Lab", made.email)
     sign_in(Browser(lab.api), made.email)
     _unlink(made.browser, linked).refused(404, "not_found")
@@ -96,7 +96,7 @@ def test_the_last_way_in_stays(lab: Lab) -> None:
     assert only["is_last"] is True
     assert "last way to sign in" in _unlink(browser, only).refused(409, "last_sign_in_method")["detail"]
     second = _link(lab, browser, "only's second")
-    assert [each["is_last"] for each in _identities(browser)] == [False, False]
+    assert [item["is_last"] for item in _identities(browser)] == [False, False]
     _unlink(browser, only).ok(204)
     _unlink(browser, second).refused(409, "last_sign_in_method")
     assert lab.sign_in("only's second").me()["person"]["id"] == browser.me()["person"]["id"]
@@ -106,7 +106,7 @@ def test_one_of_two_sign_in_methods_removed_at_the_same_time_remains(lab: Lab) -
     browser = lab.sign_in("hasty twin", **known_as(any_email()))
     _link(lab, browser, "hasty twin's other")
     with ThreadPoolExecutor(2) as pool:
-        answers = [*pool.map(lambda each: _unlink(browser.other_tab(), each).status, _identities(browser))]
+        answers = [*pool.map(lambda item: _unlink(browser.other_tab(), item).status, _identities(browser))]
     assert sorted(answers) == [204, 409]
     assert len(_identities(browser)) == 1
 
@@ -180,7 +180,7 @@ def test_programs_and_the_terminal_do_the_same(lab: Lab, monkeypatch: pytest.Mon
     again = _link(lab, made.browser, f"terminal {made.id}")
     with connect(lab.api.url, token) as client:
         assert client.me.account().has_password is False
-        assert [each.is_last for each in client.me.identities()] == [True]
+        assert [item.is_last for item in client.me.identities()] == [True]
         with pytest.raises(LastSignInMethod):
             client.me.unlink_identity(again["id"])
 

@@ -88,7 +88,7 @@ def test_a_signed_in_person_becomes_admin_with_the_code_alone(fresh: Api, caplog
 def test_a_failed_bootstrap_does_not_use_the_code(fresh: Api, caplog: pytest.LogCaptureFixture) -> None:
     code = _code(fresh, caplog)
     problem = Browser(fresh).post("/auth/bootstrap", {"code": code}).refused(422, "invalid_request")
-    assert {each["field"] for each in problem["problems"]} == {"name", "email", "password"}
+    assert {item["field"] for item in problem["problems"]} == {"name", "email", "password"}
     Browser(fresh).post("/auth/bootstrap", _bootstrap(code, password="short")).refused(422, "invalid_request")
     Browser(fresh).post("/auth/bootstrap", _bootstrap(code)).ok()
 
@@ -128,14 +128,14 @@ def test_only_the_owner_gets_a_link_and_only_our_pages_accept_it(api: Api) -> No
 def test_codes_and_logins_are_deleted_after_retention(api: Api) -> None:
     link = api.post("/people/invitations", {"email": any_email()}).ok(201)["url"]
     api.sql("UPDATE one_time_code SET expires_at = now() - interval '31 days' WHERE purpose = 'invitation'")
-    kept = api.sql("SELECT count(*) FROM one_time_code WHERE purpose <> 'invitation'")
+    remaining = api.sql("SELECT count(*) FROM one_time_code WHERE purpose <> 'invitation'")
 
     async def forget(context: AppContext) -> None:
         async with context.database.begin() as db:
             await forget_ended(db)
 
     on_site(api, forget)
-    assert api.sql("SELECT count(*) FROM one_time_code") == kept
+    assert api.sql("SELECT count(*) FROM one_time_code") == remaining
     Browser(api).post("/auth/codes", {"code": code_of(link)}).refused(410, "code_gone")
 
 

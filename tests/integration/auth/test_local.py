@@ -77,7 +77,7 @@ def test_a_wrong_password_is_refused_as_is_an_address_that_nobody_has(api: Api, 
 def test_failed_sign_ins_are_recorded_without_what_was_typed(start_api: StartApi) -> None:
     api = start_api()
     Browser(api).post("/auth/password", {"email": "ada@lab.example", "password": "hunter2-hunter2"})
-    (event,) = (each for each in api.all("/audit") if each["operation"] == "auth.refused")
+    (event,) = (item for item in api.all("/audit") if item["operation"] == "auth.refused")
     assert event["noun_name"] == "POST /api/v1/auth/password"
     assert "hunter2" not in str(event)
 
@@ -85,10 +85,10 @@ def test_failed_sign_ins_are_recorded_without_what_was_typed(start_api: StartApi
 def test_changing_a_password_takes_the_old_one_and_signs_other_browsers_out(api: Api) -> None:
     made, other = account(api), Browser(api)
     sign_in(other, made.email)
-    wanted = {"old_password": "wrong", "new_password": OTHER_PASSWORD}
-    made.browser.post("/auth/password/change", wanted).refused(401, "sign_in_failed")
+    expected = {"old_password": "wrong", "new_password": OTHER_PASSWORD}
+    made.browser.post("/auth/password/change", expected).refused(401, "sign_in_failed")
     assert other.is_signed_in()
-    made.browser.post("/auth/password/change", {**wanted, "old_password": PASSWORD}).ok(204)
+    made.browser.post("/auth/password/change", {**expected, "old_password": PASSWORD}).ok(204)
     assert (made.browser.is_signed_in(), other.is_signed_in()) == (True, False)
     Browser(api).post("/auth/password", {"email": made.email, "password": PASSWORD}).refused(401, "sign_in_failed")
     sign_in(Browser(api), made.email, OTHER_PASSWORD)
@@ -132,11 +132,13 @@ def test_a_reset_ends_personal_tokens_and_leaves_robots_a_change_ends_none(api: 
         Right.create,
         project_id=project["id"],
     )
-    wanted: dict[str, dict[str, Any]] = {
+    expected: dict[str, dict[str, Any]] = {
         "laptop": {"scopes": ["admin"]},
         "anymal": {"kind": "robot", "project_ids": [project["id"]]},
     }
-    secrets = [made.browser.post("/tokens", {"name": name, **rest}).ok(201)["secret"] for name, rest in wanted.items()]
+    secrets = [
+        made.browser.post("/tokens", {"name": name, **rest}).ok(201)["secret"] for name, rest in expected.items()
+    ]
     laptop, robot = (api.as_(secret) for secret in secrets)
     passwords = {"old_password": PASSWORD, "new_password": "a third one, longer"}
     made.browser.post("/auth/password/change", passwords).ok(204)
@@ -145,16 +147,16 @@ def test_a_reset_ends_personal_tokens_and_leaves_robots_a_change_ends_none(api: 
     Browser(api).post("/auth/reset", reset).ok()
     laptop.get("/me").refused(401, "not_authenticated")
     robot.get("/projects").ok()
-    told = next(event["after"] for event in api.events(made.id) if event["operation"] == "password.reset")
-    assert told["tokens"] == 1
+    message = next(event["after"] for event in api.events(made.id) if event["operation"] == "password.reset")
+    assert message["tokens"] == 1
 
 
 def test_one_time_links_do_not_survive_removal_and_return(api: Api) -> None:
-    made, leaving = account(api), people.person(api, admin=True)
+    made, removed = account(api), people.person(api, admin=True)
     reset = code_of(api.post(f"/people/{made.id}/reset").ok(201)["url"])
     invited = {"email": any_email()}
-    invitation = code_of(api.as_(leaving.token).post("/people/invitations", invited).ok(201)["url"])
-    for who in (made, leaving):
+    invitation = code_of(api.as_(removed.token).post("/people/invitations", invited).ok(201)["url"])
+    for who in (made, removed):
         api.post(f"/people/{who.id}/deactivate").ok()
         api.post(f"/people/{who.id}/reactivate").ok()
     for code in (reset, invitation):
@@ -164,18 +166,20 @@ def test_one_time_links_do_not_survive_removal_and_return(api: Api) -> None:
 
 @pytest.mark.parametrize("how", ["deactivate", "dismiss"])
 def test_links_end_with_the_power_of_the_admin_who_made_them(api: Api, how: str) -> None:
-    leaving, victim = people.person(api, admin=True), account(api)
-    theirs = api.as_(leaving.token)
+    removed, victim = people.person(api, admin=True), account(api)
+    theirs = api.as_(removed.token)
     invitation = code_of(theirs.post("/people/invitations", {"email": any_email()}).ok(201)["url"])
     reset = code_of(theirs.post(f"/people/{victim.id}/reset").ok(201)["url"])
     if how == "deactivate":
-        api.post(f"/people/{leaving.id}/deactivate").ok()
+        api.post(f"/people/{removed.id}/deactivate").ok()
     else:
-        api.delete(f"/people/{leaving.id}/admin").ok()
-    kept = Browser(api)
-    kept.post("/auth/codes", {"code": invitation}).refused(410, "code_gone")
-    kept.post("/auth/invitation", {"code": invitation, "name": "Ghost", "password": PASSWORD}).refused(410, "code_gone")
-    kept.post("/auth/reset", {"code": reset, "password": OTHER_PASSWORD}).refused(410, "code_gone")
+        api.delete(f"/people/{removed.id}/admin").ok()
+    remaining = Browser(api)
+    remaining.post("/auth/codes", {"code": invitation}).refused(410, "code_gone")
+    remaining.post("/auth/invitation", {"code": invitation, "name": "Ghost", "password": PASSWORD}).refused(
+        410, "code_gone"
+    )
+    remaining.post("/auth/reset", {"code": reset, "password": OTHER_PASSWORD}).refused(410, "code_gone")
     assert victim.browser.is_signed_in()
 
 
@@ -196,8 +200,8 @@ def test_a_hash_of_older_parameters_is_renewed_by_signing_in(api: Api) -> None:
     older = PasswordHasher(time_cost=1, memory_cost=8192, parallelism=1).hash(PASSWORD)
     api.sql("UPDATE password SET hash = %s WHERE person_id = %s", older, made.id)
     sign_in(Browser(api), made.email)
-    ((kept,),) = api.sql("SELECT hash FROM password WHERE person_id = %s", made.id)
-    assert kept != older
+    ((remaining,),) = api.sql("SELECT hash FROM password WHERE person_id = %s", made.id)
+    assert remaining != older
     sign_in(Browser(api), made.email)
 
 

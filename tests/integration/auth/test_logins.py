@@ -22,9 +22,9 @@ def _challenge(verifier: str) -> str:
     return base64.urlsafe_b64encode(hashlib.sha256(verifier.encode()).digest()).decode().rstrip("=")
 
 
-def _approve(browser: Browser, verifier: str, **wanted: Any) -> str:
-    asked = {"port": 40123, "state": "a" * 20, "code_challenge": _challenge(verifier), "client": "klein on anymal"}
-    url = urlsplit(str(browser.post("/auth/cli/approve", {**asked, **wanted}).ok()["url"]))
+def _approve(browser: Browser, verifier: str, **expected: Any) -> str:
+    requested = {"port": 40123, "state": "a" * 20, "code_challenge": _challenge(verifier), "client": "klein on anymal"}
+    url = urlsplit(str(browser.post("/auth/cli/approve", {**requested, **expected}).ok()["url"]))
     query = parse_qs(url.query)
     assert (url.scheme, url.netloc, url.path, query["state"]) == ("http", "127.0.0.1:40123", "/", ["a" * 20])
     (code,) = query["code"]
@@ -35,11 +35,11 @@ def test_a_program_on_the_same_machine_gets_a_token_once(api: Api, ada: Account)
     verifier, nobody = secrets.token_urlsafe(48), api.as_(None)
     code = _approve(ada.browser, verifier)
     brought = {"code": code, "code_verifier": verifier}
-    told = nobody.post("/auth/cli/token", brought).ok()
-    assert told["person"] == {"id": ada.id, "name": ada.name}
-    me = api.as_(told["token"]).get("/me").ok()
+    message = nobody.post("/auth/cli/token", brought).ok()
+    assert message["person"] == {"id": ada.id, "name": ada.name}
+    me = api.as_(message["token"]).get("/me").ok()
     assert me["credential"]["name"] == "klein on anymal"
-    assert (me["credential"]["kind"], me["credential"]["expires_at"]) == ("personal", told["expires_at"])
+    assert (me["credential"]["kind"], me["credential"]["expires_at"]) == ("personal", message["expires_at"])
     nobody.post("/auth/cli/token", brought).refused(410, "sign_in_expired")
     (event,) = api.events(me["credential"]["id"])
     assert (event["operation"], event["actor"]["id"]) == ("token.create", ada.id)
@@ -65,7 +65,7 @@ def test_a_code_is_good_for_no_longer_than_its_time_and_its_session(api: Api) ->
 
 
 @pytest.mark.parametrize(
-    "wanted",
+    "expected",
     [
         {"port": 0},
         {"port": 70000},
@@ -75,14 +75,14 @@ def test_a_code_is_good_for_no_longer_than_its_time_and_its_session(api: Api) ->
         {"client": "a\nb"},
     ],
 )
-def test_redirects_to_other_than_loopback_are_refused(ada: Account, wanted: dict[str, Any]) -> None:
-    asked = {"port": 40123, "state": "a" * 20, "code_challenge": "A" * 43, "client": "klein"}
-    ada.browser.post("/auth/cli/approve", {**asked, **wanted}).refused(422, "invalid_request")
+def test_redirects_to_other_than_loopback_are_refused(ada: Account, expected: dict[str, Any]) -> None:
+    requested = {"port": 40123, "state": "a" * 20, "code_challenge": "A" * 43, "client": "klein"}
+    ada.browser.post("/auth/cli/approve", {**requested, **expected}).refused(422, "invalid_request")
 
 
 def test_approving_takes_somebody_who_is_signed_in(api: Api) -> None:
-    asked = {"port": 40123, "state": "a" * 20, "code_challenge": "A" * 43}
-    Browser(api).post("/auth/cli/approve", asked).refused(401, "not_authenticated")
+    requested = {"port": 40123, "state": "a" * 20, "code_challenge": "A" * 43}
+    Browser(api).post("/auth/cli/approve", requested).refused(401, "not_authenticated")
     Browser(api).post("/auth/device/approve", {"user_code": "BCDF-GHJK"}).refused(401, "not_authenticated")
 
 
@@ -97,33 +97,33 @@ def _rest(api: Api) -> None:
 
 def test_a_robot_gets_a_token_once_its_code_was_typed(api: Api, ada: Account) -> None:
     began, nobody = _begin(api), api.as_(None)
-    asked = {"device_code": began["device_code"]}
-    assert nobody.post("/auth/device/token", asked).refused(400, "sign_in_pending")["interval_s"] == 5
-    nobody.post("/auth/device/token", asked).refused(429, "slow_down")
+    requested = {"device_code": began["device_code"]}
+    assert nobody.post("/auth/device/token", requested).refused(400, "sign_in_pending")["interval_s"] == 5
+    nobody.post("/auth/device/token", requested).refused(429, "slow_down")
     typed = {"user_code": began["user_code"].lower().replace("-", " ")}
-    looked = ada.browser.post("/auth/device/status", typed).ok()
-    assert (looked["client"], looked["address"]) == ("klein on spot", "127.0.0.1")
+    checked = ada.browser.post("/auth/device/status", typed).ok()
+    assert (checked["client"], checked["address"]) == ("klein on spot", "127.0.0.1")
     ada.browser.post("/auth/device/approve", typed).ok()
     ada.browser.post("/auth/device/approve", typed).refused(410, "code_gone")
     _rest(api)
-    told = nobody.post("/auth/device/token", asked).ok()
-    assert api.as_(told["token"]).get("/me").ok()["person"]["id"] == ada.id
+    message = nobody.post("/auth/device/token", requested).ok()
+    assert api.as_(message["token"]).get("/me").ok()["person"]["id"] == ada.id
     _rest(api)
-    nobody.post("/auth/device/token", asked).refused(410, "sign_in_expired")
+    nobody.post("/auth/device/token", requested).refused(410, "sign_in_expired")
 
 
-def test_a_robot_hears_that_it_was_refused(api: Api, ada: Account) -> None:
+def test_a_refused_program_is_notified(api: Api, ada: Account) -> None:
     began = _begin(api)
     ada.browser.post("/auth/device/deny", {"user_code": began["user_code"]}).ok()
-    asked = {"device_code": began["device_code"]}
-    api.as_(None).post("/auth/device/token", asked).refused(403, "sign_in_denied")
+    requested = {"device_code": began["device_code"]}
+    api.as_(None).post("/auth/device/token", requested).refused(403, "sign_in_denied")
 
 
 def test_a_code_that_nobody_typed_in_time_is_over(api: Api, ada: Account) -> None:
     began = _begin(api)
     api.sql("UPDATE login_request SET expires_at = now() WHERE user_code = %s", began["user_code"].replace("-", ""))
-    asked = {"device_code": began["device_code"]}
-    api.as_(None).post("/auth/device/token", asked).refused(410, "sign_in_expired")
+    requested = {"device_code": began["device_code"]}
+    api.as_(None).post("/auth/device/token", requested).refused(410, "sign_in_expired")
     ada.browser.post("/auth/device/approve", {"user_code": began["user_code"]}).refused(410, "code_gone")
 
 
@@ -131,8 +131,8 @@ def test_signing_out_everywhere_revokes_tokens_not_yet_fetched(api: Api) -> None
     made, began = signed_in(api), _begin(api)
     made.browser.post("/auth/device/approve", {"user_code": began["user_code"]}).ok()
     made.browser.call("DELETE", "/api/v1/me/sessions").ok(204)
-    asked = {"device_code": began["device_code"]}
-    api.as_(None).post("/auth/device/token", asked).refused(410, "sign_in_expired")
+    requested = {"device_code": began["device_code"]}
+    api.as_(None).post("/auth/device/token", requested).refused(410, "sign_in_expired")
 
 
 def test_unknown_codes_are_over(api: Api, ada: Account) -> None:

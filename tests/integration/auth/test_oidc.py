@@ -48,7 +48,7 @@ def test_a_verified_address_opens_what_was_granted_to_it(lab: Lab) -> None:
 
 
 def test_claims_missing_in_the_id_token_are_fetched_from_userinfo(lab: Lab) -> None:
-    lab.provider.tells_in_userinfo = True
+    lab.provider.userinfo_claims = True
     email = any_email()
     assert lab.sign_in("shy", **known_as(email)).me()["emails"] == [email]
 
@@ -71,7 +71,7 @@ def test_a_trusted_address_opens_the_account_that_is_there(lab: Lab) -> None:
     assert browser.me()["person"]["id"] == made.id
     (own,) = browser.get("/api/v1/me/identities").ok()
     assert (own["issuer"], own["email"]) == (lab.provider.url, made.email)
-    (event,) = (each for each in lab.api.all("/audit", {"noun": "identity"}) if each["noun_id"] == own["id"])
+    (event,) = (item for item in lab.api.all("/audit", {"noun": "identity"}) if item["noun_id"] == own["id"])
     assert (event["operation"], event["after"]["person_id"]) == ("identity.link", made.id)
 
 
@@ -103,8 +103,8 @@ def test_a_reassigned_address_does_not_open_the_account_of_its_former_owner(lab:
 def test_one_links_a_provider_oneself_when_signed_in(lab: Lab) -> None:
     made = account(lab.api)
     lab.provider.sign_in_as("mine", email="me@private.example", email_verified=True)
-    told = made.browser.post("/auth/providers/lab/link", {"return_to": "/account"}).ok()
-    answer = made.browser.get(lab.provider.authorize(told["url"]))
+    message = made.browser.post("/auth/providers/lab/link", {"return_to": "/account"}).ok()
+    answer = made.browser.get(lab.provider.authorize(message["url"]))
     assert (answer.status, answer.headers["location"]) == (303, "/account")
     assert lab.sign_in("mine").me()["person"]["id"] == made.id
     assert made.browser.me()["emails"] == [made.email]
@@ -114,17 +114,17 @@ def test_an_identity_that_is_somebody_else_s_is_not_linked(lab: Lab) -> None:
     lab.sign_in("taken", **known_as(any_email()))
     made = account(lab.api)
     lab.provider.sign_in_as("taken")
-    told = made.browser.post("/auth/providers/lab/link", {}).ok()
-    answer = made.browser.get(lab.provider.authorize(told["url"]))
+    message = made.browser.post("/auth/providers/lab/link", {}).ok()
+    answer = made.browser.get(lab.provider.authorize(message["url"]))
     assert "another person" in sentence(answer)
 
 
 def test_linking_ends_with_the_session_that_began_it(lab: Lab) -> None:
     made = account(lab.api)
     lab.provider.sign_in_as("late")
-    told = made.browser.post("/auth/providers/lab/link", {}).ok()
+    message = made.browser.post("/auth/providers/lab/link", {}).ok()
     made.browser.post("/auth/sign-out").ok(204)
-    assert "signed out meanwhile" in sentence(made.browser.get(lab.provider.authorize(told["url"])))
+    assert "signed out meanwhile" in sentence(made.browser.get(lab.provider.authorize(message["url"])))
     assert lab.api.sql("SELECT count(*) FROM identity WHERE subject = 'late'") == [(0,)]
 
 
@@ -147,9 +147,9 @@ def test_only_invited_people_get_an_account_where_registration_is_closed(start_a
 def test_an_invitation_ends_when_its_creator_loses_the_right_to_invite(start_api: StartApi, lab: Lab) -> None:
     settings = provider_settings("lab", lab.provider.url, open_to=OpenTo.invited)
     invited = Lab(start_api(oidc_providers=[settings]), lab.provider)
-    email, leaving = any_email(), people.person(invited.api, admin=True)
-    invited.api.as_(leaving.token).post("/people/invitations", {"email": email}).ok(201)
-    invited.api.post(f"/people/{leaving.id}/deactivate").ok()
+    email, removed = any_email(), people.person(invited.api, admin=True)
+    invited.api.as_(removed.token).post("/people/invitations", {"email": email}).ok(201)
+    invited.api.post(f"/people/{removed.id}/deactivate").ok()
     assert "require an invitation" in invited.refuses("ghost", **known_as(email))
 
 
@@ -166,11 +166,11 @@ def test_anybody_may_be_let_in_without_their_address_being_believed(start_api: S
 def test_two_first_sign_ins_at_once_make_one_account(lab: Lab) -> None:
     lab.provider.sign_in_as("hasty", **known_as(any_email()))
     browsers = [Browser(lab.api) for _ in range(4)]
-    backs = [lab.provider.authorize(each.post("/auth/providers/lab", {}).ok()["url"]) for each in browsers]
+    backs = [lab.provider.authorize(item.post("/auth/providers/lab", {}).ok()["url"]) for item in browsers]
     with ThreadPoolExecutor(4) as pool:
         answers = list(pool.map(Browser.get, browsers, backs))
     assert [answer.status for answer in answers] == [303] * 4
-    assert len({each.me()["person"]["id"] for each in browsers}) == 1
+    assert len({item.me()["person"]["id"] for item in browsers}) == 1
 
 
 def test_a_removed_person_is_refused(lab: Lab) -> None:
@@ -302,7 +302,7 @@ def test_a_refused_consent_is_a_sentence_and_an_event(lab: Lab, error: str, mess
 @pytest.mark.parametrize("dies_at", ["/token", "/jwks", "/userinfo"])
 def test_a_provider_that_dies_on_the_way_is_a_sentence_and_an_event(lab: Lab, dies_at: str) -> None:
     lab.provider.is_dead.add(dies_at)
-    lab.provider.tells_in_userinfo = True
+    lab.provider.userinfo_claims = True
     assert "The sign-in with The Lab failed" in lab.refuses(**known_as(any_email()))
     assert latest_refusal(lab.api) == {"provider": "The Lab", "reason": "it answered with status 503"}
 

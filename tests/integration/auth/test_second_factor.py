@@ -41,7 +41,7 @@ def _ada(api: Api) -> Account:
     return account(api)
 
 
-def _given(who: Account, **more: Any) -> dict[str, Any]:
+def _enrolled(who: Account, **more: Any) -> dict[str, Any]:
     return {"email": who.email, "password": PASSWORD, **more}
 
 
@@ -52,34 +52,34 @@ def test_signing_in_takes_password_and_code(api: Api, ada: Account) -> None:
     assert not other.is_signed_in(), "a browser that was signed in without a code"
     assert len(set(codes)) == 10
     browser = Browser(api)
-    browser.post("/auth/password", _given(ada)).refused(401, "second_factor_needed")
-    browser.post("/auth/password", _given(ada, second_factor="000000")).refused(401, "second_factor_wrong")
-    wrong = _given(ada, second_factor=device.next_code()) | {"password": "another password"}
+    browser.post("/auth/password", _enrolled(ada)).refused(401, "second_factor_needed")
+    browser.post("/auth/password", _enrolled(ada, second_factor="000000")).refused(401, "second_factor_wrong")
+    wrong = _enrolled(ada, second_factor=device.next_code()) | {"password": "another password"}
     browser.post("/auth/password", wrong).refused(401, "sign_in_failed")
     assert not browser.is_signed_in()
-    browser.post("/auth/password", _given(ada, second_factor=device.next_code())).ok()
+    browser.post("/auth/password", _enrolled(ada, second_factor=device.next_code())).ok()
     assert browser.is_signed_in()
 
 
 def test_a_code_is_taken_once(api: Api, ada: Account) -> None:
     device, _ = _enrol(api, ada)
     enrolled_with = device.code()
-    Browser(api).post("/auth/password", _given(ada, second_factor=enrolled_with)).refused(401, "second_factor_wrong")
+    Browser(api).post("/auth/password", _enrolled(ada, second_factor=enrolled_with)).refused(401, "second_factor_wrong")
     code = device.next_code()
-    Browser(api).post("/auth/password", _given(ada, second_factor=code)).ok()
-    Browser(api).post("/auth/password", _given(ada, second_factor=code)).refused(401, "second_factor_wrong")
+    Browser(api).post("/auth/password", _enrolled(ada, second_factor=code)).ok()
+    Browser(api).post("/auth/password", _enrolled(ada, second_factor=code)).refused(401, "second_factor_wrong")
 
 
 def test_a_recovery_code_is_good_once(api: Api, ada: Account) -> None:
     _, codes = _enrol(api, ada)
     browser = Browser(api)
-    browser.post("/auth/password", _given(ada, second_factor=codes[0].lower())).ok()
-    again = Browser(api).post("/auth/password", _given(ada, second_factor=codes[0]))
+    browser.post("/auth/password", _enrolled(ada, second_factor=codes[0].lower())).ok()
+    again = Browser(api).post("/auth/password", _enrolled(ada, second_factor=codes[0]))
     again.refused(401, "second_factor_wrong")
     assert browser.get("/api/v1/me/account").ok()["totp"]["recovery_codes_left"] == 9
     renewed = browser.post("/me/totp/recovery-codes").ok()["codes"]
     assert not set(renewed) & set(codes)
-    Browser(api).post("/auth/password", _given(ada, second_factor=codes[1])).refused(401, "second_factor_wrong")
+    Browser(api).post("/auth/password", _enrolled(ada, second_factor=codes[1])).refused(401, "second_factor_wrong")
     operations = [event["operation"] for event in api.events(ada.id)]
     assert {"totp.enable", "totp.use_recovery_code", "totp.renew_codes"} <= set(operations)
 
@@ -87,8 +87,8 @@ def test_a_recovery_code_is_good_once(api: Api, ada: Account) -> None:
 def test_after_ten_wrong_codes_the_right_one_is_not_taken_for_a_while(api: Api, ada: Account) -> None:
     device, _ = _enrol(api, ada)
     for _ in range(10):
-        Browser(api).post("/auth/password", _given(ada, second_factor="not it")).refused(401, "second_factor_wrong")
-    right = _given(ada, second_factor=device.next_code())
+        Browser(api).post("/auth/password", _enrolled(ada, second_factor="not it")).refused(401, "second_factor_wrong")
+    right = _enrolled(ada, second_factor=device.next_code())
     Browser(api).post("/auth/password", right).refused(401, "second_factor_wrong")
     api.sql("UPDATE totp SET failed_at = now() - interval '16 minutes' WHERE person_id = %s", ada.id)
     Browser(api).post("/auth/password", right).ok()
@@ -129,9 +129,9 @@ def test_one_switches_it_off_by_oneself(api: Api, ada: Account) -> None:
 def test_the_secret_of_the_second_factor_is_shown_once(api: Api, ada: Account) -> None:
     begun = ada.browser.post("/me/totp").ok(201)
     ada.browser.post("/me/totp/confirm", {"code": pyotp.TOTP(begun["secret"]).now()}).ok()
-    told = [ada.browser.get(path).body for path in ("/api/v1/me/account", "/api/v1/me")]
-    told += [api.events(ada.id), api.get("/audit").body]
-    assert begun["secret"] not in str(told)
+    message = [ada.browser.get(path).body for path in ("/api/v1/me/account", "/api/v1/me")]
+    message += [api.events(ada.id), api.get("/audit").body]
+    assert begun["secret"] not in str(message)
 
 
 def test_an_account_without_a_password_has_none(api: Api) -> None:

@@ -51,11 +51,11 @@ def test_a_session_that_somebody_planted_is_not_the_one_that_is_signed_in(api: A
 
 def test_signing_out_ends_the_session_and_takes_the_cookie(api: Api) -> None:
     browser, _ = _signed_in(api)
-    held = dict(browser.cookies)
+    locked = dict(browser.cookies)
     browser.post("/auth/sign-out").ok(204)
     assert COOKIE not in browser.cookies
-    assert not Browser(api, cookies=held).is_signed_in()
-    Browser(api, cookies=held).post("/auth/sign-out").ok(204)
+    assert not Browser(api, cookies=locked).is_signed_in()
+    Browser(api, cookies=locked).post("/auth/sign-out").ok(204)
 
 
 def test_one_sees_one_s_own_browsers_and_ends_one_of_them_or_all(api: Api) -> None:
@@ -64,13 +64,13 @@ def test_one_sees_one_s_own_browsers_and_ends_one_of_them_or_all(api: Api) -> No
     for other in others:
         sign_in(other, made.email)
     listed = made.browser.get("/api/v1/me/sessions").ok()["items"]
-    assert [each["is_current"] for each in listed] == [False, False, True]
+    assert [item["is_current"] for item in listed] == [False, False, True]
     foreign = stranger.browser.me()["credential"]["id"]
     made.browser.call("DELETE", f"/api/v1/me/sessions/{foreign}").refused(404, "not_found")
     made.browser.call("DELETE", f"/api/v1/me/sessions/{others[0].me()['credential']['id']}").ok(204)
-    assert [each.is_signed_in() for each in (*others, made.browser)] == [False, True, True]
+    assert [item.is_signed_in() for item in (*others, made.browser)] == [False, True, True]
     made.browser.call("DELETE", "/api/v1/me/sessions").ok(204)
-    assert [each.is_signed_in() for each in (*others, made.browser, stranger.browser)] == [False, False, False, True]
+    assert [item.is_signed_in() for item in (*others, made.browser, stranger.browser)] == [False, False, False, True]
 
 
 def test_a_token_lists_and_ends_browsers_too_unless_it_is_limited_to_less(api: Api) -> None:
@@ -127,7 +127,7 @@ def test_the_pages_carry_nothing_inline_and_let_nobody_frame_them(api: Api) -> N
         assert "style=" not in html
         assert not re.search(r"\son\w+=", html)
         buttons = re.findall(r"<button[^>]*>", html)
-        assert all(" disabled" in each for each in buttons), "pressed before the script is there, it would do nothing"
+        assert all(" disabled" in item for item in buttons), "pressed before the script is there, it would do nothing"
     assert "JSON" in Browser(api).get("/sign-in/static/sign-in.js").ok()
     Browser(api).get("/sign-in/static/..%2fpages.py").refused(404, "not_found")
     Browser(api).get("/sign-in/nothing").refused(404, "not_found")

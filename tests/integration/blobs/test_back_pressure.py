@@ -35,7 +35,7 @@ def _upload_id(api: Api) -> str:
     return upload_id
 
 
-def _with_courtesy(api: Api, work: _Work) -> None:
+def _with_back_pressure(api: Api, work: _Work) -> None:
     async def on(context: AppContext) -> None:
         await work(BackPressure(context.database, context.settings))
 
@@ -52,14 +52,14 @@ async def _goes(back_pressure: BackPressure) -> None:
 
 
 def test_background_jobs_wait_during_uploads(api: Api, upload_id: str) -> None:
-    _with_courtesy(api, _waits)
+    _with_back_pressure(api, _waits)
     api.delete(f"/uploads/{upload_id}").ok(204)
-    _with_courtesy(api, _goes)
+    _with_back_pressure(api, _goes)
 
 
 def test_an_upload_that_nobody_continues_holds_up_nothing(api: Api, upload_id: str) -> None:
     api.sql("UPDATE upload SET expires_at = expires_at - interval '1 h 3 s' WHERE id = %s", upload_id)
-    _with_courtesy(api, _goes)
+    _with_back_pressure(api, _goes)
 
 
 def test_a_stream_of_uploads_delays_by_so_much_and_no_more(api: Api, upload_id: str) -> None:
@@ -70,7 +70,7 @@ def test_a_stream_of_uploads_delays_by_so_much_and_no_more(api: Api, upload_id: 
         [created_at] = api.sql("SELECT created_at - interval '1 h' FROM upload WHERE id = %s", upload_id)[0]
         await asyncio.wait_for(back_pressure.wait_for_uploads(_LONG_S, since=created_at), 10)
 
-    _with_courtesy(api, twice)
+    _with_back_pressure(api, twice)
 
 
 def test_those_that_waited_long_enough_take_turns_with_what_still_comes(api: Api, upload_id: str) -> None:
@@ -81,7 +81,7 @@ def test_those_that_waited_long_enough_take_turns_with_what_still_comes(api: Api
         api.delete(f"/uploads/{upload_id}").ok(204)
         await asyncio.wait_for(asyncio.gather(*(back_pressure.wait_for_uploads(0) for _ in range(1000))), 60)
 
-    _with_courtesy(api, several)
+    _with_back_pressure(api, several)
 
 
 def test_a_worker_that_stops_waits_for_nobody(api: Api, upload_id: str) -> None:
@@ -91,7 +91,7 @@ def test_a_worker_that_stops_waits_for_nobody(api: Api, upload_id: str) -> None:
         back_pressure.end()
         await asyncio.wait_for(waiting, 10)
 
-    _with_courtesy(api, stop)
+    _with_back_pressure(api, stop)
 
 
 def test_grouping_is_delayed_from_the_time_of_its_request(

@@ -14,12 +14,12 @@ from tests.integration.sample import Sample
 _ORPHANS = 100
 
 
-async def _doom(context: AppContext) -> int:
+async def _mark(context: AppContext) -> int:
     async with context.database.begin() as db:
         return await garbage_collection.mark_unreferenced(db, limit=1000)
 
 
-def _doomed(api: Api) -> set[str]:
+def _marked(api: Api) -> set[str]:
     return {str(row[0]) for row in api.sql("SELECT id FROM blob WHERE marked_for_deletion_at IS NOT NULL")}
 
 
@@ -29,7 +29,7 @@ def test_all_blobs_are_checked_in_turn_when_there_are_many(
     api = start_api()
     sample = Sample(api)
     mission_id = api.mission(api.project()["id"])["id"]
-    kept = [sample.file(mission_id, f"{number}.bin") for number in range(5)]
+    remaining = [sample.file(mission_id, f"{number}.bin") for number in range(5)]
     orphans = {sample.blob() for _ in range(_ORPHANS)}
     # The first and the last ids there are, and those on both sides of where one turn ends.
     edge = 2**128 // garbage_collection._SHARES
@@ -38,16 +38,16 @@ def test_all_blobs_are_checked_in_turn_when_there_are_many(
     counts = []
     for turn in range(garbage_collection._SHARES):
         monkeypatch.setattr(garbage_collection, "_current_share", lambda turn=turn: turn)
-        counts.append(on_site(api, _doom))
-    assert _doomed(api) == orphans
+        counts.append(on_site(api, _mark))
+    assert _marked(api) == orphans
     assert sum(counts) == len(orphans)
     assert max(counts) < len(orphans) / 3
-    assert len(api.all("/files", {"mission_id": mission_id})) == len(kept)
+    assert len(api.all("/files", {"mission_id": mission_id})) == len(remaining)
 
 
-def test_all_blobs_are_checked_when_there_are_few(start_api: StartApi) -> None:
+def test_a_small_number_of_blobs_is_checked_at_once(start_api: StartApi) -> None:
     api = start_api()
     orphans = {Sample(api).blob() for _ in range(10)}
-    assert on_site(api, _doom) == len(orphans)
-    assert _doomed(api) == orphans
+    assert on_site(api, _mark) == len(orphans)
+    assert _marked(api) == orphans
     assert 0 <= garbage_collection._current_share() < garbage_collection._SHARES

@@ -187,7 +187,7 @@ def test_a_blob_marked_for_deletion_is_not_linked(api: Api, mission_id: str) -> 
 
 
 @pytest.mark.parametrize(
-    ("size_bytes", "wanted"), [(30, {"examine_blob"}), (SMALL_BYTES, {"verify_blob", "summarise_blob"})]
+    ("size_bytes", "expected"), [(30, {"examine_blob"}), (SMALL_BYTES, {"verify_blob", "summarise_blob"})]
 )
 def test_blobs_and_missions_of_failed_jobs_are_processed_again(
     api: Api, mission_id: str, size_bytes: int, expected: set[str]

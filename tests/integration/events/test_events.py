@@ -29,7 +29,7 @@ def _marked(api: Api, ears: Ears, mission_id: str) -> None:
     made = api.post(f"/missions/{mission_id}/uploads", {"files": [{"path": "mark", "size_bytes": 1}]}).ok()
     upload_id = made["items"][0]["upload"]["id"]
     api.delete(f"/uploads/{upload_id}").ok(204)
-    ears.hear(noun="upload", id=upload_id, change="removed")
+    ears.receive(noun="upload", id=upload_id, change="removed")
 
 
 def test_events_follow_a_file_from_announcement_to_summary_and_verification(lab: Api) -> None:
@@ -39,36 +39,36 @@ def test_events_follow_a_file_from_announcement_to_summary_and_verification(lab:
     people.grant(lab, member, Right.read, mission_id=mission["id"])
     with listening(lab.as_(member.token)) as ears:
         begun = begin(lab, mission["id"], {"seen.txt": b"some words"})[0]["upload"]
-        told = ears.hear(noun="upload", id=begun["id"], change="created")
-        assert (told["mission_id"], told["project_id"]) == (mission["id"], project["id"])
+        message = ears.receive(noun="upload", id=begun["id"], change="created")
+        assert (message["mission_id"], message["project_id"]) == (mission["id"], project["id"])
         send(lab, begun, b"some words")
         file_id = complete(lab, begun, b"some words")["file"]["id"]
-        ears.hear(noun="upload", id=begun["id"], change="removed")
-        told = ears.hear(noun="file", id=file_id, change="created")
-        assert set(told) == {"noun", "change", "id", "project_id", "mission_id"}, "no contents"
+        ears.receive(noun="upload", id=begun["id"], change="removed")
+        message = ears.receive(noun="file", id=file_id, change="created")
+        assert set(message) == {"noun", "change", "id", "project_id", "mission_id"}, "no contents"
         run_jobs(lab)
-        ears.hear(noun="file", id=file_id, change="changed")
-        ears.hear(noun="recording", change="changed", mission_id=mission["id"])
+        ears.receive(noun="file", id=file_id, change="changed")
+        ears.receive(noun="recording", change="changed", mission_id=mission["id"])
 
 
 def test_missions_and_files_that_are_made_renamed_moved_and_deleted(lab: Api) -> None:
     project, target = lab.project(), lab.project()
     with listening(lab) as ears:
         mission = lab.mission(project["id"])
-        ears.hear(noun="mission", id=mission["id"], change="created")
+        ears.receive(noun="mission", id=mission["id"], change="created")
         file = upload(lab, mission["id"], "a.txt", b"a file that is renamed")
         lab.patch(f"/files/{file['id']}", {"path": "b.txt"}).ok()
-        ears.hear(noun="file", id=file["id"], change="changed", mission_id=mission["id"])
+        ears.receive(noun="file", id=file["id"], change="changed", mission_id=mission["id"])
         lab.delete(f"/files/{file['id']}").ok()
-        ears.hear(noun="file", id=file["id"], change="removed")
+        ears.receive(noun="file", id=file["id"], change="removed")
         lab.patch(f"/missions/{mission['id']}", {"project_id": target["id"]}).ok()
-        ears.hear(noun="mission", id=mission["id"], change="removed", project_id=project["id"])
-        ears.hear(noun="mission", id=mission["id"], change="created", project_id=target["id"])
+        ears.receive(noun="mission", id=mission["id"], change="removed", project_id=project["id"])
+        ears.receive(noun="mission", id=mission["id"], change="created", project_id=target["id"])
         lab.delete(f"/missions/{mission['id']}").ok()
-        ears.hear(noun="mission", id=mission["id"], change="removed", project_id=target["id"])
+        ears.receive(noun="mission", id=mission["id"], change="removed", project_id=target["id"])
 
 
-def test_nobody_hears_of_what_they_may_not_see(lab: Api) -> None:
+def test_events_of_hidden_objects_are_not_sent(lab: Api) -> None:
     theirs, mine = lab.mission(lab.project()["id"]), lab.mission(lab.project()["id"])
     member = people.person(lab)
     people.grant(lab, member, Right.read, project_id=mine["project"]["id"])
@@ -88,12 +88,12 @@ def test_many_changes_at_once_are_one_event(lab: Api) -> None:
     mission = lab.mission(lab.project()["id"])
     with listening(lab) as ears, lab.statements() as statements:
         upload_all(lab, mission["id"], {f"{number}.txt": f"file {number}".encode() for number in range(30)})
-        ears.hear(noun="file", id=None, change="created", mission_id=mission["id"])
+        ears.receive(noun="file", id=None, change="created", mission_id=mission["id"])
         _marked(lab, ears, mission["id"])
-    told = [event for event in ears.events if event[1]["noun"] == "file"]
-    assert len(told) == 1, "not one event a file"
+    message = [event for event in ears.events if event[1]["noun"] == "file"]
+    assert len(message) == 1, "not one event a file"
     announced, finished, marks = 1, 2, 2
-    assert sum("pg_notify" in each for each in statements) <= announced + finished + marks
+    assert sum("pg_notify" in item for item in statements) <= announced + finished + marks
 
 
 def _ended_token(lab: Api, member: people.Person) -> None:
@@ -152,7 +152,7 @@ def test_a_reconnecting_client_receives_missed_events(lab: Api) -> None:
         last = ears.last_id
     made = lab.mission(mission["project"]["id"])
     with listening(lab, after=last) as ears:
-        ears.hear(noun="mission", id=made["id"], change="created")
+        ears.receive(noun="mission", id=made["id"], change="created")
         assert all(event == "change" for event, _ in ears.events)
         last = ears.last_id
     headers = {"Authorization": f"Bearer {lab.token}", "Last-Event-ID": "gone-5"}
@@ -166,7 +166,7 @@ def test_an_unknown_last_event_id_is_not_echoed(lab: Api) -> None:
         lab.get("/events", {"after": after, "for_s": "0"}).refused(422, "invalid_request")
 
 
-def test_a_slow_client_is_told_to_reload(lab: Api, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slow_client_must_reload(lab: Api, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hubs, "MAX_PENDING", 3)
     mission = lab.mission(lab.project()["id"])
     written = f'["thing", "changed", "\' || gen_random_uuid() || \'", null, "{mission["id"]}", null]'
@@ -193,13 +193,13 @@ def test_a_stream_occupies_no_database_connection(lab: Api, postgres: RunningPos
         streams = [stack.enter_context(listening(lab)) for _ in range(12)]
         wait_until(lambda: pool.checkedout() == 0)
         lab.get("/projects").ok()
-        assert not any(each.is_over for each in streams)
+        assert not any(item.is_over for item in streams)
     name = lab.sql("SELECT current_database()")[0][0]
     listeners = "SELECT count(*) FROM pg_stat_activity WHERE datname = '{}' AND query LIKE 'LISTEN%'"
     assert postgres.sql(listeners.format(name)).strip() == "1"
 
 
-def test_guests_and_robots_hear_nothing(lab: Api) -> None:
+def test_guests_and_robots_receive_no_events(lab: Api) -> None:
     mission = lab.mission(lab.project()["id"])
     lab.as_(None).get("/events").refused(401, "not_authenticated")
     lab.as_(people.share(lab, mission["id"]).secret).get("/events").refused(403, "scope_missing")

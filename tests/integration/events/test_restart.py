@@ -33,7 +33,7 @@ def test_a_program_that_follows_goes_on_after_a_restart(
     settings: dict[str, Any], postgres: RunningPostgres, tmp_path: Path
 ) -> None:
     admin_url = postgres.migrate_url(settings["database_url"].rpartition("/")[2])
-    heard: list[Change | Refetch] = []
+    received: list[Change | Refetch] = []
     last = {"id": ""}
     with serving(settings, admin_url=admin_url, folder=tmp_path) as api:
         project = api.project()
@@ -41,21 +41,21 @@ def test_a_program_that_follows_goes_on_after_a_restart(
         client = connect(api.url, api.post("/tokens", {"name": "follower", "scopes": ["read"]}).ok(201)["secret"])
 
         def follow() -> None:
-            for each in client.events.follow(for_s=100):
-                heard.append(each)
-                if isinstance(each, Change) and str(each.id) == last["id"]:
+            for item in client.events.follow(for_s=100):
+                received.append(item)
+                if isinstance(item, Change) and str(item.id) == last["id"]:
                     return
 
         follower = threading.Thread(target=follow, name="follower")
         follower.start()
         wait_until(lambda: len(api.app.state.hub._streams) == 1)
         made = api.mission(project["id"])
-        wait_until(lambda: any(isinstance(each, Change) and str(each.id) == made["id"] for each in heard))
+        wait_until(lambda: any(isinstance(item, Change) and str(item.id) == made["id"] for item in received))
         port = urlsplit(api.url).port or 0
         stopped_at = time.monotonic()
     assert time.monotonic() - stopped_at < 8, "open streams hold up the end of the server"
     with serving(settings, admin_url=admin_url, folder=tmp_path, port=port) as again:
-        wait_until(lambda: Refetch(reason=RefetchReason.missed) in heard)
+        wait_until(lambda: Refetch(reason=RefetchReason.missed) in received)
         last["id"] = again.mission(project["id"])["id"]
         again.patch(f"/missions/{last['id']}", {"notes": "told after its id is known here"}).ok()
         follower.join(60)
@@ -73,4 +73,4 @@ def test_clients_reload_after_a_restart_of_the_database(
         )
         ears.until(lambda: ("refetch", {"reason": "missed"}) in ears.events)
         made = api.project()
-        ears.hear(noun="project", id=made["id"], change="created")
+        ears.receive(noun="project", id=made["id"], change="created")

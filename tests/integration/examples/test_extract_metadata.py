@@ -27,8 +27,8 @@ def extract(folder: Path, files: Mapping[str, Path | bytes], **parameters: str) 
 def values(path: Path, message_type: str) -> list[Any]:
     """The messages of a type, read by another library."""
     with AnyReader([path], default_typestore=get_typestore(Stores.ROS1_NOETIC)) as reader:
-        connections = [each for each in reader.connections if each.msgtype == message_type]
-        return [reader.deserialize(raw, each.msgtype) for each, _, raw in reader.messages(connections)]
+        connections = [item for item in reader.connections if item.msgtype == message_type]
+        return [reader.deserialize(raw, item.msgtype) for item, _, raw in reader.messages(connections)]
 
 
 def odometry_m(path: Path) -> float:
@@ -92,7 +92,7 @@ def test_a_drive_without_gps_is_measured_by_its_odometry(recordings_dir: Path, t
         (min(place.x for place in positions), max(place.y for place in positions)), abs=1e-3
     )
     assert ran.codes() == {"recording.unreadable"}
-    assert {each.path for each in ran.report.previews} >= {"track.csv"}
+    assert {item.path for item in ran.report.previews} >= {"track.csv"}
     lines = (ran.out / "track.csv").read_text().splitlines()
     assert lines[0] == "recording,topic,frame,time_ns,x_m,y_m,z_m"
     assert len(lines) - 1 == len(positions)
@@ -101,7 +101,7 @@ def test_a_drive_without_gps_is_measured_by_its_odometry(recordings_dir: Path, t
 @pytest.mark.slow
 def test_a_drive_with_gps_has_a_place_on_earth(recordings_dir: Path, tmp_path: Path) -> None:
     bag = recordings_dir / "ros1" / "robot_localization_test1_imu_odom_gps_bz2.bag"
-    fixes = [(each.latitude, each.longitude) for each in values(bag, "sensor_msgs/msg/NavSatFix")]
+    fixes = [(item.latitude, item.longitude) for item in values(bag, "sensor_msgs/msg/NavSatFix")]
     walked_m, last = 0.0, fixes[0]
     for fix in fixes:
         if (step_m := geodesic_m(last, fix)) >= GPS_STEP_M:
@@ -114,10 +114,10 @@ def test_a_drive_with_gps_has_a_place_on_earth(recordings_dir: Path, tmp_path: P
     by_gps = extract(tmp_path / "gps", {"drive.bag": bag}, topic="/fix")
     assert by_gps.metric("mission_distance") == pytest.approx(walked_m, rel=1e-6)
 
-    told: Any = both.report.metadata
-    assert told["sensors"] == ["gps", "imu"]
-    assert (told["location"]["latitude"], told["location"]["longitude"]) == fixes[0]
-    assert told["bounding_box"] == {
+    message: Any = both.report.metadata
+    assert message["sensors"] == ["gps", "imu"]
+    assert (message["location"]["latitude"], message["location"]["longitude"]) == fixes[0]
+    assert message["bounding_box"] == {
         "south": min(latitude for latitude, _ in fixes),
         "north": max(latitude for latitude, _ in fixes),
         "west": min(longitude for _, longitude in fixes),
@@ -126,15 +126,15 @@ def test_a_drive_with_gps_has_a_place_on_earth(recordings_dir: Path, tmp_path: P
     (feature,) = json.loads((both.out / "track.geojson").read_text())["features"]
     drawn = [(round(latitude, 8), round(longitude, 8)) for latitude, longitude in fixes]
     assert [(place[1], place[0]) for place in feature["geometry"]["coordinates"]] == drawn
-    (picture,) = (each for each in both.report.previews if each.path.endswith((".png", ".svg")))
+    (picture,) = (item for item in both.report.previews if item.path.endswith((".png", ".svg")))
     assert (both.out / picture.path).stat().st_size > 1000
 
 
 @pytest.mark.slow
 def test_invalid_positions_are_reported_and_not_counted(recordings_dir: Path, tmp_path: Path) -> None:
     folder = recordings_dir / "mcap" / "SO_bag"
-    ran = extract(tmp_path, {f"auv/{each.name}": each for each in folder.iterdir()})
-    lost = {each.topic: each.message for each in ran.report.findings if each.code == "track.no_fix"}
+    ran = extract(tmp_path, {f"auv/{item.name}": item for item in folder.iterdir()})
+    lost = {item.topic: item.message for item in ran.report.findings if item.code == "track.no_fix"}
     assert lost["/coug2/fix"].startswith("29 of 29")
     assert "location" not in ran.report.metadata
     assert ran.report.metadata["sensors"] == ["barometer", "battery", "gps", "imu"]

@@ -72,7 +72,7 @@ def test_renaming_to_itself_or_another_case_works(api: Api, sample: Sample, miss
 
 
 @pytest.mark.parametrize(
-    ("there", "wanted", "code"),
+    ("there", "expected", "code"),
     [
         ("a.mcap", "a.mcap", "name_taken"),
         ("Straße.mcap", "STRASSE.mcap", "name_taken"),

@@ -43,7 +43,7 @@ def _check(environment: dict[str, str]) -> tuple[int, dict[str, Any]]:
         check=False,
     )
     assert "hunter22" not in ran.stdout + ran.stderr
-    return ran.returncode, {each["check"]: each for each in json.loads(ran.stdout)["checks"]}
+    return ran.returncode, {item["check"]: item for item in json.loads(ran.stdout)["checks"]}
 
 
 @pytest.fixture(name="api", scope="module")
@@ -52,44 +52,44 @@ def _api(start_api: StartApi) -> Api:
 
 
 def test_nothing_is_wrong_with_a_server_that_works(api: Api) -> None:
-    code, found = _check(_environment(api))
-    assert {name: each for name, each in found.items() if each["level"] == "problem"} == {}
+    code, actual = _check(_environment(api))
+    assert {name: item for name, item in actual.items() if item["level"] == "problem"} == {}
     assert code == 0
-    assert found["proof by the store"]["message"] == "It verifies crc64nvme."
-    assert found["reader"]["level"] == found["proxy headers"]["level"] == found["schema"]["level"] == "ok"
-    assert found["workers"]["level"] == "warning", "none runs"
+    assert actual["proof by the store"]["message"] == "It verifies crc64nvme."
+    assert actual["reader"]["level"] == actual["proxy headers"]["level"] == actual["schema"]["level"] == "ok"
+    assert actual["workers"]["level"] == "warning", "none runs"
 
 
 def test_a_wrong_bucket_and_a_misspelt_setting_are_named(api: Api) -> None:
     environment = _environment(api)
-    code, found = _check({**environment, "KLEINKRAM_S3_BUCKET": "nowhere"})
+    code, actual = _check({**environment, "KLEINKRAM_S3_BUCKET": "nowhere"})
     assert code == 1
-    assert "there is no bucket 'nowhere'" in found["store"]["message"]
-    code, found = _check({**environment, "KLEINKRAM_TRUSTED_PROXY": "127.0.0.1"})
-    assert (code, "did you mean KLEINKRAM_TRUSTED_PROXIES" in found["settings"]["message"]) == (1, True)
+    assert "there is no bucket 'nowhere'" in actual["store"]["message"]
+    code, actual = _check({**environment, "KLEINKRAM_TRUSTED_PROXY": "127.0.0.1"})
+    assert (code, "did you mean KLEINKRAM_TRUSTED_PROXIES" in actual["settings"]["message"]) == (1, True)
 
 
 def test_one_role_for_all_and_a_service_that_is_away_are_named(api: Api, postgres: RunningPostgres) -> None:
     environment = _environment(api)
     owner = environment["KLEINKRAM_MIGRATION_DATABASE_URL"]
-    code, found = _check(
+    code, actual = _check(
         {**environment, "KLEINKRAM_DATABASE_URL": owner, "KLEINKRAM_SERVING_ROLE": "kleinkram_migrate"}
     )
-    assert (code, found["serving role"]["level"]) == (1, "problem")
-    assert "audit record" in found["serving role"]["message"]
+    assert (code, actual["serving role"]["level"]) == (1, "problem")
+    assert "audit record" in actual["serving role"]["message"]
     nowhere = f"postgresql://me:hunter22@127.0.0.1:{choose_port()}/kleinkram"
-    code, found = _check({**environment, "KLEINKRAM_DATABASE_URL": nowhere})
-    assert (code, found["database"]["level"]) == (1, "problem")
+    code, actual = _check({**environment, "KLEINKRAM_DATABASE_URL": nowhere})
+    assert (code, actual["database"]["level"]) == (1, "problem")
 
 
 def test_a_reader_that_cannot_start_is_named(api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(isolation, "CHILD_COMMAND", ("/nowhere/python",))
-    (found,) = checks._reader(api.app.state.settings)
-    assert (found.level, "No such file" in found.message) == (checks.Level.problem, True)
+    (actual,) = checks._reader(api.app.state.settings)
+    assert (actual.level, "No such file" in actual.message) == (checks.Level.problem, True)
 
 
 @pytest.mark.parametrize(
-    ("said", "level", "words"),
+    ("text", "level", "words"),
     [
         ({}, "ok", "as 203.0.113.7"),
         ({"is_trusted": False}, "problem", "KLEINKRAM_TRUSTED_PROXIES=10.0.0.3"),
@@ -97,18 +97,18 @@ def test_a_reader_that_cannot_start_is_named(api: Api, monkeypatch: pytest.Monke
         ({"scheme": "http"}, "problem", "X-Forwarded-Proto"),
     ],
 )
-def test_headers_missing_from_a_proxy_are_named(api: Api, said: dict[str, Any], level: str, words: str) -> None:
+def test_headers_missing_from_a_proxy_are_named(api: Api, text: dict[str, Any], level: str, words: str) -> None:
     seen = {"peer": "10.0.0.3", "is_trusted": True, "forwarded": True, "address": "203.0.113.7", "scheme": "https"}
     settings = api.app.state.settings.model_copy(update={"public_url": "https://lab.example"})
-    found = checks._proxy(settings, Seen.model_validate({**seen, **said}))
-    assert (found.level.value, words in found.message + found.remedy) == (level, True)
+    actual = checks._proxy(settings, Seen.model_validate({**seen, **text}))
+    assert (actual.level.value, words in actual.message + actual.remedy) == (level, True)
 
 
 def test_only_operators_see_how_a_request_arrived(api: Api) -> None:
     url = f"{api.url}/health/live"
     assert urllib3.request("GET", url, headers={CHECK_HEADER: "guess"}).data == b"live\n"
-    told = urllib3.request("GET", url, headers={CHECK_HEADER: proof(api.app.state.settings)}).json()
-    assert (told["peer"], told["forwarded"]) == ("127.0.0.1", False)
+    message = urllib3.request("GET", url, headers={CHECK_HEADER: proof(api.app.state.settings)}).json()
+    assert (message["peer"], message["forwarded"]) == ("127.0.0.1", False)
 
 
 def test_rights_that_the_serving_role_lacks_or_has_beyond_need_are_named(start_api: StartApi) -> None:
@@ -120,7 +120,7 @@ def test_rights_that_the_serving_role_lacks_or_has_beyond_need_are_named(start_a
         (f"GRANT UPDATE ON audit_event TO {role}", f"REVOKE UPDATE ON audit_event FROM {role}", "may alter the audit"),
     ):
         api.sql(change)
-        code, found = _check(environment)
-        assert (code, found["rights of the serving role"]["level"]) == (1, "problem"), change
-        assert words in found["rights of the serving role"]["message"]
+        code, actual = _check(environment)
+        assert (code, actual["rights of the serving role"]["level"]) == (1, "problem"), change
+        assert words in actual["rights of the serving role"]["message"]
         api.sql(undo)

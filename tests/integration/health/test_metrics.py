@@ -64,9 +64,9 @@ def test_workers_are_processes_that_are_alive(start_api: StartApi) -> None:
     assert _values(api.metrics(), "kleinkram_workers") == {"kleinkram_workers": 1}
     assert len(api.get("/admin/health").ok()["workers_at"]) == 1
     api.sql("DELETE FROM worker_process WHERE seen_at > now() - interval '1 min'")
-    told = api.get("/admin/health").ok()
-    assert told["workers_at"] == []
-    assert "no worker process was heard of for 7 min" in told["warnings"][0]
+    message = api.get("/admin/health").ok()
+    assert message["workers_at"] == []
+    assert "no worker process was heard of for 7 min" in message["warnings"][0]
 
 
 def test_a_process_s_own_metrics_come_where_the_site_s_cannot_be_read(start_api: StartApi) -> None:

@@ -25,9 +25,9 @@ def _get(api: Api, path: str, headers: dict[str, str] | None = None) -> tuple[in
 
 
 def test_metrics_are_not_on_the_port_that_a_proxy_publishes(api: Api, far: Api) -> None:
-    for asked in (api, far):
+    for requested in (api, far):
         for headers in ({}, _FROM_AFAR):
-            status, text = _get(asked, "/metrics", headers)
+            status, text = _get(requested, "/metrics", headers)
             assert (status, "kleinkram_" in text) == (404, False)
     assert "kleinkram_build_info" in api.metrics()
 

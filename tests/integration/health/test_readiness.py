@@ -24,12 +24,12 @@ class _Silent:
     """A store that takes the question and does not answer until it is told to; it counts the questions."""
 
     def __init__(self) -> None:
-        self.asked = 0
+        self.requests = 0
         self._is_awake = asyncio.Event()
 
     async def check(self) -> None:
         self._loop = asyncio.get_running_loop()
-        self.asked += 1
+        self.requests += 1
         await self._is_awake.wait()
         raise StoreUnavailable(reason="it woke up")
 
@@ -63,14 +63,14 @@ def test_a_store_that_does_not_answer_holds_up_nobody(start_api: StartApi, monke
     api.app.state.storage = store
     with ThreadPoolExecutor(10) as pool:
         probes = [pool.submit(_ready, api) for _ in range(10)]
-        wait_until(lambda: store.asked > 0)
+        wait_until(lambda: store.requests > 0)
         for _ in range(5):
             api.get("/projects").ok()
         assert not any(probe.done() for probe in probes)
         store.answer()
         assert len({probe.result() for probe in probes}) == 1
         assert "it woke up" in probes[0].result()[1]
-    assert store.asked == 1
+    assert store.requests == 1
 
 
 def test_metrics_are_complete_with_concurrent_readers(start_api: StartApi, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -40,32 +40,32 @@ def _probes(api: Api, store: RunningStore, rules: list[Rule]) -> list[StoreCapab
 
 def _from(number: int, count: int, blink: "Reply | Lost") -> Rule:
     """Let so many questions through, and blink at the next `count`."""
-    asked = 0
+    requested = 0
     lock = threading.Lock()
 
-    def rule(_asked: ProxiedRequest) -> "Reply | Lost | None":
-        nonlocal asked
+    def rule(_requests: ProxiedRequest) -> "Reply | Lost | None":
+        nonlocal requested
         with lock:
-            asked += 1
-            return blink if number < asked <= number + count else None
+            requested += 1
+            return blink if number < requested <= number + count else None
 
     return rule
 
 
 def test_probing_finds_the_capabilities_of_a_reliable_store(api: Api, store: RunningStore) -> None:
-    assert _probes(api, store, [lambda _asked: None]) == [_TRUTH]
+    assert _probes(api, store, [lambda _requests: None]) == [_TRUTH]
 
 
 @pytest.mark.parametrize("blink", [Lost(), Reply(503, "SlowDown")], ids=["an answer lost", "once too busy"])
 def test_one_blink_changes_nothing(api: Api, store: RunningStore, blink: "Reply | Lost") -> None:
-    found = _probes(api, store, [_from(number, 1, blink) for number in range(_QUESTIONS)])
-    assert found == [_TRUTH] * _QUESTIONS
+    actual = _probes(api, store, [_from(number, 1, blink) for number in range(_QUESTIONS)])
+    assert actual == [_TRUTH] * _QUESTIONS
 
 
 @pytest.mark.parametrize("blink", [Reply(403, "AccessDenied"), Reply(404), Reply(502)], ids=repr)
 def test_an_unreachable_store_is_reported(api: Api, store: RunningStore, blink: Reply) -> None:
-    found = _probes(api, store, [_from(number, 1000, blink) for number in range(0, _QUESTIONS, 3)])
-    away = [isinstance(each, StoreUnavailable) for each in found]
+    actual = _probes(api, store, [_from(number, 1000, blink) for number in range(0, _QUESTIONS, 3)])
+    away = [isinstance(item, StoreUnavailable) for item in actual]
     assert away == sorted(away, reverse=True), "away from some question on"
     assert away[0]
-    assert {each for each in found if not isinstance(each, BaseException)} <= {_TRUTH}
+    assert {item for item in actual if not isinstance(item, BaseException)} <= {_TRUTH}

@@ -26,16 +26,16 @@ def member(lab: Api) -> people.Person:
 def test_recent_missions_are_those_where_something_arrived_last(lab: Api, member: people.Person) -> None:
     project, hidden = lab.project(), lab.project()
     people.grant(lab, member, Right.read, project_id=project["id"])
-    older, newer, unseen = (lab.mission(each["id"]) for each in (project, project, hidden))
+    older, newer, unseen = (lab.mission(item["id"]) for item in (project, project, hidden))
     sample = Sample(lab)
     for mission in (newer, older, unseen):
         sample.file(mission["id"], "a.mcap", size_bytes=7)
     home = lab.as_(member.token).get("/home").ok()
-    assert [each["mission"]["id"] for each in home["missions"]] == [older["id"], newer["id"]]
+    assert [item["mission"]["id"] for item in home["missions"]] == [older["id"], newer["id"]]
     assert home["missions"][0]["mission"]["project"]["name"] == project["name"]
     assert (home["missions"][0]["file_count"], home["missions"][0]["size_bytes"]) == (1, 7)
     storage = lab.as_(member.token).get("/home/storage").ok()
-    assert [(each["project"]["id"], each["size_bytes"]) for each in storage["projects"]] == [(project["id"], 14)]
+    assert [(item["project"]["id"], item["size_bytes"]) for item in storage["projects"]] == [(project["id"], 14)]
     assert storage["store"] is None, "of the whole server only admins hear"
 
 
@@ -58,30 +58,30 @@ def test_missions_that_need_attention_are_listed(lab: Api, member: people.Person
     mission, hidden = lab.mission(project["id"]), lab.mission(lab.project()["id"])
     people.grant(lab, member, Right.read, project_id=project["id"])
     sample = Sample(lab)
-    for each in (mission, hidden):
-        sample.file(each["id"], "torn.bag", content="broken")
-        sample.file(each["id"], "other.bag", content="broken")
-        sample.file(each["id"], "gone.bag", state="lost", content="recovered")
-        sample.file(each["id"], "fine.bag")
+    for item in (mission, hidden):
+        sample.file(item["id"], "torn.bag", content="broken")
+        sample.file(item["id"], "other.bag", content="broken")
+        sample.file(item["id"], "gone.bag", state="lost", content="recovered")
+        sample.file(item["id"], "fine.bag")
     problems = '[{"field": "robot", "message": "missing"}]'
     lab.sql("UPDATE mission SET metadata_problems = %s::jsonb WHERE id = %s", problems, mission["id"])
-    told = lab.as_(member.token).get("/home").ok()["attention"]
-    assert [(each["need"], each["count"]) for each in told] == [
+    message = lab.as_(member.token).get("/home").ok()["attention"]
+    assert [(item["need"], item["count"]) for item in message] == [
         ("files_lost", 1),
         ("files_broken", 2),
         ("metadata_missing", 1),
     ]
-    assert {each["mission"]["id"] for each in told} == {mission["id"]}
+    assert {item["mission"]["id"] for item in message} == {mission["id"]}
 
 
-def test_admins_hear_of_the_whole_server(lab: Api) -> None:
+def test_admins_see_the_whole_server(lab: Api) -> None:
     mission = lab.mission(lab.project()["id"])
     Sample(lab).file(mission["id"], "old.bag", created_at="2020-01-01T00:00:00Z", size_bytes=11)
     failed = "INSERT INTO procrastinate_jobs (queue_name, task_name, status) VALUES ('default', 'nothing', 'failed')"
     lab.sql(failed)
     with connect(lab.url, lab.token) as client:
         home, store = client.home.get(), client.home.storage().store
-    needs = {each.need.value: each.count for each in home.attention}
+    needs = {item.need.value: item.count for item in home.attention}
     assert needs["jobs_failed"] == 1
     assert needs["verifications_overdue"] >= 1
     assert store is not None
@@ -92,4 +92,4 @@ def test_admins_hear_of_the_whole_server(lab: Api) -> None:
 def test_the_number_of_statements_does_not_depend_on_the_amount_of_data(lab: Api) -> None:
     with lab.statements() as statements:
         lab.get("/home").ok()
-    assert len([each for each in statements if each.lstrip().startswith(("SELECT", "WITH"))]) <= 12
+    assert len([item for item in statements if item.lstrip().startswith(("SELECT", "WITH"))]) <= 12

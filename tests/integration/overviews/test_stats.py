@@ -38,8 +38,8 @@ def _project_id(api: Api) -> str:
     return str(api.project(metadata_fields=FORM)["id"])
 
 
-def _told(found: Any) -> list[tuple[Any, ...]]:
-    return [(each["value"], each["low"], each["high"], each["stats"]["missions"]) for each in found["buckets"]]
+def _stats(actual: Any) -> list[tuple[Any, ...]]:
+    return [(item["value"], item["low"], item["high"], item["stats"]["missions"]) for item in actual["buckets"]]
 
 
 def test_by_month_in_their_order(api: Api, sample: Sample, project_id: str) -> None:
@@ -47,10 +47,10 @@ def test_by_month_in_their_order(api: Api, sample: Sample, project_id: str) -> N
     _mission(api, sample, project_id, MAY, 1)
     mission = _mission(api, sample, project_id, MAY, 2)
     sample.file(mission, "notes.yaml", content="opaque", size_bytes=5)
-    found = api.get(f"/projects/{project_id}/stats").ok()
-    assert _told(found) == [("2024-05", None, None, 2), ("2024-06", None, None, 1), (None, None, None, 1)]
-    assert [each["stats"]["duration_ns"] // HOUR for each in found["buckets"]] == [3, 3, 0]
-    total = found["total"]
+    actual = api.get(f"/projects/{project_id}/stats").ok()
+    assert _stats(actual) == [("2024-05", None, None, 2), ("2024-06", None, None, 1), (None, None, None, 1)]
+    assert [item["stats"]["duration_ns"] // HOUR for item in actual["buckets"]] == [3, 3, 0]
+    total = actual["total"]
     assert (total["missions"], total["files"], total["size_bytes"], total["duration_ns"]) == (3, 4, 305, 6 * HOUR)
 
 
@@ -68,20 +68,20 @@ def test_by_values_of_a_field_with_the_longest_first(api: Api, sample: Sample, p
     for number, hours in enumerate((1, 5, 2, 4)):
         _mission(api, sample, project_id, MAY, hours, robot=f"r{number}")
     _mission(api, sample, project_id, MAY, 1)
-    found = api.get(f"/projects/{project_id}/stats", {"by": "robot", "most": "2"}).ok()
-    assert _told(found) == [("r1", None, None, 1), ("r3", None, None, 1), (None, None, None, 1)]
-    assert (found["other"]["missions"], found["other"]["duration_ns"]) == (2, 3 * HOUR)
+    actual = api.get(f"/projects/{project_id}/stats", {"by": "robot", "most": "2"}).ok()
+    assert _stats(actual) == [("r1", None, None, 1), ("r3", None, None, 1), (None, None, None, 1)]
+    assert (actual["other"]["missions"], actual["other"]["duration_ns"]) == (2, 3 * HOUR)
     assert api.get(f"/projects/{project_id}/stats", {"by": "metadata.robot"}).ok()["other"] is None
 
 
 def test_by_ranges_of_numbers(api: Api, sample: Sample, project_id: str) -> None:
     for speed in (-0.5, 0, 0.4, 1.1, 1.9, 3):
         _mission(api, sample, project_id, MAY, 1, speed=speed)
-    found = api.get(f"/projects/{project_id}/stats", {"by": "speed", "most": "4"}).ok()
-    assert _told(found) == [(None, -1, 0, 1), (None, 0, 1, 2), (None, 1, 2, 2), (None, 3, 4, 1)]
-    assert found["unit"] == "m/s"
-    few = api.get(f"/projects/{project_id}/stats", {"by": "speed"}).ok()
-    assert [each["value"] for each in few["buckets"]] == ["-0.5", "0", "0.4", "1.1", "1.9", "3"]
+    actual = api.get(f"/projects/{project_id}/stats", {"by": "speed", "most": "4"}).ok()
+    assert _stats(actual) == [(None, -1, 0, 1), (None, 0, 1, 2), (None, 1, 2, 2), (None, 3, 4, 1)]
+    assert actual["unit"] == "m/s"
+    several = api.get(f"/projects/{project_id}/stats", {"by": "speed"}).ok()
+    assert [item["value"] for item in several["buckets"]] == ["-0.5", "0", "0.4", "1.1", "1.9", "3"]
 
 
 @pytest.mark.parametrize("values", [(0, 5e-324), (1e308, -1e308), (1e300, 1.0000000000000002e300)])
@@ -90,25 +90,25 @@ def test_numbers_of_any_size_find_a_range(
 ) -> None:
     for speed in values:
         _mission(api, sample, project_id, MAY, 1, speed=speed)
-    found = api.get(f"/projects/{project_id}/stats", {"by": "speed", "most": "1"}).ok()
-    assert sum(each["stats"]["missions"] for each in found["buckets"]) == 2
+    actual = api.get(f"/projects/{project_id}/stats", {"by": "speed", "most": "1"}).ok()
+    assert sum(item["stats"]["missions"] for item in actual["buckets"]) == 2
 
 
 def test_a_field_that_nothing_has_is_refused(api: Api, sample: Sample, project_id: str) -> None:
     _mission(api, sample, project_id, MAY, 1)
     problem = api.get(f"/projects/{project_id}/stats", {"by": "colour"}).refused(422, "invalid_query")
     assert problem["expression"] == "colour"
-    assert _told(api.get(f"/projects/{project_id}/stats", {"by": "robot"}).ok()) == [(None, None, None, 1)]
+    assert _stats(api.get(f"/projects/{project_id}/stats", {"by": "robot"}).ok()) == [(None, None, None, 1)]
     api.get(f"/projects/{uuid.uuid4()}/stats").refused(404, "not_found")
 
 
 def test_everything_visible_together(api: Api, sample: Sample, project_id: str) -> None:
     _mission(api, sample, project_id, MAY, 1, robot="spot")
     within = {"project_id": project_id, "by": "robot"}
-    assert _told(api.get("/overview", within).ok()) == [("spot", None, None, 1)]
+    assert _stats(api.get("/overview", within).ok()) == [("spot", None, None, 1)]
     assert api.get("/overview").ok()["total"]["missions"] >= 1
     assert api.get("/overview", {"project_id": str(uuid.uuid4())}).ok()["total"]["missions"] == 0
     with connect(api.url, api.token) as client:
-        found = client.stats.overview("robot", project=uuid.UUID(project_id))
-        assert [bucket.value for bucket in found.buckets] == ["spot"]
+        actual = client.stats.overview("robot", project=uuid.UUID(project_id))
+        assert [bucket.value for bucket in actual.buckets] == ["spot"]
         assert client.stats.overview().total.missions >= 1

@@ -111,8 +111,8 @@ def test_fields_that_cannot_be_used_are_all_named_with_their_place(api: Api) -> 
         "  - {name: c, type: choice, choices: [x], default: y}\n"
     )
     problem = api.post("/projects", {"name": "never made", "fields_yaml": text}).refused(422, "fields_invalid")
-    told = [(one["field"], one["line"], one["column"]) for one in problem["problems"]]
-    assert told == [("a.pattern", 2, 29), ("b.default", 3, 29), ("c.default", 4, 43)]
+    message = [(one["field"], one["line"], one["column"]) for one in problem["problems"]]
+    assert message == [("a.pattern", 2, 29), ("b.default", 3, 29), ("c.default", 4, 43)]
     assert api.all("/projects", {"name": "never made"}) == []
 
 
@@ -147,9 +147,9 @@ def test_changed_fields_report_missions_and_break_none(api: Api) -> None:
     changed = api.patch(f"/projects/{project['id']}", {"fields_yaml": FIELDS}).ok()
     assert (changed["mission_count"], changed["unsatisfied_mission_count"]) == (2, 1)
     assert api.get(f"/missions/{good['id']}").ok()["metadata_problems"] == []
-    told = api.get(f"/missions/{bad['id']}").ok()
-    assert sorted(one["field"] for one in told["metadata_problems"]) == ["colour", "robot"]
-    assert told["metadata"] == {"robot": "husky", "colour": "red"}
+    message = api.get(f"/missions/{bad['id']}").ok()
+    assert sorted(one["field"] for one in message["metadata_problems"]) == ["colour", "robot"]
+    assert message["metadata"] == {"robot": "husky", "colour": "red"}
     unsatisfied = api.all("/missions", {"project_id": project["id"], "satisfied": "false"})
     assert [mission["id"] for mission in unsatisfied] == [bad["id"]]
     again = api.patch(f"/projects/{project['id']}", {"fields_yaml": "fields: []"}).ok()
@@ -171,9 +171,9 @@ def test_changed_fields_judge_more_missions_than_fit_one_batch(api: Api) -> None
 
 def test_counts_what_it_holds_without_the_trash(api: Api, sample: Sample) -> None:
     project = api.project()
-    kept, gone = (api.mission(project["id"])["id"] for _ in range(2))
-    files = [sample.file(kept, "a.mcap", size_bytes=10), sample.file(kept, "b.mcap", size_bytes=20)]
-    sample.recording(kept, "a", files, start_ns=1_000, end_ns=4_000)
+    remaining, gone = (api.mission(project["id"])["id"] for _ in range(2))
+    files = [sample.file(remaining, "a.mcap", size_bytes=10), sample.file(remaining, "b.mcap", size_bytes=20)]
+    sample.recording(remaining, "a", files, start_ns=1_000, end_ns=4_000)
     sample.recording(gone, "c", [sample.file(gone, "c.mcap", size_bytes=40)], start_ns=0, end_ns=9)
     api.delete(f"/missions/{gone}").ok()
     seen = api.get(f"/projects/{project['id']}").ok()
@@ -236,17 +236,17 @@ FORM = {
 
 def test_fields_are_edited_in_a_form(api: Api) -> None:
     project = api.project(metadata_fields=FORM)
-    held = project["metadata_fields"]
-    assert [(field["name"], field["type"], field["required"]) for field in held["fields"]] == [
+    locked = project["metadata_fields"]
+    assert [(field["name"], field["type"], field["required"]) for field in locked["fields"]] == [
         ("robot", "choice", True),
         ("temperature", "number", False),
         ("operator", "string", False),
     ]
     path = f"/projects/{project['id']}"
-    assert api.patch(path, {"metadata_fields": held}).ok()["metadata_fields"] == held
+    assert api.patch(path, {"metadata_fields": locked}).ok()["metadata_fields"] == locked
     assert [event["operation"] for event in api.events(project["id"])] == ["project.create"]
     mission = api.mission(project["id"], metadata={"robot": "spot"})
-    fewer = {**held, "fields": [{**held["fields"][0], "choices": ["anymal"]}]}
+    fewer = {**locked, "fields": [{**locked["fields"][0], "choices": ["anymal"]}]}
     changed = api.patch(path, {"metadata_fields": fewer}).ok()
     assert [field["name"] for field in changed["metadata_fields"]["fields"]] == ["robot"]
     assert changed["unsatisfied_mission_count"] == 1

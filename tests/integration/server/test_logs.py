@@ -8,7 +8,7 @@ import sys
 from kleinkram.server.logs import JsonLines
 
 
-def test_a_terminal_that_shows_a_line_obeys_nothing_in_it() -> None:
+def test_log_lines_cannot_control_a_terminal() -> None:
     path = "/käse \u009b31m\x1b[31m \u202eback \U000e0001"
     record = logging.makeLogRecord({"msg": "request", "fields": {"path": path}})
     line = JsonLines().format(record)

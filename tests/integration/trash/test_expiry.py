@@ -70,7 +70,7 @@ def test_all_of_what_is_due_goes_and_is_noted_with_its_project(
     purged = {
         event["noun"]: (event["noun_id"], event["actor"]) for event in events if event["operation"].endswith("purge")
     }
-    assert purged == {each: (noun_id, None) for each, noun_id in tree.items() if each not in left}
+    assert purged == {item: (noun_id, None) for item, noun_id in tree.items() if item not in left}
 
 
 def test_an_upload_goes_with_its_mission_once_the_store_is_rid_of_it(own: Api, tree: dict[str, str]) -> None:

@@ -12,8 +12,8 @@ from tests.integration.sample import Sample
 
 
 def _lying(api: Api, noun_id: str) -> Any:
-    found = [row for row in api.all("/trash", {"limit": "500"}) if row["id"] == noun_id]
-    return found[0] if found else None
+    actual = [row for row in api.all("/trash", {"limit": "500"}) if row["id"] == noun_id]
+    return actual[0] if actual else None
 
 
 def _restore(api: Api, noun: str, noun_id: str) -> Any:
@@ -24,12 +24,12 @@ def _restore(api: Api, noun: str, noun_id: str) -> Any:
 def _tree(api: Api, sample: Sample) -> dict[str, Any]:
     project = api.project()
     mission = api.mission(project["id"])
-    kept = sample.file(mission["id"], "kept.mcap", size_bytes=1)
+    remaining = sample.file(mission["id"], "kept.mcap", size_bytes=1)
     return {
         "project": project,
         "mission": mission,
         "file": sample.file(mission["id"], "a.mcap", size_bytes=5),
-        "kept": kept,
+        "kept": remaining,
     }
 
 
@@ -128,8 +128,10 @@ def test_the_trash_is_listed_latest_first_by_noun_and_in_pages(start_api: StartA
     assert [row["id"] for row in rows] == [missions[1], file_id, missions[0]]
     assert [row["id"] for row in api.all("/trash", {"noun": "mission"})] == [missions[1], missions[0]]
     first = rows[0]
-    kept = datetime.datetime.fromisoformat(first["purged_after"]) - datetime.datetime.fromisoformat(first["deleted_at"])
-    assert kept.days == 3
+    remaining = datetime.datetime.fromisoformat(first["purged_after"]) - datetime.datetime.fromisoformat(
+        first["deleted_at"]
+    )
+    assert remaining.days == 3
     api.get("/trash", {"noun": "topic"}).refused(422, "invalid_request")
     with api.statements() as statements:
         api.get("/trash").ok()

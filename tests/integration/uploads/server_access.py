@@ -68,8 +68,8 @@ async def verify_all(context: AppContext) -> None:
     back_pressure = BackPressure(context.database, context.settings)
     back_pressure.end()
     async with ReaderProcesses() as readers:
-        given = {"context": context, "back_pressure": back_pressure, "readers": readers}
+        values = {"context": context, "back_pressure": back_pressure, "readers": readers}
         job = SimpleNamespace(attempts=99, priority=0)
-        job_context = cast(JobContext, SimpleNamespace(additional_context=given, job=job))
+        job_context = cast(JobContext, SimpleNamespace(additional_context=values, job=job))
         for blob_id in rows:
             await cast("Callable[..., Awaitable[None]]", jobs.verify_blob.func)(job_context, ref=str(blob_id))

@@ -24,11 +24,11 @@ class _Listening(Watcher):
     """Keeps what a person would read meanwhile."""
 
     def __init__(self) -> None:
-        self.heard: list[str] = []
+        self.received: list[str] = []
 
     def notify(self, text: str) -> None:
         """Keep it."""
-        self.heard.append(text)
+        self.received.append(text)
 
 
 @pytest.fixture(name="api", scope="module")
@@ -65,7 +65,7 @@ def test_the_second_client_takes_over_when_the_lease_ends(
     watcher = _Listening()
     result = _send(client, mission_id, file, watcher)
     assert (result.outcome, result.error) == (Outcome.uploaded, None)
-    assert watcher.heard == ["waiting for run.bin: held by an upload that may have died"]
+    assert watcher.received == ["waiting for run.bin: held by an upload that may have died"]
     assert result.moved_bytes == len(body), "without a journal nothing of the dead client's is taken on trust"
     lease_ended = api.sql("SELECT lease_ends_at FROM upload WHERE id = %s", dead["id"])[0][0]
     taken_over = api.sql("SELECT created_at FROM upload WHERE mission_id = %s AND id <> %s", mission_id, dead["id"])
@@ -80,7 +80,7 @@ def test_a_client_that_lives_keeps_its_name(api: Api, client: Client, mission_id
     watcher = _Listening()
     with ThreadPoolExecutor(1) as pool:
         sending = pool.submit(_send, client, mission_id, file, watcher)
-        wait_until(lambda: bool(watcher.heard))
+        wait_until(lambda: bool(watcher.received))
         # Leases are told to the second: a renewal within the same one would not be seen.
         late = "SELECT lease_ends_at - now() < interval '6.5 s' FROM upload WHERE id = %s"
         wait_until(lambda: api.sql(late, alive["id"]) == [(True,)])

@@ -19,12 +19,12 @@ from tests.integration.races import racing
 from tests.integration.upload_client import begin, complete, fetch, send, upload, wait_until
 
 # A name is taken by a change that is not made in the end: who wants it waits with all locks taken, and then has it.
-_HOLD_NAME = (
+_LOCK_NAME = (
     "INSERT INTO file (id, mission_id, blob_id, path, path_key, origin, uploaded_by_id)"
     " SELECT gen_random_uuid(), %s, blob_id, 'run.bin', 'run.bin', 'upload', uploaded_by_id FROM file WHERE id = %s"
 )
 _USED = "SELECT b.key FROM file f JOIN blob b ON b.id = f.blob_id"
-_HOLD_BLOB = "SELECT 1 FROM blob WHERE id = %s FOR UPDATE"
+_LOCK_BLOB = "SELECT 1 FROM blob WHERE id = %s FOR UPDATE"
 # Whether somebody waits for this very transaction.
 _IS_AWAITED = text(
     "SELECT EXISTS (SELECT FROM pg_locks WHERE NOT granted AND pg_backend_pid() = ANY (pg_blocking_pids(pid)))"
@@ -39,7 +39,7 @@ def _api(start_api: StartApi) -> Api:
     return start_api(trash_days=0, garbage_grace_s=0)
 
 
-class _Twin:
+class _Duplicate:
     """A file elsewhere, the only one that refers to its bytes."""
 
     def __init__(self, api: Api) -> None:
@@ -50,18 +50,18 @@ class _Twin:
         )
 
     def leave(self) -> None:
-        """Delete the file, and let it be swept from the trash: the next sweep dooms what it referred to."""
+        """Delete the file, and let it be collected from the trash: the next sweep dooms what it referred to."""
         self.api.delete(f"/files/{self.file['id']}").ok()
         self.api.sql("DELETE FROM file WHERE id = %s", self.file["id"])
 
 
 @pytest.fixture(name="other", scope="module")
-def _other(api: Api) -> _Twin:
+def _other(api: Api) -> _Duplicate:
     """One that nobody links to, and that stays."""
-    return _Twin(api)
+    return _Duplicate(api)
 
 
-def _sweep(api: Api, rounds: int = 2) -> set[str]:
+def _collect(api: Api, rounds: int = 2) -> set[str]:
     """Sweep, and return what is at the store then: one round dooms what the next one takes."""
 
     async def work(context: AppContext) -> set[str]:
@@ -74,7 +74,7 @@ def _sweep(api: Api, rounds: int = 2) -> set[str]:
 
 def _see_that_all_have_bytes(api: Api, mission_id: str, bodies: dict[str, bytes]) -> None:
     """Once more after the sweep: these files, and no row of any other refers to what is gone or goes."""
-    there = _sweep(api)
+    there = _collect(api)
     assert {row[0] for row in api.sql(_USED)} <= there
     assert api.sql(f"{_USED} WHERE b.marked_for_deletion_at IS NOT NULL") == []
     files = {file["path"]: file["id"] for file in api.all("/files", {"mission_id": mission_id})}
@@ -82,20 +82,20 @@ def _see_that_all_have_bytes(api: Api, mission_id: str, bodies: dict[str, bytes]
     assert [fetch(link["url"]) for link in links] == [(200, body) for body in bodies.values()]
 
 
-def test_a_blob_being_linked_is_not_collected(api: Api, mission_id: str, other: _Twin) -> None:
-    twin = _Twin(api)
-    with racing(api, _HOLD_NAME, mission_id, other.file["id"]) as send_one:
-        linked = send_one(begin, api, mission_id, {"run.bin": twin.body})
-        twin.leave()
-        assert twin.key in _sweep(api)
+def test_a_blob_being_linked_is_not_collected(api: Api, mission_id: str, other: _Duplicate) -> None:
+    duplicate = _Duplicate(api)
+    with racing(api, _LOCK_NAME, mission_id, other.file["id"]) as send_one:
+        linked = send_one(begin, api, mission_id, {"run.bin": duplicate.body})
+        duplicate.leave()
+        assert duplicate.key in _collect(api)
     assert linked.result(30)[0]["decision"] == "linked"
-    _see_that_all_have_bytes(api, mission_id, {"run.bin": twin.body})
+    _see_that_all_have_bytes(api, mission_id, {"run.bin": duplicate.body})
 
 
 def test_a_blob_linked_during_garbage_collection_is_not_collected(
-    api: Api, mission_id: str, other: _Twin, monkeypatch: pytest.MonkeyPatch
+    api: Api, mission_id: str, other: _Duplicate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    twin = _Twin(api)
+    duplicate = _Duplicate(api)
     referred = queries.is_referenced
 
     def looks_until_the_gate_opens() -> ColumnElement[bool]:
@@ -106,18 +106,18 @@ def test_a_blob_linked_during_garbage_collection_is_not_collected(
     monkeypatch.setattr(queries, "is_referenced", looks_until_the_gate_opens)
     with psycopg.connect(info.dsn, password=info.password) as gate, ThreadPoolExecutor() as pool:
         gate.execute("SELECT pg_advisory_xact_lock(%s)", [_GATE])
-        with racing(api, _HOLD_NAME, mission_id, other.file["id"]) as send_one:
-            linked = send_one(begin, api, mission_id, {"run.bin": twin.body})
-            twin.leave()
-            swept = pool.submit(_sweep, api, 1)
+        with racing(api, _LOCK_NAME, mission_id, other.file["id"]) as send_one:
+            linked = send_one(begin, api, mission_id, {"run.bin": duplicate.body})
+            duplicate.leave()
+            collected = pool.submit(_collect, api, 1)
             at_gate = "SELECT count(*) FROM pg_locks WHERE locktype = 'advisory' AND objid = %s AND NOT granted"
-            wait_until(lambda: swept.done() or api.sql(at_gate, _GATE) == [(1,)])
-            assert not swept.done()
+            wait_until(lambda: collected.done() or api.sql(at_gate, _GATE) == [(1,)])
+            assert not collected.done()
         assert linked.result(30)[0]["decision"] == "linked"
         gate.rollback()
-        swept.result(30)
+        collected.result(30)
     monkeypatch.undo()
-    _see_that_all_have_bytes(api, mission_id, {"run.bin": twin.body})
+    _see_that_all_have_bytes(api, mission_id, {"run.bin": duplicate.body})
 
 
 @pytest.mark.parametrize("is_gone", [pytest.param(False, marks=pytest.mark.slow), True])
@@ -125,29 +125,29 @@ def test_linking_a_collected_blob_requires_an_upload(
     api: Api, mission_id: str, monkeypatch: pytest.MonkeyPatch, is_gone: bool
 ) -> None:
     # Blobs are locked by their ids: at the first, which is held, it is known already that the second is there.
-    first, second = sorted((_Twin(api), _Twin(api)), key=lambda twin: twin.blob_id.bytes)
-    doomed = threading.Event()
-    doom = garbage_collection.mark_unreferenced
+    first, second = sorted((_Duplicate(api), _Duplicate(api)), key=lambda duplicate: duplicate.blob_id.bytes)
+    marked = threading.Event()
+    mark = garbage_collection.mark_unreferenced
 
-    async def doom_slowly(db: Connection, *, limit: int) -> int:
-        count = await doom(db, limit=limit)
-        doomed.set()
+    async def mark_slowly(db: Connection, *, limit: int) -> int:
+        count = await mark(db, limit=limit)
+        marked.set()
         while not is_gone and not (await db.execute(_IS_AWAITED)).scalar_one():
             pass
         return count
 
-    monkeypatch.setattr(garbage_collection, "mark_unreferenced", doom_slowly)
-    with ThreadPoolExecutor() as pool, racing(api, _HOLD_BLOB, first.blob_id) as send_one:
+    monkeypatch.setattr(garbage_collection, "mark_unreferenced", mark_slowly)
+    with ThreadPoolExecutor() as pool, racing(api, _LOCK_BLOB, first.blob_id) as send_one:
         began = send_one(begin, api, mission_id, {"first.bin": first.body, "run.bin": second.body})
         second.leave()
-        swept = pool.submit(_sweep, api, 2 if is_gone else 1)
-        assert doomed.wait(30)
+        collected = pool.submit(_collect, api, 2 if is_gone else 1)
+        assert marked.wait(30)
         if is_gone:
-            assert second.key not in swept.result(30)
-    swept.result(30)
+            assert second.key not in collected.result(30)
+    collected.result(30)
     monkeypatch.undo()
-    linked, told = began.result(30)
-    assert (linked["decision"], told["decision"]) == ("linked", "send")
-    send(api, told["upload"], second.body)
-    assert complete(api, told["upload"], second.body)["outcome"] == "completed"
+    linked, message = began.result(30)
+    assert (linked["decision"], message["decision"]) == ("linked", "send")
+    send(api, message["upload"], second.body)
+    assert complete(api, message["upload"], second.body)["outcome"] == "completed"
     _see_that_all_have_bytes(api, mission_id, {"first.bin": first.body, "run.bin": second.body})

@@ -36,7 +36,7 @@ def test_every_view_is_the_app(api: Api) -> None:
         assert _get(api, path).data == page.data, path
 
 
-def test_the_server_knows_the_places_that_the_app_has() -> None:
+def test_the_server_serves_every_route_of_the_app() -> None:
     paths = re.findall(r'path: "/([a-z][a-z-]*)', _ROUTES.read_text(encoding="utf-8"))
     assert sorted(set(paths)) == sorted(PLACES)
 

@@ -6,18 +6,18 @@ from pydantic import ValidationError
 from kleinkram.contract.actions import ActionDefinition, Parameter, ParameterType, ParameterValue, Resources
 
 
-def definition(**said: object) -> ActionDefinition:
-    return ActionDefinition.model_validate({"name": "check-imu", "image": "lab/check:1", **said})
+def definition(**text: object) -> ActionDefinition:
+    return ActionDefinition.model_validate({"name": "check-imu", "image": "lab/check:1", **text})
 
 
 def test_amounts_are_parsed_with_units() -> None:
-    said = Resources.model_validate({"memory": "4GB", "disk": "1.5 GiB", "time": "30m", "cores": 2})
-    assert (said.memory_bytes, said.disk_bytes, said.time_s) == (4 * 10**9, 3 * 2**29, 1800)
-    assert Resources.model_validate_json(said.model_dump_json()) == said
+    text = Resources.model_validate({"memory": "4GB", "disk": "1.5 GiB", "time": "30m", "cores": 2})
+    assert (text.memory_bytes, text.disk_bytes, text.time_s) == (4 * 10**9, 3 * 2**29, 1800)
+    assert Resources.model_validate_json(text.model_dump_json()) == text
 
 
 @pytest.mark.parametrize(
-    ("said", "why"),
+    ("text", "why"),
     [
         ({"image": None}, "has an 'image' or a 'script'"),
         ({"image": None, "script": "print()", "command": ["ls"]}, "has no 'command'"),
@@ -33,9 +33,9 @@ def test_amounts_are_parsed_with_units() -> None:
         ({"privileged": True}, "Extra inputs"),
     ],
 )
-def test_invalid_actions_are_refused(said: dict[str, object], why: str) -> None:
+def test_invalid_actions_are_refused(text: dict[str, object], why: str) -> None:
     with pytest.raises(ValidationError, match=why):
-        definition(**said)
+        definition(**text)
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_values_are_filled_in() -> None:
         ]
     )
     assert action.fill_in({"topic": "/imu", "mode": "exact"}) == {"topic": "/imu", "rate": 10.0, "mode": "exact"}
-    for given, why in (
+    for values, why in (
         ({}, "requires its parameter 'topic'"),
         ({"topic": "/imu", "speed": 1}, "no parameter 'speed'; it has topic, rate, mode"),
         ({"topic": "/imu", "rate": 0.5}, "at least 1"),
@@ -74,4 +74,4 @@ def test_values_are_filled_in() -> None:
         ({"topic": "/imu", "mode": "slow"}, "one of fast, exact"),
     ):
         with pytest.raises(ValueError, match=why):
-            action.fill_in(given)  # type: ignore[arg-type]  # the literal is wider than the values
+            action.fill_in(values)  # type: ignore[arg-type]  # the literal is wider than the values

@@ -65,7 +65,7 @@ def test_a_text_means_a_filter(text: str, fields: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("-label:night size>=1000MB alps", "alps size>=1GB -label:night"),
         ("size>=1000000001", "size>1GB"),
@@ -79,8 +79,8 @@ def test_a_text_means_a_filter(text: str, fields: dict[str, Any]) -> None:
         ('project:"Town"', "project:Town"),
     ],
 )
-def test_a_query_has_one_spelling(text: str, said: str) -> None:
-    assert render(parse(text)) == said
+def test_a_query_has_one_spelling(text: str, message: str) -> None:
+    assert render(parse(text)) == message
 
 
 @pytest.mark.parametrize(
@@ -127,8 +127,8 @@ def test_a_filter_whose_terms_say_nothing_has_no_text(field: str) -> None:
 
 
 def test_a_text_and_a_filter_beside_it_are_one() -> None:
-    asked = FileQuery(query="alps label:a size>1GB", text="rain", label=["b"], min_size_bytes=5, content=["broken"])
-    assert render(whole(asked)) == "alps rain label:a label:b content:broken size>1GB"
+    requested = FileQuery(query="alps label:a size>1GB", text="rain", label=["b"], min_size_bytes=5, content=["broken"])
+    assert render(whole(requested)) == "alps rain label:a label:b content:broken size>1GB"
     assert type(whole(FileQuery(text="rain"))) is FileFilter
     assert whole(FileQuery(text="rain")) == FileFilter(text="rain")
 
@@ -195,22 +195,22 @@ def test_the_text_of_a_filter_means_that_filter(plain: FileFilter, others: list[
 
 def _meaning(expression: str) -> tuple[str, str, str, bool]:
     """Return what a comparison says: quotes matter where the value could be read as something else than text."""
-    found = WHERE_EXPRESSION.fullmatch(expression)
-    assert found is not None
-    value = found["value"].strip()
-    is_quoted = len(value) > 1 and value.startswith('"') and value.endswith('"') and found["operator"] != "~"
+    actual = WHERE_EXPRESSION.fullmatch(expression)
+    assert actual is not None
+    value = actual["value"].strip()
+    is_quoted = len(value) > 1 and value.startswith('"') and value.endswith('"') and actual["operator"] != "~"
     text = value[1:-1] if is_quoted else value
     could_be_else = re.search("[0-9]|true|false", text, re.IGNORECASE) is not None and not set("*?") & set(text)
-    return found["field"], found["operator"], text, is_quoted and could_be_else
+    return actual["field"], actual["operator"], text, is_quoted and could_be_else
 
 
 def _single(matching: FileFilter) -> list[FileFilter]:
     """Return filters that say one thing each."""
-    found = []
+    actual = []
     for name, value in matching.model_dump(exclude_defaults=True).items():
-        values = [[each] for each in value] if isinstance(value, list) else [value]
-        found += [FileFilter.model_validate({name: each}) for each in values if name != "text"]
-    return [*found, *(FileFilter(text=f'"{word}"') for word in phrases(matching.text or "") if word.isalnum())]
+        values = [[item] for item in value] if isinstance(value, list) else [value]
+        actual += [FileFilter.model_validate({name: item}) for item in values if name != "text"]
+    return [*actual, *(FileFilter(text=f'"{word}"') for word in phrases(matching.text or "") if word.isalnum())]
 
 
 @given(_value)

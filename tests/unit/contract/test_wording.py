@@ -53,7 +53,7 @@ class _Example(BaseModel):
 
 
 @pytest.mark.parametrize(
-    ("given", "expected"),
+    ("values", "expected"),
     [
         ({"text": "abcd"}, "text: it has more than 3 characters"),
         ({"text": "A"}, "text: it must match ^[a-z]*$"),
@@ -75,9 +75,9 @@ class _Example(BaseModel):
         ([], "the file: it must be a mapping of names to values"),
     ],
 )
-def test_each_kind_of_failure_has_its_own_sentence(given: JsonValue, expected: str) -> None:
+def test_each_kind_of_failure_has_its_own_sentence(values: JsonValue, expected: str) -> None:
     with pytest.raises(ValidationError) as failure:
-        _Example.model_validate(given)
+        _Example.model_validate(values)
     assert first_problem(failure.value, "the file").startswith(expected)
     assert not _PYDANTIC.search(first_problem(failure.value, "the file"))
 

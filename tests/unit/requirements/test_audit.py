@@ -14,7 +14,7 @@ REPORT = Report.model_validate(
 )
 
 
-def test_a_hole_is_named_with_what_mends_it() -> None:
+def test_a_vulnerability_is_named_with_its_fix() -> None:
     assert failures(REPORT, [], TODAY) == ["a 1.0: PYSEC-1 (mended in: 2.0)"]
 
 

@@ -24,7 +24,7 @@ _ESCAPED_IN_JSON = re.compile(r'["\\\x00-\x1f\x7f]')
 class SearchWord:
     """A word of a filter, with the projects, topics and message types whose names contain it.
 
-    A list is None where it is unknown or too long. `is_in_sample` tells of a sample of paths. Words with a `number` are
+    A list is None where it is unknown or too long. `sampled_paths` of 300 contain it. Words with a `number` are
     bound by name, others by value.
     """
 
@@ -33,7 +33,7 @@ class SearchWord:
     project_ids: Sequence[uuid.UUID] | None = None
     topics: Sequence[str] | None = None
     message_types: Sequence[str] | None = None
-    is_in_sample: bool = False
+    sampled_paths: int = 0
 
     @property
     def pattern(self) -> str | BindParameter[str]:

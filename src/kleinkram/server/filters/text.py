@@ -180,9 +180,9 @@ async def look_up_words(db: Connection, words: Sequence[str]) -> dict[str, Searc
     row = (await db.execute(_names_of_words(len(unique), _MAX_NAMES + 1), values)).one()
     matches = {}
     for at, word in enumerate(unique):
-        *names, is_in_sample = row[4 * at : 4 * at + 4]
+        *names, sampled_paths = row[4 * at : 4 * at + 4]
         projects, topics, types = (None if len(listed) > _MAX_NAMES else listed for listed in names)
-        matches[word.text] = SearchWord(word.text, at, projects, topics, types, is_in_sample)
+        matches[word.text] = SearchWord(word.text, at, projects, topics, types, sampled_paths)
     return matches
 
 
@@ -195,7 +195,7 @@ def _names_of_words(count: int, limit: int) -> Select[tuple[Sequence[Any], ...]]
         types = select(_MESSAGE_TYPES.c.message_type).where(contains(_MESSAGE_TYPES.c.message_type, word))
         columns += [func.array(names.limit(limit).scalar_subquery()) for names in (projects, topics, types)]
         paths = select(file.c.path_key).order_by(file.c.id).limit(_SAMPLED_PATHS).subquery()
-        columns.append(select(true()).where(key_contains(paths.c.path_key, word)).exists())
+        columns.append(select(func.count()).where(key_contains(paths.c.path_key, word)).scalar_subquery())
     return select(*columns)
 
 
@@ -220,7 +220,7 @@ async def occur_somewhere(db: Connection, words: Iterable[SearchWord]) -> bool:
     rare = [
         word.text
         for word in words
-        if not (word.is_in_sample or word.is_escaped_in_json or word.project_ids or word.topics or word.message_types)
+        if not (word.sampled_paths or word.is_escaped_in_json or word.project_ids or word.topics or word.message_types)
         and None not in (word.project_ids, word.topics, word.message_types)
         and has_index(word.text)
     ]

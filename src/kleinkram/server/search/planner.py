@@ -27,6 +27,8 @@ from kleinkram.server.tables import file
 SAMPLED_FILES, COMMON = 500, 10
 # Where each of several words is common by itself, no index leads to the files that contain all: common already here.
 _COMMON_TOGETHER = 3
+# A word is common in paths if so many of the sampled ones contain it.
+_COMMON_PATHS = 15
 # So many files of a rare filter are looked up at once.
 _MAX_MATCHED = 50_000
 # Until the transaction ends. PostgreSQL expects rights to cost the more the more rows it reads one by one, and would
@@ -109,6 +111,8 @@ async def plan_search(
         return replace(plan, is_common=True), sample
     if not actor.is_admin:
         await db.execute(_ALLOW_HASH_JOINS)
+        if rarest is not None and plan.word(rarest).sampled_paths >= _COMMON_PATHS and is_led:
+            rarest = None  # common, but not in what they see: its index leads to everybody's files
     return replace(plan, leading_word=rarest), sample
 
 
