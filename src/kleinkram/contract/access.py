@@ -14,7 +14,7 @@ from kleinkram.contract.people import EmailAddress, PersonRef
 
 
 class Right(str, enum.Enum):
-    """What somebody may do with a project or a mission. Each right includes those before it; compare by `level`."""
+    """Rights on a project or a mission. Each right includes those before it; compare by `level`."""
 
     read = "READ"
     create = "CREATE"
@@ -36,7 +36,7 @@ _RIGHTS = tuple(Right)
 
 
 class Scope(str, enum.Enum):
-    """What a token may be used for, within the rights of its person.
+    """Scopes of a token, within the rights of its person.
 
     `read`: view and download. `upload`: create missions and upload files, seeing only names. `write`: change and
     delete, and also `read` and `upload`. `run`: start and cancel runs. `admin`: everything, including granting rights
@@ -60,7 +60,7 @@ class TokenKind(str, enum.Enum):
 
 
 class GroupKind(str, enum.Enum):
-    """How a group gets its members.
+    """Source of a group's members.
 
     `person`: always one person. `email`: the person with that verified address. `custom`: added by its editors.
     `affiliation`: by the domain of a verified address. `admins`: added by admins.
@@ -116,7 +116,7 @@ class GrantUpdate(Request):
 
 
 class GrantOn(str, enum.Enum):
-    """What a grant is on. A grant on a project applies to all its missions."""
+    """Object of a grant. A grant on a project applies to all its missions."""
 
     project = "project"
     mission = "mission"

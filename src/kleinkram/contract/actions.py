@@ -34,7 +34,7 @@ ImageName = Annotated[str, Field(pattern=r"^[a-z0-9][A-Za-z0-9._/:@-]{0,299}$")]
 
 
 class ParameterType(str, enum.Enum):
-    """What kind of value a parameter takes. A `topic` is a string that forms offer the mission's topics for."""
+    """Type of a parameter. A `topic` is a string for which forms offer the topics of the mission."""
 
     string = "string"
     integer = "integer"
@@ -110,7 +110,7 @@ _PYTHON_TYPES: dict[ParameterType, tuple[str, tuple[type, ...]]] = {
 
 
 class Network(str, enum.Enum):
-    """What a run can reach: nothing, the API and the store with its own token, or everything its machine reaches."""
+    """Network access of a run: none, the API and the store with its own token, or that of its machine."""
 
     none = "none"
     api = "api"

@@ -218,7 +218,7 @@ class Forbidden(KleinkramError, status=403):
 
     @property
     def requirement(self) -> str:
-        """What is needed, where, and whom to ask."""
+        """The missing right, its object, and the people who can grant it."""
         if self.noun in {"project", "mission"}:
             return f"{self.needs} on the {self.noun}. Ask one of its owners."
         return f"{self.needs}."
@@ -449,7 +449,7 @@ class QuotaExceeded(KleinkramError, status=507):
 
     @property
     def numbers(self) -> str:
-        """What is used of the quota, where the caller may see it."""
+        """Used part of the quota, if the caller may see it."""
         return "" if self.used is None else f" more: {self.used} of {self.quota} are used"
 
 

@@ -14,7 +14,7 @@ from kleinkram.contract.people import PersonRef
 
 
 class Density(Response):
-    """How many messages lie where in time.
+    """Distribution of messages over time.
 
     `counts[k]` are the messages from `start_ns + k * bin_ns` on, that time included, up to the next bin. `bin_ns` is a
     power of two, and `start_ns` a multiple of it. Stamps that cannot be true are in no bin.
@@ -26,7 +26,7 @@ class Density(Response):
 
 
 class BlobState(str, enum.Enum):
-    """What is known of the bytes: the store's checksums agreed; the server read them; gone; not what they were."""
+    """State of a file's bytes: checksums confirmed by the store; read by the server; missing; or altered."""
 
     stored = "stored"
     verified = "verified"

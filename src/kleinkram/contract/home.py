@@ -34,7 +34,7 @@ class UnfinishedUpload(Response):
 
 
 class Need(str, enum.Enum):
-    """What needs attention. The last four concern the whole server, and are for admins."""
+    """Reasons for attention. The last four concern the whole server and are shown to admins."""
 
     files_corrupt = "files_corrupt"
     files_lost = "files_lost"

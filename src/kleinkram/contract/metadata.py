@@ -21,7 +21,7 @@ FieldName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$")]
 
 
 class FieldType(str, enum.Enum):
-    """What kind of value a metadata field takes."""
+    """Type of a metadata field."""
 
     string = "string"
     number = "number"
@@ -33,7 +33,7 @@ class FieldType(str, enum.Enum):
 
 
 class Undeclared(str, enum.Enum):
-    """What a project does with metadata keys that none of its fields declares."""
+    """Treatment of metadata keys that no field declares."""
 
     accept = "accept"
     refuse = "refuse"

@@ -50,7 +50,7 @@ class MissionCreate(_MetadataOnce):
 
 
 class MissionUpdate(_MetadataOnce):
-    """What to change of a mission; what is left out stays. A new `project_id` moves it, files and all.
+    """Changes of a mission; omitted fields stay. A new `project_id` moves the mission with its files.
 
     `metadata_yaml` is all metadata anew; with `merge_yaml`, it changes the fields that it names, and a field without a
     value (null) is removed. `metadata` changes the fields that it names, null takes one away, and the
@@ -102,7 +102,7 @@ class MissionRead(Response):
 
 
 class MissionTemplate(Response):
-    """What to fill in for a project's next mission: as YAML, or as a form of `fields` with `values` to begin with.
+    """Template for the next mission of a project: as YAML, or as a form of `fields` with initial `values`.
 
     `carried` are values of the mission `prefilled_from`, for somebody to confirm field by field. In the YAML they
     stand in comments. Dates, weather and operator are not among them.

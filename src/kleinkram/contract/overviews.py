@@ -141,7 +141,7 @@ class Bucket(Response):
 
 
 class Overview(Response):
-    """What a project amounts to, or all that one may see, by `month` of recording or by a metadata field.
+    """Totals of a project, or of everything visible, by `month` of recording or by a metadata field.
 
     Months and numbers come in their order. Other values come with the longest recorded first, as many as were asked
     for, and `other` is all that are left. `unit` is that of a field of numbers. `topics` are the distinct names of

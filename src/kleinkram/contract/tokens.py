@@ -26,7 +26,7 @@ _PATTERN = re.compile(PATTERN, re.ASCII)
 
 
 class SecretKind(str, enum.Enum):
-    """What a secret belongs to: a token of a person, robot, runner or run, or a share link."""
+    """Kind of a secret: a token of a person, robot, runner or run, or a share link."""
 
     personal = "pat"
     robot = "robot"
@@ -199,7 +199,7 @@ class ShareMade(Response):
 
 
 class SharedRead(Response):
-    """What a link shows now, to those who have it."""
+    """Current content of a share link."""
 
     name: str
     mission: MissionRef

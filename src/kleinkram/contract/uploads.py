@@ -35,7 +35,7 @@ def part_size_bytes(file_size_bytes: int) -> int:
 
 
 class ChecksumKind(str, enum.Enum):
-    """How the store verifies what it received, as found by the server's probe when it started.
+    """Method by which the store verifies received bytes, as probed when the server started.
 
     `crc64nvme`: every part by a signed CRC-64/NVME header, and the whole object by the full-object CRC-64/NVME.
     `sha256`: every part by a signed SHA-256 header. `md5`: every part by a signed Content-MD5, for old stores.
@@ -62,10 +62,10 @@ class UploadState(str, enum.Enum):
 class UploadFile(Request):
     """One file that a client wants to upload. Hashes where they are known already, lower-case hex.
 
-    Small files come with both hashes at once, so that most are decided in one answer, and where there is one part, its
-    address is in it.
-    `upload_id` resumes an earlier upload of the same path and size; where there is none, one begins by that id. So who
-    says the same twice, since an answer did not come, gets what the first began.
+    Clients send both hashes of small files at once: most are then decided in one response, which also contains the
+    URL of the part where there is only one.
+    `upload_id` resumes an earlier upload of the same path and size, or starts one with that id. Repeating a request
+    with the same id therefore returns the upload that the first request created.
     """
 
     path: FilePath

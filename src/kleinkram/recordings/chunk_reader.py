@@ -46,7 +46,7 @@ _log_time = itemgetter(1)
 
 @dataclass(frozen=True)
 class ChunkFormat:
-    """How one format writes chunks and messages.
+    """Layout of chunks and messages of one format.
 
     `parse_messages` returns the messages of some channels in a chunk's content, in file order; `salvage` finds messages
     in parts of a file, such as a damaged chunk.

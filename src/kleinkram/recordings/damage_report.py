@@ -15,7 +15,7 @@ _WASTED_SHARE = 4
 
 @dataclass
 class DamageReport:
-    """What a scan could not read.
+    """Data that a scan could not read.
 
     Attributes:
         damage: what is wrong, in file order; at most `MAX_DAMAGE`.

@@ -44,7 +44,7 @@ class ScanProgress(Protocol):
 
 
 class InspectionKind(str, Enum):
-    """What was inspected: a file, a recording of several files, or a folder that could not be listed."""
+    """Inspected object: a file, a recording of several files, or an unreadable folder."""
 
     file = "file"
     recording = "recording"

@@ -126,7 +126,7 @@ def _waiting(number: int) -> str:
 
 
 class PlaceKind(IntEnum):
-    """What a place is: a chunk, records outside of chunks, or a cut chunk, which is read as far as possible."""
+    """Kind of a position: a chunk, records outside of chunks, or a truncated chunk, read as far as possible."""
 
     chunk = 0
     records = 1

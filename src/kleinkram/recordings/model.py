@@ -27,7 +27,7 @@ class RecordingFormat(str, Enum):
 
 
 class Content(str, Enum):
-    """How far the content of a file is known.
+    """Completeness of the known content of a file.
 
     pending: a recording, not read yet. indexed: known. recovered: known as far as it could be saved. broken: the
     file's fault, and the reason says where. opaque: not a recording that we read. error: ours; will be tried again.
@@ -42,7 +42,7 @@ class Content(str, Enum):
 
 
 class Depth(str, Enum):
-    """How a file was read: by its index (`summary`), or whole (`scan`)."""
+    """Depth of reading: by the index (`summary`), or the whole file (`scan`)."""
 
     summary = "summary"
     scan = "scan"
@@ -50,7 +50,7 @@ class Depth(str, Enum):
 
 @dataclass(frozen=True)
 class Lost:
-    """What cannot be read of a damaged file.
+    """Unreadable part of a damaged file.
 
     Attributes:
         bytes: of the file (of what is inside, where it is compressed as a whole), that belong to nothing readable.

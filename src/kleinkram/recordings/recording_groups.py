@@ -54,7 +54,7 @@ _TIME_AT_END = re.compile(
 
 
 class RecordingGroupKind(str, Enum):
-    """What makes files one recording."""
+    """Properties by which files belong to one recording."""
 
     single = "single"
     split_set = "split"

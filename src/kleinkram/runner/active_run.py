@@ -78,7 +78,7 @@ class ActiveRun:
 
     @property
     def assignment(self) -> RunAssignment:
-        """What the server assigned."""
+        """The assignment from the server."""
         return self._attempt.state.assignment
 
     def start(self) -> None:

@@ -17,7 +17,7 @@ LEASE_MARGIN_S = 10.0
 
 @dataclass(frozen=True)
 class RunnerContext:
-    """What all runs of a runner share. `on_change` is called when the state of a run changes."""
+    """Context shared by all runs of a runner. `on_change` is called when the state of a run changes."""
 
     executor: Executor
     runners: Runners
@@ -92,7 +92,7 @@ class StopSignal:
 
 
 class Lease:
-    """How long a run belongs to this runner, by the clock of `boot_time_s`."""
+    """Lease of a run, by the clock of `boot_time_s`."""
 
     def __init__(self, until_s: float) -> None:
         self.until_s = until_s

@@ -44,7 +44,7 @@ _PERMANENT_ERRORS = (NotFound, FileUnavailable, InvalidRequest)
 
 
 class Prepared(NamedTuple):
-    """What a run starts with: its image, and the URL of the store if it may reach that."""
+    """Prepared inputs of a run: its image, and the URL of the store if the run may connect to it."""
 
     image: PinnedImage | None
     store_url: str

@@ -26,7 +26,7 @@ _READ_BYTES = 65536
 
 @dataclass(frozen=True)
 class LocalRun:
-    """How a local run ended, and its results in `out`."""
+    """End of a local run, with its results in `out`."""
 
     ending: Ending
     results: Results

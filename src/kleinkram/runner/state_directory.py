@@ -90,7 +90,7 @@ def _boot_id() -> str:
 
 
 class Stage(str, enum.Enum):
-    """What is to be done with a run: prepare it, run it to its end, or collect its results."""
+    """Next step of a run: prepare it, run it to its end, or collect its results."""
 
     preparing = "preparing"
     running = "running"

@@ -1,1 +1,1 @@
-"""The server: HTTP API, jobs and the only door to the object store. Bytes of recordings never pass through it."""
+"""The server: HTTP API and background jobs. Bytes of recordings go directly between clients and the object store."""

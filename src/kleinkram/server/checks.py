@@ -48,7 +48,7 @@ _SAMPLE = "".join(f"{second}.0 0 0 0 0 0 0 1\n" for second in range(3))
 
 
 class Level(str, enum.Enum):
-    """How bad something is: a warning does not keep the server from serving."""
+    """Severity of a check result: the server runs with warnings."""
 
     ok = "ok"
     warning = "warning"
@@ -57,7 +57,7 @@ class Level(str, enum.Enum):
 
 @dataclass(frozen=True)
 class CheckResult:
-    """What one check found. `remedy` says what to do where it is not ok."""
+    """Result of one check. `remedy`: how to correct a fault."""
 
     check: str
     level: Level
@@ -353,7 +353,7 @@ def _machine(settings: Settings | None) -> Iterator[CheckResult]:
 
 @dataclass(frozen=True)
 class _Server:
-    """What `_ABOUT_SERVER` returns: of the server, and of the role that asks."""
+    """Row of `_ABOUT_SERVER`: facts about the server and the current role."""
 
     version: str
     version_number: int
@@ -368,7 +368,7 @@ class _Server:
 
 @dataclass(frozen=True)
 class _Rights:
-    """What `_ABOUT_RIGHTS` returns: whether a role works on missions, adds to the audit record, and alters it."""
+    """Row of `_ABOUT_RIGHTS`: whether a role can change missions, and append to and change the audit log."""
 
     writes: bool
     records: bool

@@ -55,7 +55,7 @@ class TextPosition:
 
 @dataclass(frozen=True)
 class Document:
-    """What a text says; `places` has, for the path of every value, where its key (or the list's item) stands."""
+    """A parsed text; `places` maps the path of every value to the position of its key or list item."""
 
     value: JsonValue
     places: dict[Path, TextPosition] = field(default_factory=dict)

@@ -47,7 +47,7 @@ FactsT = TypeVar("FactsT", bound="ChunkedFacts[Any]")
 
 @dataclass
 class ChunkedFacts(Generic[ChannelT]):
-    """What the records of a file define. `table`: chunks, by the index; `index_faults`: what of the index is wrong."""
+    """Definitions of a file. `table`: chunks, by the index; `index_faults`: errors of the index."""
 
     channels: dict[int, ChannelT] = field(default_factory=dict)
     table: ChunkTable = field(default_factory=ChunkTable)
@@ -280,7 +280,7 @@ def search_width(stream: LookaheadStream) -> int:
 
 
 class ChunkIndex(NamedTuple):
-    """What the index records behind a chunk list: (channel number, log times, offsets in the content) of each."""
+    """Message indexes behind a chunk: (channel number, log times, offsets in the content) of each."""
 
     row: Row
     head: ChunkHead

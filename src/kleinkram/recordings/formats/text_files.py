@@ -178,7 +178,7 @@ _PLACES_OF_KITTI = (3, 7, 11)
 
 @dataclass
 class Trajectory:
-    """What is known of a trajectory so far. `unit`: of its stamps; empty before the first one that is not 0."""
+    """State of parsing a trajectory. `unit`: of its stamps; empty before the first one that is not 0."""
 
     unit: str = ""
     poses: int = 0

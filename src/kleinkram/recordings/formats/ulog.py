@@ -91,7 +91,7 @@ class Subscription(NamedTuple):
 
 @dataclass
 class UlogScan:
-    """What one pass over a log found."""
+    """Result of one pass over a log."""
 
     version: int = 0
     start_us: int = 0

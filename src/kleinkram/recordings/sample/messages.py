@@ -118,7 +118,7 @@ Item = tuple[str, "float | str | None"]
 
 
 class Encoding(str, Enum):
-    """How messages are serialised."""
+    """Serialisation of messages."""
 
     ros1 = "ros1"
     cdr = "cdr"

@@ -26,7 +26,7 @@ _NO_FAULTS = Faults()
 
 
 class SampleFormat(str, Enum):
-    """What a drive is recorded as."""
+    """Format of a recorded drive."""
 
     mcap = "mcap"
     bag = "bag"
@@ -73,7 +73,7 @@ class MissionTruth:
 
 
 class _Plan(NamedTuple):
-    """How much bulk, and when to stop: after a time, or at a size."""
+    """Amount of bulk data, and the limit by time or size."""
 
     camera_bytes: int
     lidar_points: int

@@ -62,7 +62,7 @@ class ClockJump:
 
 @dataclass(frozen=True)
 class Faults:
-    """What goes wrong in a sample mission. `truncate_to`: share of each data file that is left, such as 0.6."""
+    """Faults of a sample mission. `truncate_to`: remaining share of each data file, such as 0.6."""
 
     dropped_topic: str | None = None
     gap: TopicGap | None = None

@@ -47,7 +47,7 @@ class RunJob:
 
 @dataclass(frozen=True)
 class Ending:
-    """How a job ended: the reason, a sentence for people, and the exit code where the command returned one."""
+    """End of a job: the reason, a sentence for people, and the exit code if the command returned one."""
 
     reason: EndReason
     message: str
@@ -80,7 +80,7 @@ class Executor(ABC):
     @property
     @abstractmethod
     def abilities(self) -> ExecutorAbilities:
-        """What jobs may ask for."""
+        """Supported features."""
 
     @property
     @abstractmethod

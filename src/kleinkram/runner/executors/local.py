@@ -37,7 +37,7 @@ _UIDS = 1_000_000_000
 
 @dataclass(frozen=True)
 class MachineShare:
-    """What runs may use of a machine; None: the default share of what it has."""
+    """Resources of the machine for runs; None: the default share."""
 
     cores: float | None = None
     memory_bytes: int | None = None

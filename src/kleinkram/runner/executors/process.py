@@ -40,7 +40,7 @@ class ProcessExecutor(LocalExecutor):
 
     @property
     def abilities(self) -> ExecutorAbilities:
-        """What jobs may ask for. Without a sandbox, a job reads and reaches whatever the runner does."""
+        """Supported features. Without a sandbox, a job has the file and network access of the runner."""
         return ExecutorAbilities(
             executor="process",
             isolation=Isolation.namespaces if self._is_isolated else Isolation.none,

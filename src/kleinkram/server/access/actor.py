@@ -29,7 +29,7 @@ _USE_PRECISION_S = 60
 
 
 class ActorKind(str, enum.Enum):
-    """What an actor is: a person, a runner of actions, the holder of a link, or a guest without credential."""
+    """Kinds of actors: a person, a runner, the holder of a share link, or a guest without credential."""
 
     person = "person"
     runner = "runner"
@@ -242,7 +242,7 @@ class NewSecret:
 
     @property
     def sha256(self) -> bytes:
-        """What is stored of it."""
+        """Identity of the credential, as stored."""
         return secret_hash(self.text)
 
 

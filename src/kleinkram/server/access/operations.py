@@ -21,7 +21,7 @@ class ResourceKind(str, enum.Enum):
 
 @dataclass(frozen=True)
 class Permission:
-    """What an operation requires. `guests`: also without an account, on public and shared objects.
+    """Requirements of an operation. `guests`: also without an account, on public and shared objects.
 
     `runners`: also by runners, for their runs, whatever their scopes; `only_runners`: by nobody else.
     `reads`: tokens also need the scope read. `browsers`: only with a browser session, no token.

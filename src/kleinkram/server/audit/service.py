@@ -29,7 +29,7 @@ _NO_CHANGE = frozenset({"download", "verify", "look", "denied", "refused", "limi
 
 @dataclass(frozen=True)
 class Event:
-    """What happened to an object: `operation` is `<noun>.<verb>`; before and after contain only what changed.
+    """A change of an object: `operation` is `<noun>.<verb>`; `before` and `after` contain only changed fields.
 
     `takes` is the operation of `access/operations.py` whose right was required, if not the request's own.
     `by_power`: only an admin could do it, if that does not depend on a right on a project or mission.

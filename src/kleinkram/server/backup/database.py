@@ -69,7 +69,7 @@ WHERE c.relkind = 'S' AND c.relnamespace = 'public'::regnamespace
 
 
 class DatabaseFacts(NamedTuple):
-    """What a database is, and which tables with which columns it has."""
+    """Identity of a database, and its tables with their columns."""
 
     postgres: str
     revision: str

@@ -45,7 +45,7 @@ _TERMINAL_EVERY_S, _ELSEWHERE_EVERY_S = 0.5, 30.0
 
 @dataclass(frozen=True)
 class BackupOptions:
-    """What all commands on backups take. `quiet`: without progress on stderr."""
+    """Options of all backup commands. `quiet`: no progress on stderr."""
 
     place: str
     passphrase: str | None = None
@@ -79,7 +79,7 @@ class CreatedBackup:
 
 @dataclass
 class Verification:
-    """What verifying found. `unused`: objects of no complete backup; `lost_at_source`: in the store, before."""
+    """Result of verifying a backup. `unused`: objects of no complete backup; `lost_at_source`: missing before it."""
 
     snapshots: int = 0
     objects: int = 0

@@ -198,7 +198,7 @@ class _Done:
             with contextlib.suppress(ValueError):
                 entry = json.loads(line)
                 if entry.get("level") in ("error", "critical"):
-                    self._messages.append(str(entry["msg"]).strip()[:300])
+                    self._messages.append(str(entry.get("msg", "")).strip()[:300])
                     self._by_file |= {str(entry["object"]): self._messages[-1]} if "object" in entry else {}
 
     def lines(self) -> Iterator[str]:

@@ -73,7 +73,7 @@ class ScrubRow(NamedTuple):
 
 
 class StateCount(NamedTuple):
-    """How many blobs are in a state, and their bytes."""
+    """Number and size of the blobs in a state."""
 
     state: str
     number: int

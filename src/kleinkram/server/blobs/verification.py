@@ -29,7 +29,7 @@ Along = Callable[[bytes], Awaitable[None]]
 
 @dataclass(frozen=True)
 class ObjectChecksums:
-    """What reading an object through found."""
+    """Result of reading an object completely."""
 
     size_bytes: int
     sha256: bytes

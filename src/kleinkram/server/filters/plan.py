@@ -87,7 +87,7 @@ class MatchedFiles:
 
 @dataclass(frozen=True)
 class SearchPlan:
-    """How a filter is best evaluated.
+    """Execution plan of a filter.
 
     Attributes:
         words: the words of the filter's text, with where they occur.

@@ -124,7 +124,7 @@ _GOOD_FOR_S = 300
 
 
 class Seen(BaseModel):
-    """What the API saw: `peer` connected to it; `address` and `scheme` are what it takes for the client's."""
+    """Origin of a request: `peer` connected to the API; `address` and `scheme` are those attributed to the client."""
 
     model_config = ConfigDict(frozen=True)
 

@@ -37,7 +37,7 @@ class SchemaUnsupported(Exception):
 
 @dataclass(frozen=True)
 class LockTimeouts:
-    """How long one attempt waits for table locks, and how long a revision is retried."""
+    """Timeout of one attempt to lock tables, and of all attempts of a revision."""
 
     attempt_s: float = 2.0
     total_s: float = 600.0

@@ -35,7 +35,7 @@ _LISTED = 20
 
 @dataclass(frozen=True)
 class Near:
-    """What was written, and what may have been meant."""
+    """An unknown word, and a similar known one."""
 
     written: str
     candidates: tuple[str, ...]
@@ -60,7 +60,7 @@ class Wrong(ValueError):
 
 @dataclass(frozen=True)
 class Judgement:
-    """What is stored of a mission's metadata, and what is wrong with it."""
+    """Validated metadata of a mission, and their problems."""
 
     metadata: Metadata
     problems: list[FieldProblem]

@@ -28,7 +28,7 @@ _ADDED_AT_ONCE = 64
 
 
 class TopicKey(NamedTuple):
-    """What topics are merged by."""
+    """Key by which topics are merged."""
 
     name: str
     message_type: str | None
@@ -166,7 +166,7 @@ _MAX_BIGINT = 2**63 - 1
 
 @dataclass(frozen=True)
 class _MissionTopicData:
-    """What is known of a mission's topics: its span, its recordings, and topics of which some may be left for later."""
+    """The topics of a mission: its time span, its recordings, and a part or all of its topics."""
 
     span: tuple[int | None, int | None]
     bin_ns: int

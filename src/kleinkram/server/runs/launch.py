@@ -67,7 +67,7 @@ class KnownRunners:
 
 @dataclass(frozen=True)
 class Task:
-    """What to run, on any mission."""
+    """An action with parameters, not yet bound to a mission."""
 
     version_id: uuid.UUID
     definition: ActionDefinition

@@ -36,7 +36,7 @@ class StoreClock:
 
     @property
     def offset_s(self) -> float:
-        """How far the store's clock is ahead of ours; 0 within the tolerance."""
+        """Seconds by which the store's clock is ahead of ours; 0 within the tolerance."""
         return self._offset.total_seconds()
 
     def adjust(self, date_header: str | None) -> bool:

@@ -75,7 +75,7 @@ class StoreMissing(Exception):
 
 @dataclass(frozen=True)
 class StoredObject:
-    """What the store says about an object. `crc64nvme` is None if it stores none for the whole object."""
+    """Properties of a stored object. `crc64nvme` is None if the store has none for the whole object."""
 
     key: str
     size_bytes: int
@@ -110,7 +110,7 @@ class MultipartUpload(NamedTuple):
 
 @dataclass(frozen=True)
 class StoreCapabilities:
-    """What the probe at start-up found: the `checksum` the store verifies; whether it refuses to overwrite objects."""
+    """Capabilities of the store, probed at start-up: the `checksum` it verifies; whether it refuses to overwrite."""
 
     checksum: ChecksumKind
     writes_once: bool
@@ -135,7 +135,7 @@ class Storage:
 
     @property
     def clock_offset_s(self) -> float:
-        """How far the store's clock is ahead of this machine's, in seconds; 0 for a small difference."""
+        """Seconds by which the store's clock is ahead of this machine's; 0 for a small difference."""
         return self._signers.internal.clock.offset_s
 
     @property

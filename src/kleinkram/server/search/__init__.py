@@ -1,1 +1,1 @@
-"""Search: what a filter means, and what is asked across missions and files: topics and statistics."""
+"""Search across missions, files and topics, with facets and statistics."""

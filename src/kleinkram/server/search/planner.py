@@ -41,7 +41,7 @@ _AVOID_HASH_JOINS, _ALLOW_HASH_JOINS = (
 
 @dataclass(frozen=True)
 class Sample:
-    """How many of the sampled files each filter finds.
+    """Number of sampled files that match each filter.
 
     Attributes:
         hits: of each filter, in order.

@@ -19,7 +19,7 @@ router = APIRouter(prefix="/api/v1", tags=["search"])
 
 
 class SearchQuery(BaseModel):
-    """What a search asks: a text, how many to show of each kind, and in which order the files."""
+    """Parameters of a search: the query, the number of results of each kind, and the order of files."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

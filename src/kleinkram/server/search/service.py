@@ -145,7 +145,7 @@ async def get_stats(db: Connection, actor: Actor, *, by: str, matching: FileFilt
         reason = "statistics go by project, mission, topic, type, month, format or metadata.FIELD"
         raise InvalidQuery(expression=by, reason=reason)
     if by.startswith("metadata.") and not sees_whole_missions(actor):
-        raise InvalidQuery(expression=by, reason="what you came with does not show metadata of missions")
+        raise InvalidQuery(expression=by, reason="your token or link does not include the metadata of missions")
     if by.startswith("metadata.") and not (await db.execute(queries.has_field(actor, by))).scalar_one():
         names = ", ".join((await db.execute(queries.field_names(actor))).scalars()) or "none"
         reason = f"no mission has such a field; say project, mission, topic, type, month, format or a field: {names}"

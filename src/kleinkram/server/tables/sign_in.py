@@ -27,7 +27,7 @@ from kleinkram.server.tables.base import created_at_column, id_column, metadata,
 
 
 class CodePurpose(str, enum.Enum):
-    """What a code that is good once is for."""
+    """Purpose of a one-time code."""
 
     bootstrap = "bootstrap"  # to become the first admin of a new server
     owner = "owner"  # to sign in as the owner of `klein up`
@@ -36,7 +36,7 @@ class CodePurpose(str, enum.Enum):
 
 
 class LoginKind(str, enum.Enum):
-    """How a program asks for a token: by a redirect to this machine's loopback, or by a code typed elsewhere."""
+    """Flow of a program's sign-in: a redirect to the loopback address, or a code typed on another device."""
 
     loopback = "loopback"
     device = "device"

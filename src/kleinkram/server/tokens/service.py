@@ -35,7 +35,7 @@ _TOKEN_ORDER = Order([token.c.created_at, token.c.id], descending=True)
 
 
 class DerivedTokens(str, enum.Enum):
-    """What happens to the tokens that were created with a revoked token."""
+    """Treatment of tokens that were created with a revoked token."""
 
     ended = "ended"
     valid = "valid"

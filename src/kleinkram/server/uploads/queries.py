@@ -19,7 +19,7 @@ from kleinkram.server.tables.runs import ASSIGNED
 
 
 class FileContent(NamedTuple):
-    """What makes two files the same."""
+    """Properties that make two files equal."""
 
     size_bytes: int
     sha256: bytes
@@ -52,7 +52,7 @@ class UploadRow(NamedTuple):
 
     @property
     def content(self) -> FileContent:
-        """What the finished file will be, by the word of the client; once it has named the hashes."""
+        """The content that the client announced; None before it sent the hashes."""
         return FileContent(self.size_bytes, self.sha256)
 
     @property
@@ -72,7 +72,7 @@ class UploadRow(NamedTuple):
 
     @property
     def part_count(self) -> int:
-        """How many parts the file has; an empty file has one empty part."""
+        """Number of parts; an empty file has one empty part."""
         return max(1, -(-self.size_bytes // self.part_size_bytes))
 
     def part_bytes(self, number: int) -> int:
@@ -92,7 +92,7 @@ class ExistingFile(NamedTuple):
 
     @property
     def content(self) -> FileContent:
-        """What the file is."""
+        """Content of the file."""
         return FileContent(self.size_bytes, self.sha256)
 
     @property

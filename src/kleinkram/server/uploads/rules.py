@@ -16,7 +16,7 @@ HIDDEN_FILE = "a file that you may not see"
 
 
 class Action(enum.Enum):
-    """What the server does with an announced file."""
+    """Decision about an announced file."""
 
     present = enum.auto()
     """Nothing: the mission has this very file."""
@@ -47,7 +47,7 @@ class Decision:
 
 @dataclass(frozen=True)
 class RequestFacts:
-    """What the database says about the names and contents of one request. Maps go by path key, conflicts by path.
+    """Rows about the names and contents of one request. Keys are path keys; those of conflicts are paths.
 
     `may_read`: whether the actor may read the mission; otherwise they learn only that a name is taken.
     """

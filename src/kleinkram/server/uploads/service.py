@@ -297,7 +297,7 @@ def _with_file(
 
 @dataclass(frozen=True)
 class _BegunUploads:
-    """What the answers to one request are made of, by id."""
+    """Rows for the response to one request, by id."""
 
     uploads: Mapping[uuid.UUID, UploadRow]
     parts: Mapping[uuid.UUID, list[StoredPart]]

@@ -1,1 +1,1 @@
-"""MCAP: records, index, scan, messages, writer."""
+"""MCAP: records, index, scan and messages."""

@@ -67,7 +67,7 @@ class ChannelRecord(NamedTuple):
 
 
 class Statistics(NamedTuple):
-    """What the writer counted. `counts`: messages by channel id."""
+    """Statistics record. `counts`: messages by channel id."""
 
     messages: int
     channels: int
@@ -84,7 +84,7 @@ NO_SCHEMA = Schema("", "", b"")
 
 @dataclass
 class McapFacts(ChunkedFacts[ChannelRecord]):
-    """What the records of a file define and count.
+    """Definitions and counts of the records of a file.
 
     `unknown_compression`: by the start of a chunk. `outside_chunks`: indexed places of attachments and metadata.
     """

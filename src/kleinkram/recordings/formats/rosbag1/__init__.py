@@ -1,1 +1,1 @@
-"""ROS 1 bag 2.0: records, index, scan, messages, writer."""
+"""ROS 1 bag 2.0: records, index, scan and messages."""

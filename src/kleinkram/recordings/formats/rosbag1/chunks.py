@@ -103,7 +103,7 @@ _MOST_CHECKED = 2
 
 @dataclass
 class BagFacts(ChunkedFacts[Connection]):
-    """What a bag's records define. `counts`: messages by connection, by the index; `layout`: of message headers."""
+    """Definitions of a bag. `counts`: messages by connection, by the index; `layout`: of message headers."""
 
     counts: dict[int, int] = field(default_factory=lambda: defaultdict(int))
     layout: MessageLayout | None = None

@@ -153,7 +153,7 @@ _FIRST_VERSION_WITH_FILES = 5
 
 @dataclass(frozen=True)
 class MemberFacts:
-    """What is known of a data file; None: unknown. `name`: without folder. `format`: of what is inside."""
+    """Stated properties of a data file; None: unknown. `name`: without folder. `format`: of the content."""
 
     name: str
     message_count: int | None = None
@@ -164,7 +164,7 @@ class MemberFacts:
 
 @dataclass(frozen=True)
 class TopicFacts:
-    """What is known of a topic over all data files; None or empty: unknown."""
+    """Stated properties of a topic in all data files; None or empty: unknown."""
 
     name: str
     message_type: str = ""

@@ -86,7 +86,7 @@ class DockerExecutor(LocalExecutor):
 
     @property
     def abilities(self) -> ExecutorAbilities:
-        """What jobs may ask for. Only root may open sockets in the network of a container."""
+        """Supported features. Only root may open sockets in the network of a container."""
         networks = {Network.none, Network.open} | ({Network.api} if self._is_root else set())
         return ExecutorAbilities(
             executor="docker",
