@@ -41,7 +41,7 @@ class Scripted:
 def scripted(*answers: Answer, by_path: Mapping[str, BaseModel] | None = None) -> Iterator[Scripted]:
     """Run the server. A model is answered with 200, an error with its status, None with a connection that breaks.
 
-    What ends as `by_path` says is answered so, whenever it is requests for.
+    What ends as `by_path` says is answered so, however often it is requested.
     """
     script = Scripted(answers=[*answers])
 

@@ -15,7 +15,7 @@ from kleinkram.server.db import open_database
 from kleinkram.server.jobs.attempts import record_failure
 from kleinkram.server.jobs.back_pressure import BackPressure
 from kleinkram.server.jobs.queue import queue
-from kleinkram.server.recordings.jobs import Rests, Understanding
+from kleinkram.server.recordings.jobs import MetadataCache, RegroupDebounce
 from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings, plain_dsn
 from tests.integration.api_server import Api
@@ -42,14 +42,14 @@ async def _hurry(context: AppContext) -> list[str]:
     return await drain(context, back_pressure)
 
 
-class _NoRests(Rests):
+class _NoRests(RegroupDebounce):
     """However slow a machine is: what is asked for is done before a test goes on."""
 
     def took(self, mission_id: uuid.UUID, seconds: float) -> None:
         """Note nothing."""
 
 
-async def drain(context: AppContext, back_pressure: BackPressure, rests: Rests | None = None) -> list[str]:
+async def drain(context: AppContext, back_pressure: BackPressure, rests: RegroupDebounce | None = None) -> list[str]:
     """Run what waits, as courteous as it is given; returns the name of each job."""
     ran: list[str] = []
 
@@ -70,7 +70,7 @@ async def drain(context: AppContext, back_pressure: BackPressure, rests: Rests |
                     "context": context,
                     "readers": readers,
                     "back_pressure": back_pressure,
-                    "understanding": Understanding(readers),
+                    "understanding": MetadataCache(readers),
                     "rests": rests or _NoRests(),
                 },
             )

@@ -131,17 +131,17 @@ def test_a_worker_outlives_restarts_of_postgresql(database: _Cluster, store: Run
     with _working(database, store, tmp_path / "log") as worker:
         for how in (signal.SIGINT, signal.SIGQUIT, signal.SIGQUIT):
             database.restart(how)
-            job_id = _defer(database, "tend_runs")
+            job_id = _defer(database, "maintain_runs")
             wait_until(lambda job_id=job_id: _is_done(database, job_id), limit_s=120)  # type: ignore[misc]  # a default
         # A connection may go by itself, such as the one that a lane listens on.
         database.sql("SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE query LIKE 'LISTEN%'")
-        job_id = _defer(database, "tend_runs")
+        job_id = _defer(database, "maintain_runs")
         wait_until(lambda: _is_done(database, job_id), limit_s=120)
         assert worker.process.poll() is None
         assert database.sql("SELECT count(*) FROM worker_process WHERE ended_at IS NULL") == "1"
         text = worker.metrics()
         assert "kleinkram_workers 1.0" in text
-        assert 'kleinkram_job_attempts_total{outcome="succeeded",task="tend_runs"}' in text
+        assert 'kleinkram_job_attempts_total{outcome="succeeded",task="maintain_runs"}' in text
         assert any("the database went away" in str(line["message"]) for line in worker.lines())
     assert worker.process.returncode == 0
     assert database.sql("SELECT count(*) FROM worker_process WHERE ended_at IS NULL") == "0"
@@ -164,7 +164,7 @@ def test_a_job_that_a_restart_cut_short_is_done_again(database: _Cluster, store:
     with _working(database, store, tmp_path / "log") as worker:
         blocker = psycopg.connect(database.cluster.url(pg.ADMIN))
         blocker.execute("LOCK TABLE run IN ACCESS EXCLUSIVE MODE")
-        job_id = _defer(database, "tend_runs")
+        job_id = _defer(database, "maintain_runs")
         doing = f"SELECT count(*) FROM procrastinate_jobs WHERE id = {job_id} AND status = 'doing'"
         wait_until(lambda: database.sql(doing) == "1", limit_s=60)
         database.restart(signal.SIGQUIT)

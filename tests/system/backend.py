@@ -10,7 +10,7 @@ import psycopg
 from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
-from kleinkram.server.runs.jobs import maintain_runs_once as tend_runs
+from kleinkram.server.runs.jobs import maintain_runs_once as maintain_runs
 from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings
 from kleinkram.server.uploads.jobs import maintain_uploads
@@ -34,7 +34,7 @@ def tidy(cluster: Cluster) -> None:
 
     async def all_rounds(context: AppContext) -> None:
         await maintain_uploads(context, stale_after_s=0)
-        await tend_runs(context)
+        await maintain_runs(context)
         for _ in range(2):
             await collect_garbage(context)
 

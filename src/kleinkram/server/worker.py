@@ -28,7 +28,7 @@ from kleinkram.server.jobs.attempts import Attempts, record_failure
 from kleinkram.server.jobs.back_pressure import BackPressure
 from kleinkram.server.jobs.queue import DEFAULT, EXAMINING, GROUPING, VERIFICATION, queue
 from kleinkram.server.recordings import jobs as _recording_jobs
-from kleinkram.server.recordings.jobs import Rests, Understanding
+from kleinkram.server.recordings.jobs import MetadataCache, RegroupDebounce
 from kleinkram.server.runs import jobs as _run_jobs
 from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings, plain_dsn
@@ -118,8 +118,8 @@ async def _run_lanes(app: App, settings: Settings, database: Database) -> None:
             "context": AppContext(database, storage, settings),
             "readers": readers,
             "back_pressure": back_pressure,
-            "understanding": Understanding(readers),
-            "rests": Rests(),
+            "understanding": MetadataCache(readers),
+            "rests": RegroupDebounce(),
             "attempts": attempts,
         }
         lanes = ((DEFAULT, _AT_ONCE), (VERIFICATION, 1), (EXAMINING, 1), (GROUPING, 1))

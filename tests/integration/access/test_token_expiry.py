@@ -10,7 +10,7 @@ from tests.integration.conftest import StartApi
 
 
 @pytest.fixture(name="lasting", scope="module")
-def _lasting(start_api: StartApi) -> Api:
+def _valid_until(start_api: StartApi) -> Api:
     return start_api(token_days_max=0)
 
 

@@ -23,9 +23,9 @@ from kleinkram.client.transfer.link import (
     CALM_S,
     QUICK_S,
     SLOW_S,
+    CongestionWindow,
     Lane,
     LinkMonitor,
-    Window,
     diagnose,
     is_silence,
 )
@@ -55,7 +55,7 @@ def clock() -> Clock:
 
 
 def test_a_fast_link_is_fully_used_after_several_parts(clock: Clock) -> None:
-    window = Window(_CONNECTIONS, clock=clock)
+    window = CongestionWindow(_CONNECTIONS, clock=clock)
     assert window.limit_bytes == PART
     for _ in range(_CONNECTIONS):
         window.arrived(PART, 0.05)
@@ -63,7 +63,7 @@ def test_a_fast_link_is_fully_used_after_several_parts(clock: Clock) -> None:
 
 
 def test_a_slow_link_carries_one_part_at_a_time(clock: Clock) -> None:
-    window = Window(_CONNECTIONS, clock=clock)
+    window = CongestionWindow(_CONNECTIONS, clock=clock)
     for _ in range(4):
         clock.now += QUICK_S + 5
         window.arrived(PART, QUICK_S + 5)
@@ -71,7 +71,7 @@ def test_a_slow_link_carries_one_part_at_a_time(clock: Clock) -> None:
 
 
 def test_a_slow_but_steady_link_gets_one_more_and_gives_it_back_when_it_does_not_help(clock: Clock) -> None:
-    window = Window(_CONNECTIONS, clock=clock)
+    window = CongestionWindow(_CONNECTIONS, clock=clock)
     clock.now += CALM_S
     window.arrived(PART, QUICK_S + 5)
     assert window.limit_bytes == 2 * PART
@@ -80,7 +80,7 @@ def test_a_slow_but_steady_link_gets_one_more_and_gives_it_back_when_it_does_not
 
 
 def test_a_lost_connection_leaves_one_part_and_the_link_grows_again(clock: Clock) -> None:
-    window = Window(_CONNECTIONS, clock=clock)
+    window = CongestionWindow(_CONNECTIONS, clock=clock)
     for _ in range(_CONNECTIONS):
         window.arrived(PART, 0.05)
     window.lost()
@@ -94,14 +94,14 @@ def test_a_lost_connection_leaves_one_part_and_the_link_grows_again(clock: Clock
 
 
 def test_many_small_files_may_go_at_once_on_any_link(clock: Clock) -> None:
-    window = Window(_CONNECTIONS, clock=clock)
+    window = CongestionWindow(_CONNECTIONS, clock=clock)
     for _ in range(100):
         window.arrived(10_000, 1.0)
         assert window.limit_bytes >= _CONNECTIONS * 10_000
 
 
 def test_a_small_part_beside_large_ones_takes_no_room_from_them(clock: Clock) -> None:
-    window = Window(_CONNECTIONS, clock=clock)
+    window = CongestionWindow(_CONNECTIONS, clock=clock)
     for _ in range(_CONNECTIONS):
         window.arrived(8 * PART, 0.5)
     assert window.limit_bytes >= _CONNECTIONS * 7 * PART
@@ -110,13 +110,13 @@ def test_a_small_part_beside_large_ones_takes_no_room_from_them(clock: Clock) ->
 
 
 def test_large_parts_of_a_very_large_file_are_judged_by_their_rate(clock: Clock) -> None:
-    window = Window(_CONNECTIONS, clock=clock)
+    window = CongestionWindow(_CONNECTIONS, clock=clock)
     window.arrived(100 * PART, 10.0)
     assert window.limit_bytes > 100 * PART
 
 
 def test_interrupted_parts_are_sent_before_new_ones() -> None:
-    lane = Lane(Stop(), Window(_CONNECTIONS))
+    lane = Lane(Stop(), CongestionWindow(_CONNECTIONS))
     order: list[str] = []
     is_waiting = threading.Event()
 
@@ -139,7 +139,7 @@ def test_interrupted_parts_are_sent_before_new_ones() -> None:
 
 
 def test_a_part_with_trouble_of_its_own_lets_others_go_first() -> None:
-    lane = Lane(Stop(), Window(_CONNECTIONS))
+    lane = Lane(Stop(), CongestionWindow(_CONNECTIONS))
     with lane.place() as troubled:
         lane.step_out(troubled)
         with lane.place() as other, lane.turn(other, PART):

@@ -43,7 +43,7 @@ def test_a_metrics_port_serves_nothing_else(api: Api) -> None:
 def test_a_job_that_waits_for_another_attempt_counts_as_old(start_api: StartApi) -> None:
     api = start_api()
     job = "INSERT INTO procrastinate_jobs (queue_name, task_name, attempts, scheduled_at, args) VALUES"
-    put_off = f"{job} ('default', 'tend_runs', 0, now() + interval '1 h', '{{}}') RETURNING id"
+    put_off = f"{job} ('default', 'maintain_runs', 0, now() + interval '1 h', '{{}}') RETURNING id"
     retrying = f"{job} ('default', 'collect_garbage', 2, now() + interval '1 h', '{{}}') RETURNING id"
     for statement in (put_off, retrying):
         api.sql(

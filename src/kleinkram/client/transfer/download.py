@@ -36,7 +36,7 @@ from kleinkram.client.transfer.destination import (
     partial_path,
     regular_size,
 )
-from kleinkram.client.transfer.link import Lane, LinkMonitor, Window
+from kleinkram.client.transfer.link import CongestionWindow, Lane, LinkMonitor
 from kleinkram.client.transfer.local_file import SLICE_BYTES, is_same
 from kleinkram.client.transfer.report import (
     CONNECTIONS,
@@ -195,7 +195,7 @@ class Downloader:
         """
         self._targets = {target.file.id: target for target in targets}
         self._store = StoreClient(connections)
-        self._lane = Lane(self._stop, Window(connections))
+        self._lane = Lane(self._stop, CongestionWindow(connections))
         self._lines = threading.BoundedSemaphore(connections)
         # One more than there are connections: while one hashes what arrived, none of them idles.
         threads = [self._stop.start(self._fetch_loop) for _ in range(connections + 1)]
@@ -308,7 +308,7 @@ class Downloader:
             elif result.answer in {StoreAnswer.taken, StoreAnswer.try_again}:
                 if result.error is None:
                     self._lane.step_out(place)
-                if result.error is None and not result.is_of_all and self._check is not None:
+                if result.error is None and not result.is_store_wide and self._check is not None:
                     self._raise_if_damaged(fetching, result.why, self._check)
                 else:
                     self._link.lost(fetching.link.url, backoff, result.error, result.why)
@@ -338,7 +338,7 @@ class Downloader:
             result.error = error
         finally:
             result.close()
-        if result.is_of_all:
+        if result.is_store_wide:
             self._lane.lost()
         elif offset > part.last:
             self._lane.arrived(offset - began_offset, time.monotonic() - began_at)

@@ -19,7 +19,7 @@ from kleinkram.client._http import Backoff, reason_of, store_unreachable
 from kleinkram.client._network import SILENCE_S, NetworkMonitor
 from kleinkram.client.errors import ServerUnreachable, StoreTroubled, StoreUnreachable
 from kleinkram.client.transfer.report import LinkReport
-from kleinkram.client.transfer.store import MOST_TROUBLED, PATIENCE_S, StoreResult
+from kleinkram.client.transfer.store import MAX_FAILED_FILES, PATIENCE_S, StoreResult
 from kleinkram.client.transfer.threads import Stop, Stopped
 from kleinkram.contract.errors import KleinkramError
 from kleinkram.contract.uploads import MIN_PART_BYTES
@@ -36,7 +36,7 @@ _RECONNECT_S = 0.05
 _MOVED_S = 1.0
 
 
-class Window:
+class CongestionWindow:
     """How many bytes may be on their way at once. Not safe to share between threads.
 
     It begins with one part. A part that arrives quickly adds its size, up to `connections` parts. A lost connection, or
@@ -80,7 +80,7 @@ class Lane:
     A part that broke off continues before others begin, so that a bad link is not filled with beginnings of parts.
     """
 
-    def __init__(self, stop: Stop, window: Window) -> None:
+    def __init__(self, stop: Stop, window: CongestionWindow) -> None:
         self._stop = stop
         self._window = window
         self._used_bytes = 0
@@ -211,7 +211,7 @@ class LinkMonitor:
     def give_up(self, url: str, path: str, result: StoreResult) -> KleinkramError:
         """Return the error for a file that the store refused for too long: the store's own after several files."""
         self._troubled_files += 1
-        if result.is_of_all or self._troubled_files > MOST_TROUBLED:
+        if result.is_store_wide or self._troubled_files > MAX_FAILED_FILES:
             return store_unreachable(url, result.why)
         return StoreTroubled(path=path, reason=result.why)
 

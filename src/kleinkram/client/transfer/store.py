@@ -49,7 +49,7 @@ _ETAG = re.compile(rb"\r\netag: *([^\r\n]*?) *\r\n", re.IGNORECASE)
 
 PATIENCE_S = 240.0
 # After so many files in a row that the store refused for so long, the store itself is in trouble.
-MOST_TROUBLED = 3
+MAX_FAILED_FILES = 3
 
 _LEAST_SLICE_BYTES = 64 * 1024
 _QUICK_SLICE_S = 0.5
@@ -245,7 +245,7 @@ class StoreResult:
         return reason_of(self.error) if self.error else self.reason or "it sends nothing"
 
     @property
-    def is_of_all(self) -> bool:
+    def is_store_wide(self) -> bool:
         """Whether requests for other objects would fail, too."""
         return self.error is not None or (self.answer is StoreAnswer.try_again and self.code in _OF_ALL)
 

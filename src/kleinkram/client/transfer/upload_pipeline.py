@@ -16,7 +16,7 @@ from kleinkram.client._http import Backoff
 from kleinkram.client.errors import FileChanged, FileUnreadable, TransferFailed
 from kleinkram.client.files import Uploads
 from kleinkram.client.transfer.journal import Journal, JournalPart
-from kleinkram.client.transfer.link import Lane, LinkMonitor, Window
+from kleinkram.client.transfer.link import CongestionWindow, Lane, LinkMonitor
 from kleinkram.client.transfer.local_file import FileHashes, FileSlice, OpenFile, new_checksum
 from kleinkram.client.transfer.plan import LocalFile
 from kleinkram.client.transfer.report import Outcome, TransferResult, Watcher
@@ -31,8 +31,8 @@ _PART_COST = 512 * 1024  # what the smallest part counts, so that open files are
 _FILES_UNDER_WAY = 256
 _BATCH_SIZE = 100
 _RENEW_S = 20.0
-_LINGER_S = 0.02
-_GATHER_S = 0.5
+_SIGN_BATCH_DELAY_S = 0.02
+_COMPLETE_BATCH_DELAY_S = 0.5
 _REFUSALS = 4
 _JOIN_S = 2.0
 
@@ -189,7 +189,7 @@ class UploadPipeline:
     def start(self, connections: int) -> None:
         """Start the threads, `connections` of which send."""
         self._store = StoreClient(connections)
-        self._lane = Lane(self._stop, Window(connections))
+        self._lane = Lane(self._stop, CongestionWindow(connections))
         loops = [self._sign_loop, self._finish_loop, *[self._send_loop] * connections]
         self._threads = [self._stop.start(loop) for loop in loops]
 
@@ -239,7 +239,7 @@ class UploadPipeline:
         while True:
             parts = self._to_sign.take(_BATCH_SIZE, _RENEW_S)
             if 0 < len(parts) < _BATCH_SIZE:  # more come within moments: one request for all of them
-                self._stop.wait(_LINGER_S)
+                self._stop.wait(_SIGN_BATCH_DELAY_S)
                 parts += self._to_sign.take(_BATCH_SIZE - len(parts), timeout_s=0)
             for part in parts:
                 if part.sending.ended:
@@ -349,7 +349,7 @@ class UploadPipeline:
     def _finish_loop(self) -> None:
         while True:
             sent = self._to_finish.take(_BATCH_SIZE)
-            gathers_until = time.monotonic() + _GATHER_S
+            gathers_until = time.monotonic() + _COMPLETE_BATCH_DELAY_S
             # While others are on their way, wait a little for a good number of them.
             while (lacking := min(_BATCH_SIZE, self._under_way.used()) - len(sent)) > 0:
                 left_s = gathers_until - time.monotonic()

@@ -44,7 +44,7 @@ from kleinkram.server.tables import (
 )
 
 # A condition on a time of expiry.
-Still = Callable[[ColumnElement[Any]], ColumnElement[bool]]
+NotExpired = Callable[[ColumnElement[Any]], ColumnElement[bool]]
 # A column of a grant, and the column that it refers to.
 _GrantColumns = tuple[ColumnElement[Any], ColumnElement[Any]]
 # Building these expressions again for each request would take about as long as executing them.
@@ -195,14 +195,14 @@ def lasting_level_on_project(actor: Actor, until: datetime.datetime | None) -> C
     """Return the level of `actor`'s right on each `project` of a select that lasts until a time, or permanently."""
     if actor.is_admin:
         return literal(Right.delete.level)
-    return _granted_level(actor.person_id, (access_grant.c.project_id, project.c.id), project, _lasting(until))
+    return _granted_level(actor.person_id, (access_grant.c.project_id, project.c.id), project, _valid_until(until))
 
 
 def lasting_level_on_mission(actor: Actor, until: datetime.datetime | None) -> ColumnElement[int]:
     """Like `lasting_level_on_project`, for each `mission` of a select."""
     if actor.is_admin:
         return literal(Right.delete.level)
-    return func.greatest(*_levels_granted_on_mission(actor.person_id, _lasting(until)))
+    return func.greatest(*_levels_granted_on_mission(actor.person_id, _valid_until(until)))
 
 
 def visible_people(actor: Actor) -> Select[Any]:
@@ -317,12 +317,12 @@ def _public_level() -> ColumnElement[int]:
 
 
 @functools.lru_cache(maxsize=_CACHE_SIZE)
-def _memberships(person_id: uuid.UUID | None, still: Still = unexpired) -> ColumnElement[Any]:
+def _memberships(person_id: uuid.UUID | None, still: NotExpired = unexpired) -> ColumnElement[Any]:
     mine = select(membership.c.group_id).where(membership.c.person_id == person_id, still(membership.c.expires_at))
     return func.array(mine.correlate(None).scalar_subquery())
 
 
-def _lasting(until: datetime.datetime | None) -> Still:
+def _valid_until(until: datetime.datetime | None) -> NotExpired:
     if until is None:
         return lambda expires_at: expires_at.is_(None)
     return lambda expires_at: or_(expires_at.is_(None), expires_at >= until)
@@ -340,7 +340,7 @@ def _public_or_granted_level(person_id: uuid.UUID | None) -> ColumnElement[int]:
     return func.greatest(_public_level(), *_levels_granted_on_mission(person_id))
 
 
-def _levels_granted_on_mission(person_id: uuid.UUID | None, still: Still = unexpired) -> list[ColumnElement[int]]:
+def _levels_granted_on_mission(person_id: uuid.UUID | None, still: NotExpired = unexpired) -> list[ColumnElement[int]]:
     # Two subqueries with an index each: with OR, PostgreSQL may scan all grants of the groups.
     return [
         _granted_level(person_id, (access_grant.c.project_id, mission.c.project_id), mission, still),
@@ -349,7 +349,7 @@ def _levels_granted_on_mission(person_id: uuid.UUID | None, still: Still = unexp
 
 
 def _granted_level(
-    person_id: uuid.UUID | None, place: _GrantColumns, outer: Any, still: Still = unexpired
+    person_id: uuid.UUID | None, place: _GrantColumns, outer: Any, still: NotExpired = unexpired
 ) -> ColumnElement[int]:
     # Levels until a given time are rare, and each is different: do not cache them.
     level = _level_granted_to if still is unexpired else _level_granted_to.__wrapped__
@@ -358,7 +358,7 @@ def _granted_level(
 
 @functools.lru_cache(maxsize=_CACHE_SIZE)
 def _level_granted_to(
-    person_id: uuid.UUID | None, place: _GrantColumns, outer: Any, still: Still
+    person_id: uuid.UUID | None, place: _GrantColumns, outer: Any, still: NotExpired
 ) -> ColumnElement[int]:
     granted_on, here = place
     mine = (access_grant.c.group_id == any_(_memberships(person_id, still))) & still(access_grant.c.expires_at)

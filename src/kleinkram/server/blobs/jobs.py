@@ -35,7 +35,7 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.http.rate_limit import delete_expired_counts
 from kleinkram.server.jobs.attempts import ATTEMPTS, RETRY_STRATEGY, app_context, back_pressure_of, worker_resource
 from kleinkram.server.jobs.back_pressure import SUMMARY_MAX_WAIT_S, VERIFY_MAX_WAIT_S
-from kleinkram.server.jobs.queue import Job, Urgency, forget_ended, hasten, queue
+from kleinkram.server.jobs.queue import Job, Priority, delete_expired_rows, queue, raise_priority
 from kleinkram.server.recordings.service import regroup_forgotten
 from kleinkram.server.trash.service import empty_trash
 
@@ -80,7 +80,7 @@ async def summarise_blob(job_context: JobContext, ref: str) -> None:
     await _record_summary(context, blob_id, summary)
     if summary.content is Content.pending:  # only the verification reads it: somebody may wait for that
         async with context.database.begin() as db:
-            await hasten(db, Job.verify_blob, blob_id)
+            await raise_priority(db, Job.verify_blob, blob_id)
 
 
 async def _find_in_own_store(context: AppContext, blob_id: uuid.UUID) -> BlobRow | None:
@@ -140,7 +140,7 @@ async def verify_blob(job_context: JobContext, ref: str) -> None:
     if row is None:
         return
     # What is only verified again gives way from now on, whenever it came.
-    anew = job_context.job.priority < Urgency.whenever
+    anew = job_context.job.priority < Priority.normal
     await back_pressure_of(job_context).wait_for_uploads(VERIFY_MAX_WAIT_S, since=None if anew else row.created_at)
     read = await _read_or_damaged(job_context, context, row)
     if read is None:
@@ -280,14 +280,14 @@ async def collect_garbage(context: AppContext) -> None:
     """Re-queue unfinished blobs, empty the trash, delete unreferenced objects; each at most a batch a round."""
     store_id, settings = context.settings.store_id, context.settings
     async with context.database.begin() as db:
-        await service.examine_forgotten(db, store_id=store_id, limit=_GC_BATCH)
+        await service.requeue_unfinished(db, store_id=store_id, limit=_GC_BATCH)
         await regroup_forgotten(db, limit=_GC_BATCH)
     async with context.database.begin() as db:
         days = settings.reverify_days
         await service.examine_old(db, store_id=store_id, older_than_days=days, limit=_MAX_REVERIFIED)
         await scrub.begin_due_scrub(db, settings)
     async with context.database.begin() as db:
-        await forget_ended(db)
+        await delete_expired_rows(db)
         await delete_expired_counts(db)
         await empty_trash(db, older_than_days=settings.trash_days, limit=_GC_BATCH)
     async with context.database.begin() as db:

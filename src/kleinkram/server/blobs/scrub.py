@@ -19,7 +19,7 @@ from kleinkram.server.blobs import queries, service
 from kleinkram.server.blobs.queries import ExpectedBlob
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
-from kleinkram.server.jobs.queue import Job, Urgency, enqueue, has_job
+from kleinkram.server.jobs.queue import Job, Priority, enqueue, has_job
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import scrub
 
@@ -88,7 +88,7 @@ async def request_scrub(db: Connection, store_id: str, *, by_id: uuid.UUID, beli
     await _lock(db)
     last = await last_scrub(db, store_id)
     if last is None or last.ended_at is not None or (believes and not last.believes):
-        await _queue(db, store_id, by_id=by_id, believes=believes, urgency=Urgency.soon)
+        await _queue(db, store_id, by_id=by_id, believes=believes, priority=Priority.high)
         last = await last_scrub(db, store_id)
     if last is None:
         raise AssertionError("a scrub was inserted and is missing")
@@ -102,11 +102,11 @@ async def begin_due_scrub(db: Connection, settings: Settings) -> None:
     if last is not None and last.ended_at is None:
         forgotten = select(scrub.c.id).where(scrub.c.id == last.id, ~has_job(Job.scrub, scrub.c.id))
         if (await db.execute(forgotten)).first() is not None:
-            await enqueue(db, Job.scrub, ids=[str(last.id)], urgency=Urgency.whenever)
+            await enqueue(db, Job.scrub, ids=[str(last.id)], priority=Priority.normal)
         return
     interval = datetime.timedelta(hours=settings.scrub_hours)
     if interval and (last is None or last.now - last.created_at >= interval):
-        await _queue(db, settings.store_id, by_id=None, believes=False, urgency=Urgency.whenever)
+        await _queue(db, settings.store_id, by_id=None, believes=False, priority=Priority.normal)
         await _delete_old(db, settings.store_id)
 
 
@@ -161,12 +161,12 @@ async def _lock(db: Connection) -> None:
     await db.execute(select(func.pg_advisory_xact_lock(_ADVISORY_LOCK)))
 
 
-async def _queue(db: Connection, store_id: str, *, by_id: uuid.UUID | None, believes: bool, urgency: Urgency) -> None:
+async def _queue(db: Connection, store_id: str, *, by_id: uuid.UUID | None, believes: bool, priority: Priority) -> None:
     # The clock and not the transaction's start, which may be before that of the previous scrub.
     values = {"created_at": func.clock_timestamp(), "requested_by_id": by_id, "believes": believes}
     scrub_id = uuid.uuid4()
     await db.execute(insert(scrub).values(id=scrub_id, store_id=store_id, **values))
-    await enqueue(db, Job.scrub, ids=[str(scrub_id)], urgency=urgency)
+    await enqueue(db, Job.scrub, ids=[str(scrub_id)], priority=priority)
 
 
 async def _delete_old(db: Connection, store_id: str) -> None:

@@ -13,7 +13,7 @@ from kleinkram.server.blobs import queries
 from kleinkram.server.blobs.queries import BlobRow, SqliteLog
 from kleinkram.server.blobs.summaries import publish_file_changes, record_summaries
 from kleinkram.server.db import Connection, among, unnest_rows
-from kleinkram.server.jobs.queue import Job, Urgency, enqueue, has_job, settle, start_now, waiting
+from kleinkram.server.jobs.queue import Job, Priority, enqueue, has_job, settle, start_now, waiting
 from kleinkram.server.tables import blob, file, mission
 
 _TOMORROW = datetime.timedelta(days=1)
@@ -32,12 +32,12 @@ async def examine_blobs(db: Connection, blob_ids: Sequence[uuid.UUID]) -> None:
     small_ids = set((await db.execute(queries.small_among(blob_ids))).scalars())
     small = [str(blob_id) for blob_id in blob_ids if blob_id in small_ids]
     large = [str(blob_id) for blob_id in blob_ids if blob_id not in small_ids]
-    await enqueue(db, Job.examine_blob, ids=small, urgency=Urgency.soon)
-    await enqueue(db, Job.summarise_blob, ids=large, urgency=Urgency.soon)
-    await enqueue(db, Job.verify_blob, ids=large, urgency=Urgency.whenever)
+    await enqueue(db, Job.examine_blob, ids=small, priority=Priority.high)
+    await enqueue(db, Job.summarise_blob, ids=large, priority=Priority.high)
+    await enqueue(db, Job.verify_blob, ids=large, priority=Priority.normal)
 
 
-async def examine_forgotten(db: Connection, *, store_id: str, limit: int) -> None:
+async def requeue_unfinished(db: Connection, *, store_id: str, limit: int) -> None:
     """Queue blobs again whose jobs gave up, for example because the store was away for long.
 
     A failed summary is tried again once a day.
@@ -58,7 +58,7 @@ async def examine_forgotten(db: Connection, *, store_id: str, limit: int) -> Non
             .limit(limit)
         )
         ids = [str(blob_id) for blob_id in (await db.execute(statement)).scalars()]
-        await enqueue(db, job, ids=ids, urgency=Urgency.whenever)
+        await enqueue(db, job, ids=ids, priority=Priority.normal)
 
 
 async def examine_old(db: Connection, *, store_id: str, older_than_days: int, limit: int) -> None:
@@ -72,7 +72,7 @@ async def examine_old(db: Connection, *, store_id: str, older_than_days: int, li
     old = queries.verified_before(func.now() - datetime.timedelta(days=older_than_days))
     due = old.where(blob.c.store_id == store_id, ~has_job(Job.verify_blob, blob.c.id)).limit(room)
     ids = [str(blob_id) for blob_id in (await db.execute(due)).scalars()]
-    await enqueue(db, Job.verify_blob, ids=ids, urgency=Urgency.at_leisure)
+    await enqueue(db, Job.verify_blob, ids=ids, priority=Priority.low)
 
 
 async def verify_again(db: Connection, blob_id: uuid.UUID) -> None:
@@ -81,12 +81,12 @@ async def verify_again(db: Connection, blob_id: uuid.UUID) -> None:
     if (await db.execute(queued)).first() is not None:
         await start_now(db, Job.verify_blob, blob_id)
         return
-    await enqueue(db, Job.verify_blob, ids=[str(blob_id)], urgency=Urgency.soon)
+    await enqueue(db, Job.verify_blob, ids=[str(blob_id)], priority=Priority.high)
 
 
 async def verify_tomorrow(db: Connection, blob_id: uuid.UUID) -> None:
     """Queue a blob that the store failed to return for one more verification: the store may have been at fault."""
-    await enqueue(db, Job.verify_blob, ids=[str(blob_id)], urgency=Urgency.at_leisure, later=_TOMORROW)
+    await enqueue(db, Job.verify_blob, ids=[str(blob_id)], priority=Priority.low, later=_TOMORROW)
 
 
 # -- reading rows -----------------------------------------------------------------------------------------------------

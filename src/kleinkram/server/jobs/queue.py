@@ -19,17 +19,17 @@ class Job(str, enum.Enum):
     examine_blob = "examine_blob"
     group_recordings = "group_recordings"
     finish_uploads = "finish_uploads"
-    tend_runs = "tend_runs"
+    maintain_runs = "maintain_runs"
     collect_garbage = "collect_garbage"
     scrub = "scrub"
 
 
-class Urgency(enum.IntEnum):
+class Priority(enum.IntEnum):
     """Priority: work that a person waits for, then necessary work, then work that can wait."""
 
-    at_leisure = -10
-    whenever = 0
-    soon = 10
+    low = -10
+    normal = 0
+    high = 10
 
 
 # Verification reads everything once, small files come by the thousand, and grouping waits for uploads: each has its own
@@ -51,7 +51,7 @@ _DEFER = text(
     " FROM unnest(CAST(:ids AS text[])) WITH ORDINALITY AS given (ref, place)"
 )
 
-_HASTEN = text(
+_RAISE_PRIORITY = text(
     "UPDATE procrastinate_jobs SET priority = :priority"
     " WHERE task_name = :task AND status = 'todo' AND args ->> 'ref' = :ref AND priority < :priority"
 )
@@ -62,22 +62,22 @@ _START_NOW = text(
 
 
 async def enqueue(
-    db: Connection, job: Job, *, ids: Sequence[str], urgency: Urgency, later: datetime.timedelta | None = None
+    db: Connection, job: Job, *, ids: Sequence[str], priority: Priority, later: datetime.timedelta | None = None
 ) -> None:
     """Enqueue a job for each id, in order, in the caller's transaction; with `later`, to start after that time."""
     if ids:
-        parameters = {"lane": _LANES.get(job, DEFAULT), "task": job.value, "priority": int(urgency), "ids": [*ids]}
+        parameters = {"lane": _LANES.get(job, DEFAULT), "task": job.value, "priority": int(priority), "ids": [*ids]}
         await db.execute(_DEFER, {**parameters, "later": later})
 
 
-async def hasten(db: Connection, job: Job, ref: uuid.UUID) -> None:
+async def raise_priority(db: Connection, job: Job, ref: uuid.UUID) -> None:
     """Raise the priority of the waiting job for an id."""
-    await db.execute(_HASTEN, {"task": job.value, "ref": str(ref), "priority": int(Urgency.soon)})
+    await db.execute(_RAISE_PRIORITY, {"task": job.value, "ref": str(ref), "priority": int(Priority.high)})
 
 
 async def start_now(db: Connection, job: Job, ref: uuid.UUID) -> None:
     """Like `hasten`; also start the job now if it is scheduled for later, such as a retry."""
-    await hasten(db, job, ref)
+    await raise_priority(db, job, ref)
     await db.execute(_START_NOW, {"task": job.value, "ref": str(ref)})
 
 
@@ -133,7 +133,7 @@ _LOGINS = text("DELETE FROM login_request WHERE expires_at < now() - interval '1
 _AUTHORIZATION_REQUESTS = text("DELETE FROM oidc_login WHERE expires_at < now()")
 
 
-async def forget_ended(db: Connection) -> None:
+async def delete_expired_rows(db: Connection) -> None:
     """Delete failed jobs after a week, cleaned uploads and codes after a month, and expired logins."""
     for statement in (_JOBS, _UPLOADS, _CODES, _LOGINS, _AUTHORIZATION_REQUESTS):
         await db.execute(statement)

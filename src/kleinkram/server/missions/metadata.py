@@ -34,7 +34,7 @@ _LISTED = 20
 
 
 @dataclass(frozen=True)
-class Near:
+class Suggestion:
     """An unknown word, and a similar known one."""
 
     written: str
@@ -49,24 +49,24 @@ class Near:
         return f"; did you mean {closest[0]!r}?" if closest else ""
 
 
-class Wrong(ValueError):
+class InvalidValue(ValueError):
     """A value does not fit its field; the text says why. `path` leads to the part of the value that is meant."""
 
-    def __init__(self, message: str, path: Path = (), near: Near | None = None) -> None:
+    def __init__(self, message: str, path: Path = (), near: Suggestion | None = None) -> None:
         super().__init__(message)
         self.path = path
         self.near = near
 
 
 @dataclass(frozen=True)
-class Judgement:
+class ValidationResult:
     """Validated metadata of a mission, and their problems."""
 
     metadata: Metadata
     problems: list[FieldProblem]
 
 
-class Judge:
+class MetadataValidator:
     """The fields of one project, made ready to judge many missions."""
 
     def __init__(self, fields: MetadataFields) -> None:
@@ -80,7 +80,7 @@ class Judge:
         self._undeclared = fields.undeclared
         self._accept = {field.name: _acceptor(field) for field in fields.fields}
 
-    def judge(self, document: Document) -> Judgement:
+    def judge(self, document: Document) -> ValidationResult:
         """Return what to store of a document whose value is a mapping, and every problem in it, by place."""
         values = document.value if isinstance(document.value, dict) else {}
         metadata: Metadata = {}
@@ -90,13 +90,13 @@ class Judge:
                 problems.append(problem)
         problems.sort(key=lambda problem: (problem.line or 0, problem.column or 0))
         self._complete(values, metadata, problems)
-        return Judgement(metadata, problems)
+        return ValidationResult(metadata, problems)
 
     def accept(self, name: str, value: JsonValue) -> JsonValue:
         """Return a value of a declared field as it is stored.
 
         Raises:
-            Wrong: it does not fit the field.
+            InvalidValue: it does not fit the field.
         """
         return self._accept[name](value)
 
@@ -104,7 +104,7 @@ class Judge:
         """Return a field's default as it is stored.
 
         Raises:
-            Wrong: it does not fit the field.
+            InvalidValue: it does not fit the field.
         """
         default: JsonValue = field.model_dump(mode="json", exclude_none=True).get("default")
         return None if default is None else self._accept[field.name](default)
@@ -114,7 +114,7 @@ class Judge:
     ) -> FieldProblem | None:
         try:
             accepted = self._accepted(key, value)
-        except Wrong as wrong:
+        except InvalidValue as wrong:
             path = (key, *wrong.path)
             place = document.place(path)
             where = {"line": place.line, "column": place.column} if place else {}
@@ -128,9 +128,9 @@ class Judge:
         if key in self._fields:
             return None if value is None or value == "" else self._accept[key](value)
         if spelled := self._folded.get(key.casefold()):
-            raise Wrong(f"is spelled {spelled!r} in this project")
+            raise InvalidValue(f"is spelled {spelled!r} in this project")
         if self._undeclared is Undeclared.refuse:
-            raise Wrong("is not a field of this project", near=Near(key, tuple(self._fields)))
+            raise InvalidValue("is not a field of this project", near=Suggestion(key, tuple(self._fields)))
         return _finite(value, ())
 
     def _complete(self, values: Mapping[str, JsonValue], metadata: Metadata, problems: list[FieldProblem]) -> None:
@@ -166,7 +166,7 @@ def satisfying(document: Document, fields: MetadataFields) -> Metadata:
     Raises:
         MetadataInvalid: it does not; names everything missing, wrong or unknown.
     """
-    judgement = Judge(fields).judge(document)
+    judgement = MetadataValidator(fields).judge(document)
     if judgement.problems:
         raise MetadataInvalid(problems=judgement.problems)
     return judgement.metadata
@@ -193,7 +193,7 @@ Acceptor = Callable[[JsonValue], JsonValue]
 
 
 def _acceptor(field: MetadataField) -> Acceptor:
-    """Return the function that gives a value in its stored form, or raises Wrong."""
+    """Return the function that gives a value in its stored form, or raises InvalidValue."""
     if field.type is FieldType.string:
         return _string(field.pattern)
     if field.type is FieldType.number:
@@ -217,7 +217,7 @@ def _text(value: JsonValue, expected: str) -> str:
     if isinstance(value, str):
         return value
     hint = "; put it in quotes" if isinstance(value, bool | int | float) else ""
-    raise Wrong(f"is {_kind(value)}, but {expected} is wanted{hint}")
+    raise InvalidValue(f"is {_kind(value)}, but {expected} is wanted{hint}")
 
 
 def _string(pattern: str | None) -> Acceptor:
@@ -232,24 +232,24 @@ def _string(pattern: str | None) -> Acceptor:
         try:
             return whole.validate_python(text)
         except ValidationError:
-            raise Wrong(f"is {text!r}, which does not match the pattern {pattern}") from None
+            raise InvalidValue(f"is {text!r}, which does not match the pattern {pattern}") from None
 
     return accept
 
 
 def _number(value: JsonValue, unit: str | None) -> JsonValue:
     if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise Wrong(f"is {_kind(value)}, but a number is wanted")
+        raise InvalidValue(f"is {_kind(value)}, but a number is wanted")
     if not isinstance(value, str):
         return _finite(value, ())
     match = _WITH_UNIT.fullmatch(value.strip())
     if match is None:
-        raise Wrong(f"is the text {value!r}, but a number is wanted")
+        raise InvalidValue(f"is the text {value!r}, but a number is wanted")
     unit_in_text = unicodedata.normalize("NFC", match[2].strip())
     if unit is None:
-        raise Wrong(f"is given in {unit_in_text!r}, but this field has no unit")
+        raise InvalidValue(f"is given in {unit_in_text!r}, but this field has no unit")
     if unit_in_text != unicodedata.normalize("NFC", unit):
-        raise Wrong(f"is given in {unit_in_text!r}, but this field is in {unit!r}")
+        raise InvalidValue(f"is given in {unit_in_text!r}, but this field is in {unit!r}")
     number = match[1]
     return _finite(int(number) if number.lstrip("+-").isdigit() else float(number), ())
 
@@ -257,7 +257,7 @@ def _number(value: JsonValue, unit: str | None) -> JsonValue:
 def _boolean(value: JsonValue) -> JsonValue:
     if not isinstance(value, bool):
         shown = f"the text {value!r}" if isinstance(value, str) else _kind(value)
-        raise Wrong(f"is {shown}; write true or false")
+        raise InvalidValue(f"is {shown}; write true or false")
     return value
 
 
@@ -269,7 +269,7 @@ def _listing(choices: list[str]) -> str:
 def _choice(value: JsonValue, choices: list[str]) -> JsonValue:
     text = _text(value, f"one of {_listing(choices)}")
     if text not in choices:
-        raise Wrong(f"is {text!r}, which is none of: {_listing(choices)}", near=Near(text, tuple(choices)))
+        raise InvalidValue(f"is {text!r}, which is none of: {_listing(choices)}", near=Suggestion(text, tuple(choices)))
     return text
 
 
@@ -277,7 +277,7 @@ def _date(value: JsonValue) -> JsonValue:
     stored = iso_text(value.strip()) if isinstance(value, str) else None
     if stored is None:
         shown = repr(value) if isinstance(value, str) else _kind(value)
-        raise Wrong(f"is {shown}; write a date like 2024-05-31, or with time like 2024-05-31T14:00Z")
+        raise InvalidValue(f"is {shown}; write a date like 2024-05-31, or with time like 2024-05-31T14:00Z")
     return stored
 
 
@@ -285,12 +285,12 @@ def _location(value: JsonValue) -> JsonValue:
     if isinstance(value, str):
         return value
     if not isinstance(value, dict):
-        raise Wrong(f"is {_kind(value)}; write a place's name, or latitude and longitude in degrees")
+        raise InvalidValue(f"is {_kind(value)}; write a place's name, or latitude and longitude in degrees")
     _finite(value, ())
     try:
         place = Location.model_validate(value, strict=True)
     except ValidationError as error:
-        raise Wrong(in_plain_words(error), tuple(error.errors()[0]["loc"])) from None
+        raise InvalidValue(in_plain_words(error), tuple(error.errors()[0]["loc"])) from None
     stored: JsonValue = place.model_dump(mode="json", exclude_none=True)
     return stored
 
@@ -300,16 +300,16 @@ def _link(value: JsonValue) -> JsonValue:
     try:
         _URL.validate_python(text)
     except ValidationError:
-        raise Wrong("is not an address: write it like https://example.org/path") from None
+        raise InvalidValue("is not an address: write it like https://example.org/path") from None
     return text
 
 
 def _finite(value: JsonValue, path: Path) -> JsonValue:
     """Return a value that JSON can hold, whatever it is made of."""
     if isinstance(value, float) and not math.isfinite(value):
-        raise Wrong("is not a finite number", path)
+        raise InvalidValue("is not a finite number", path)
     if isinstance(value, int) and abs(value) > _MAX_INT:
-        raise Wrong("is too large a number to be kept", path)
+        raise InvalidValue("is too large a number to be kept", path)
     if isinstance(value, list):
         for index, item in enumerate(value):
             _finite(item, (*path, index))
@@ -329,7 +329,7 @@ _NAME_PARTS = re.compile(r"[a-z]+|[A-Z][a-z]*")
 
 def defaults(fields: MetadataFields) -> Metadata:
     """Return the values that the project itself says to begin with."""
-    judge = Judge(fields)
+    judge = MetadataValidator(fields)
     values = {field.name: judge.accept_default(field) for field in fields.fields}
     return {name: value for name, value in values.items() if value is not None}
 
@@ -339,7 +339,7 @@ def carried_over(fields: MetadataFields, last: Metadata) -> Metadata:
 
     Dates, weather and operator are left out: they differ, and a wrong one would look as if somebody had entered it.
     """
-    judge = Judge(fields)
+    judge = MetadataValidator(fields)
     begun = defaults(fields)
     declared = {field.name: field for field in fields.fields}
     known = {name.casefold() for name in declared}
@@ -351,7 +351,7 @@ def carried_over(fields: MetadataFields, last: Metadata) -> Metadata:
         if field is not None:
             try:
                 carried[name] = judge.accept(name, value)
-            except Wrong:
+            except InvalidValue:
                 continue
         elif fields.undeclared is Undeclared.accept and name.casefold() not in known:
             carried[name] = value

@@ -37,7 +37,14 @@ from kleinkram.server.filters.prepared import prepare
 from kleinkram.server.http.headers import require_match
 from kleinkram.server.missions import queries
 from kleinkram.server.missions.amounts import NOTHING
-from kleinkram.server.missions.metadata import Judge, carried_over, defaults, read_metadata, satisfying, write_template
+from kleinkram.server.missions.metadata import (
+    MetadataValidator,
+    carried_over,
+    defaults,
+    read_metadata,
+    satisfying,
+    write_template,
+)
 from kleinkram.server.pagination import PageRequest, fetch_listing
 from kleinkram.server.quotas import require_room_for_mission
 from kleinkram.server.tables import mission
@@ -254,7 +261,7 @@ async def rejudge_missions(db: Connection, project_id: uuid.UUID, fields: Metada
 
     Holds some hundred missions in memory at a time.
     """
-    judge = Judge(fields)
+    judge = MetadataValidator(fields)
     after: uuid.UUID | None = None
     while True:
         statement = queries.metadata_of_project(project_id, after=after, limit=_JUDGED_AT_ONCE)
@@ -327,7 +334,7 @@ def _audited_value(seen: MissionRead, name: str) -> Any:  # Any: whatever JSON t
     return seen.project.name if name == "project" else seen.model_dump(mode="json", include={name})[name]
 
 
-def _problems(judge: Judge, metadata: dict[str, Any]) -> list[dict[str, Any]]:
+def _problems(judge: MetadataValidator, metadata: dict[str, Any]) -> list[dict[str, Any]]:
     return [problem.model_dump(exclude_none=True) for problem in judge.judge(Document(metadata)).problems]
 
 
@@ -356,7 +363,7 @@ async def _judged_changes(
     fields = await _fields_after(db, actor, old.id, moves_to=None if project_id == old.project.id else project_id)
     moved: dict[str, Any] = {} if project_id == old.project.id else {"project_id": project_id}
     if document is None:
-        return moved | {"metadata_problems": _problems(Judge(fields), old.metadata)}
+        return moved | {"metadata_problems": _problems(MetadataValidator(fields), old.metadata)}
     metadata = satisfying(document, fields)
     text = changes.metadata_yaml if keeps_text else None
     same_document = not keeps_text or old.metadata_yaml == text

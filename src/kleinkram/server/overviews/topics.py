@@ -35,7 +35,7 @@ class TopicKey(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Merged:
+class MergedTopic:
     """One topic with one type in all recordings of a mission, as `MissionTopic` says; `places` are flat ranges."""
 
     key: TopicKey
@@ -51,22 +51,22 @@ class Merged:
     density: MessageDensity | None
 
 
-async def merge(rows: AsyncIterator[Row[Any]], recording_ids: Sequence[uuid.UUID]) -> AsyncIterator[Merged]:
+async def merge(rows: AsyncIterator[Row[Any]], recording_ids: Sequence[uuid.UUID]) -> AsyncIterator[MergedTopic]:
     """Yield merged topics of rows that come by name, type, recording and time; rows that are not placed only count."""
     places = {recording_id: place for place, recording_id in enumerate(recording_ids)}
-    one: _One | None = None
+    one: _TopicMerger | None = None
     async for row in rows:
         key = TopicKey(row.name, row.message_type)
         if one is None or one.key != key:
             if one is not None:
                 yield one.merged(places)
-            one = _One(key)
+            one = _TopicMerger(key)
         one.add(row)
     if one is not None:
         yield one.merged(places)
 
 
-class _One:
+class _TopicMerger:
     """A topic on the way."""
 
     def __init__(self, key: TopicKey) -> None:
@@ -77,7 +77,7 @@ class _One:
         self._recordings: set[uuid.UUID] = set()
         self._recording_id: uuid.UUID | None = None
         self._runs: list[StampRun] = []
-        self._whole = _Whole()
+        self._whole = _TopicTotals()
         self._densities: list[MessageDensity] = []
 
     def add(self, row: Row[Any]) -> None:
@@ -97,11 +97,11 @@ class _One:
         if len(self._densities) >= _ADDED_AT_ONCE:
             self._densities = [*_added(self._densities)]
 
-    def merged(self, places: Mapping[uuid.UUID, int]) -> Merged:
+    def merged(self, places: Mapping[uuid.UUID, int]) -> MergedTopic:
         self._end_recording()
         numbers = sorted(places[recording_id] for recording_id in self._recordings if recording_id in places)
         whole = self._whole
-        return Merged(
+        return MergedTopic(
             key=self.key,
             count=self._count,
             file_count=self._files,
@@ -124,7 +124,7 @@ class _One:
 
 
 @dataclass
-class _Whole:
+class _TopicTotals:
     """All recordings of one topic."""
 
     first_ns: int | None = None
@@ -171,7 +171,7 @@ class _MissionTopicData:
     span: tuple[int | None, int | None]
     bin_ns: int
     recordings: list[RecordingRef]
-    topics: list[Merged]
+    topics: list[MergedTopic]
     types: dict[str, list[str | None]]
     next: str | None
     is_current: bool
@@ -227,8 +227,8 @@ async def keep_topics(db: Connection, mission_id: uuid.UUID) -> None:
         await db.execute(insert(mission_topic), [_values(mission_id, merged) for merged in topics])
 
 
-async def _merged(db: Connection, statement: Select[Any], recording_ids: Sequence[uuid.UUID]) -> list[Merged]:
-    topics: list[Merged] = []
+async def _merged(db: Connection, statement: Select[Any], recording_ids: Sequence[uuid.UUID]) -> list[MergedTopic]:
+    topics: list[MergedTopic] = []
     async for merged in merge(_streamed(db, statement), recording_ids):
         topics.append(merged)
         if len(topics) == MAX_STORED_TOPICS:
@@ -290,7 +290,7 @@ def _axis(data: _MissionTopicData, bins: int) -> TimeAxis | None:
     return TimeAxis(start_ns=first << bits, bin_ns=1 << bits, bins=(end_ns >> bits) - first + 1)
 
 
-def _topic(merged: Merged, types: Sequence[str | None], axis: TimeAxis | None) -> MissionTopic:
+def _topic(merged: MergedTopic, types: Sequence[str | None], axis: TimeAxis | None) -> MissionTopic:
     counts = None
     if axis is not None and merged.density is not None:
         counts = on_axis(merged.density, start_ns=axis.start_ns, bin_ns=axis.bin_ns, bins=axis.bins)
@@ -311,7 +311,7 @@ def _topic(merged: Merged, types: Sequence[str | None], axis: TimeAxis | None) -
     )
 
 
-def _values(mission_id: uuid.UUID, merged: Merged) -> dict[str, object]:
+def _values(mission_id: uuid.UUID, merged: MergedTopic) -> dict[str, object]:
     return {
         "mission_id": mission_id,
         "name": merged.key.name,
@@ -333,9 +333,9 @@ def _bigint(value: int | None) -> int | None:
     return value if value is None or value <= _MAX_BIGINT else None  # a sum of what files claim
 
 
-def _from_row(row: Row[Any]) -> Merged:
+def _from_row(row: Row[Any]) -> MergedTopic:
     density: MessageDensity | None = unpack(row.density) if row.density is not None else None
-    return Merged(
+    return MergedTopic(
         key=TopicKey(row.name, row.message_type),
         count=row.message_count,
         file_count=row.file_count,

@@ -25,7 +25,7 @@ from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.filters.missions import filter_projects
 from kleinkram.server.http.headers import require_match
 from kleinkram.server.missions import service as missions
-from kleinkram.server.missions.metadata import Judge, Wrong
+from kleinkram.server.missions.metadata import InvalidValue, MetadataValidator
 from kleinkram.server.pagination import PageRequest, fetch_page
 from kleinkram.server.projects.queries import lock_project, project_order, project_rows, to_projects
 from kleinkram.server.settings import Creators
@@ -264,12 +264,12 @@ def _unusable(fields: MetadataFields) -> list[tuple[Path, str]]:
 
 def _find_problem(field: MetadataField) -> tuple[str, str] | None:
     try:
-        judge = Judge(MetadataFields(fields=[field]))
+        judge = MetadataValidator(MetadataFields(fields=[field]))
     except SchemaError as error:
         reason = str(error).strip().splitlines()[-1].split("rror: ")[-1]
         return "pattern", f"is not a regular expression: {reason}"
     try:
         judge.accept_default(field)
-    except Wrong as wrong:
+    except InvalidValue as wrong:
         return "default", str(wrong)
     return None

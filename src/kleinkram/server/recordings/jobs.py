@@ -33,7 +33,7 @@ _LONG_S = 0.1
 _TIMES, _MOST_S = 4.0, 30.0
 
 
-class Rests:
+class RegroupDebounce:
     """Until when each mission rests that took long. One a worker."""
 
     def __init__(self) -> None:
@@ -60,7 +60,7 @@ _LIMIT_S = 60.0
 _REMEMBERED_BYTES = 8 * 1024 * 1024
 
 
-class Understanding:
+class MetadataCache:
     """Understands metadata.yaml files, and remembers them up to a bound. One a worker."""
 
     def __init__(self, readers: ReaderProcesses) -> None:
@@ -112,7 +112,7 @@ _MAX_UNHURRIED_FILES = 50
 @queue.task(name=Job.group_recordings.value, pass_context=True, retry=RETRY_STRATEGY)
 async def group_recordings(job_context: JobContext, ref: str) -> None:
     """Derive a mission's recordings; whatever changes meanwhile asks for another round."""
-    context, rests = app_context(job_context), worker_resource(job_context, "rests", Rests)
+    context, rests = app_context(job_context), worker_resource(job_context, "rests", RegroupDebounce)
     mission_id = uuid.UUID(ref)
     if (left := rests.left(mission_id)) > datetime.timedelta():
         async with context.database.begin() as db:
@@ -125,7 +125,7 @@ async def group_recordings(job_context: JobContext, ref: str) -> None:
     async with context.database.begin() as db:
         await missions.lock_mission(db, mission_id)
         rows = await derive.live_files(db, mission_id, named=METADATA_NAME)
-    stated = await worker_resource(job_context, "understanding", Understanding).of(context, rows)
+    stated = await worker_resource(job_context, "understanding", MetadataCache).of(context, rows)
     async with context.database.begin() as db:
         if not await missions.lock_mission(db, mission_id):
             return

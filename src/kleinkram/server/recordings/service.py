@@ -10,7 +10,7 @@ from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import RecordingRead
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.db import Connection
-from kleinkram.server.jobs.queue import Job, Urgency, enqueue, has_job
+from kleinkram.server.jobs.queue import Job, Priority, enqueue, has_job
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pagination import PageRequest, fetch_page
 from kleinkram.server.recordings import queries
@@ -30,13 +30,13 @@ async def regroup(db: Connection, mission_id: uuid.UUID) -> None:
     changed = update(mission).where(mission.c.id == mission_id).values(files_revision=mission.c.files_revision + 1)
     await db.execute(changed)
     if not await awaits_regrouping(db, mission_id):
-        await enqueue(db, Job.group_recordings, ids=[str(mission_id)], urgency=Urgency.soon)
+        await enqueue(db, Job.group_recordings, ids=[str(mission_id)], priority=Priority.high)
 
 
 async def regroup_later(db: Connection, mission_id: uuid.UUID, later: datetime.timedelta) -> None:
     """See to it that a mission's recordings are derived in a while, together with what changes until then."""
     if not await awaits_regrouping(db, mission_id):
-        await enqueue(db, Job.group_recordings, ids=[str(mission_id)], urgency=Urgency.soon, later=later)
+        await enqueue(db, Job.group_recordings, ids=[str(mission_id)], priority=Priority.high, later=later)
 
 
 async def awaits_regrouping(db: Connection, mission_id: uuid.UUID) -> bool:
@@ -54,7 +54,7 @@ async def regroup_forgotten(db: Connection, *, limit: int) -> None:
         ~has_job(Job.group_recordings, mission.c.id),
     )
     ids = (await db.execute(stale.limit(limit))).scalars().all()
-    await enqueue(db, Job.group_recordings, ids=ids, urgency=Urgency.whenever)
+    await enqueue(db, Job.group_recordings, ids=ids, priority=Priority.normal)
 
 
 async def get_recording(db: Connection, actor: Actor, recording_id: uuid.UUID) -> RecordingRead:

@@ -15,8 +15,8 @@ _BATCH = 500
 
 
 @queue.periodic(cron="* * * * *")
-@queue.task(name=Job.tend_runs.value, pass_context=True, queueing_lock="tend_runs", lock="tend_runs")
-async def tend_runs(job_context: JobContext, timestamp: int = 0) -> None:
+@queue.task(name=Job.maintain_runs.value, pass_context=True, queueing_lock="maintain_runs", lock="maintain_runs")
+async def maintain_runs(job_context: JobContext, timestamp: int = 0) -> None:
     """Maintain runs, once a minute."""
     await maintain_runs_once(app_context(job_context))
 

@@ -20,7 +20,7 @@ from kleinkram.contract.uploads import Present, Send, StoredPart, UploadDecision
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
-from kleinkram.server.jobs.queue import Job, Urgency, enqueue
+from kleinkram.server.jobs.queue import Job, Priority, enqueue
 from kleinkram.server.tables import blob, run, run_artifact, upload
 from kleinkram.server.tables.blobs import UNDER_WAY
 from kleinkram.server.tables.runs import ASSIGNED
@@ -159,5 +159,5 @@ async def make_artifacts(db: Connection, run_id: uuid.UUID, uploads: Sequence[Up
             await db.execute(update(run).where(run.c.id == run_id).values(log_blob_id=blob_ids[row.id]))
     done = {"state": UploadState.done.value, "cleaned_at": func.now()}
     await db.execute(update(upload).where(among(upload.c.id, blob_ids)).values(**done))
-    await enqueue(db, Job.verify_blob, ids=[str(id_) for id_ in blob_ids.values()], urgency=Urgency.whenever)
+    await enqueue(db, Job.verify_blob, ids=[str(id_) for id_ in blob_ids.values()], priority=Priority.normal)
     return {}
