@@ -2915,7 +2915,7 @@ export interface components {
         };
         /**
          * BlobState
-         * @description What is known of the bytes: the store's checksums agreed; the server read them; gone; not what they were.
+         * @description State of a file's bytes: checksums confirmed by the store; read by the server; missing; or altered.
          * @enum {string}
          */
         BlobState: "stored" | "verified" | "lost" | "corrupt";
@@ -2966,7 +2966,7 @@ export interface components {
         };
         /**
          * ChecksumKind
-         * @description How the store verifies what it received, as found by the server's probe when it started.
+         * @description Method by which the store verifies received bytes, as probed when the server started.
          *
          *     `crc64nvme`: every part by a signed CRC-64/NVME header, and the whole object by the full-object CRC-64/NVME.
          *     `sha256`: every part by a signed SHA-256 header. `md5`: every part by a signed Content-MD5, for old stores.
@@ -3119,7 +3119,7 @@ export interface components {
         };
         /**
          * Density
-         * @description How many messages lie where in time.
+         * @description Distribution of messages over time.
          *
          *     `counts[k]` are the messages from `start_ns + k * bin_ns` on, that time included, up to the next bin. `bin_ns` is a
          *     power of two, and `start_ns` a multiple of it. Stamps that cannot be true are in no bin.
@@ -3149,7 +3149,7 @@ export interface components {
         };
         /**
          * DerivedTokens
-         * @description What happens to the tokens that were created with a revoked token.
+         * @description Treatment of tokens that were created with a revoked token.
          * @enum {string}
          */
         DerivedTokens: "ended" | "valid";
@@ -3378,7 +3378,7 @@ export interface components {
         };
         /**
          * FieldType
-         * @description What kind of value a metadata field takes.
+         * @description Type of a metadata field.
          * @enum {string}
          */
         FieldType: "string" | "number" | "boolean" | "date" | "location" | "link" | "choice";
@@ -3698,7 +3698,7 @@ export interface components {
         GranteeKind: "person" | "group" | "email";
         /**
          * GrantOn
-         * @description What a grant is on. A grant on a project applies to all its missions.
+         * @description Object of a grant. A grant on a project applies to all its missions.
          * @enum {string}
          */
         GrantOn: "project" | "mission";
@@ -3745,7 +3745,7 @@ export interface components {
         };
         /**
          * GroupKind
-         * @description How a group gets its members.
+         * @description Source of a group's members.
          *
          *     `person`: always one person. `email`: the person with that verified address. `custom`: added by its editors.
          *     `affiliation`: by the domain of a verified address. `admins`: added by admins.
@@ -4405,7 +4405,7 @@ export interface components {
         MissionSort: "name" | "-name" | "created" | "-created" | "start" | "-start";
         /**
          * MissionTemplate
-         * @description What to fill in for a project's next mission: as YAML, or as a form of `fields` with `values` to begin with.
+         * @description Template for the next mission of a project: as YAML, or as a form of `fields` with initial `values`.
          *
          *     `carried` are values of the mission `prefilled_from`, for somebody to confirm field by field. In the YAML they
          *     stand in comments. Dates, weather and operator are not among them.
@@ -4503,7 +4503,7 @@ export interface components {
         };
         /**
          * MissionUpdate
-         * @description What to change of a mission; what is left out stays. A new `project_id` moves it, files and all.
+         * @description Changes of a mission; omitted fields stay. A new `project_id` moves the mission with its files.
          *
          *     `metadata_yaml` is all metadata anew; with `merge_yaml`, it changes the fields that it names, and a field without a
          *     value (null) is removed. `metadata` changes the fields that it names, null takes one away, and the
@@ -4529,13 +4529,13 @@ export interface components {
         };
         /**
          * Need
-         * @description What needs attention. The last four concern the whole server, and are for admins.
+         * @description Reasons for attention. The last four concern the whole server and are shown to admins.
          * @enum {string}
          */
         Need: "files_corrupt" | "files_lost" | "files_broken" | "files_unread" | "files_recovered" | "runs_cannot_start" | "runs_failed" | "metadata_missing" | "scrub_stopped" | "verifications_overdue" | "jobs_failed" | "disk_low";
         /**
          * Network
-         * @description What a run can reach: nothing, the API and the store with its own token, or everything its machine reaches.
+         * @description Network access of a run: none, the API and the store with its own token, or that of its machine.
          * @enum {string}
          */
         Network: "none" | "api" | "open";
@@ -4573,7 +4573,7 @@ export interface components {
         };
         /**
          * Overview
-         * @description What a project amounts to, or all that one may see, by `month` of recording or by a metadata field.
+         * @description Totals of a project, or of everything visible, by `month` of recording or by a metadata field.
          *
          *     Months and numbers come in their order. Other values come with the longest recorded first, as many as were asked
          *     for, and `other` is all that are left. `unit` is that of a field of numbers. `topics` are the distinct names of
@@ -4842,7 +4842,7 @@ export interface components {
         };
         /**
          * ParameterType
-         * @description What kind of value a parameter takes. A `topic` is a string that forms offer the mission's topics for.
+         * @description Type of a parameter. A `topic` is a string for which forms offer the topics of the mission.
          * @enum {string}
          */
         ParameterType: "string" | "integer" | "number" | "boolean" | "choice" | "topic";
@@ -5360,7 +5360,7 @@ export interface components {
         };
         /**
          * Right
-         * @description What somebody may do with a project or a mission. Each right includes those before it; compare by `level`.
+         * @description Rights on a project or a mission. Each right includes those before it; compare by `level`.
          * @enum {string}
          */
         Right: "READ" | "CREATE" | "WRITE" | "DELETE";
@@ -5814,7 +5814,7 @@ export interface components {
         RunState: "queued" | "preparing" | "running" | "collecting" | "done" | "failed" | "cancelled";
         /**
          * Scope
-         * @description What a token may be used for, within the rights of its person.
+         * @description Scopes of a token, within the rights of its person.
          *
          *     `read`: view and download. `upload`: create missions and upload files, seeing only names. `write`: change and
          *     delete, and also `read` and `upload`. `run`: start and cancel runs. `admin`: everything, including granting rights
@@ -6035,7 +6035,7 @@ export interface components {
         };
         /**
          * SharedRead
-         * @description What a link shows now, to those who have it.
+         * @description Current content of a share link.
          */
         SharedRead: {
             /**
@@ -6510,7 +6510,7 @@ export interface components {
         };
         /**
          * Undeclared
-         * @description What a project does with metadata keys that none of its fields declares.
+         * @description Treatment of metadata keys that no field declares.
          * @enum {string}
          */
         Undeclared: "accept" | "refuse";
@@ -6564,10 +6564,10 @@ export interface components {
          * UploadFile
          * @description One file that a client wants to upload. Hashes where they are known already, lower-case hex.
          *
-         *     Small files come with both hashes at once, so that most are decided in one answer, and where there is one part, its
-         *     address is in it.
-         *     `upload_id` resumes an earlier upload of the same path and size; where there is none, one begins by that id. So who
-         *     says the same twice, since an answer did not come, gets what the first began.
+         *     Clients send both hashes of small files at once: most are then decided in one response, which also contains the
+         *     URL of the part where there is only one.
+         *     `upload_id` resumes an earlier upload of the same path and size, or starts one with that id. Repeating a request
+         *     with the same id therefore returns the upload that the first request created.
          */
         UploadFile: {
             /** Crc64Nvme */
