@@ -72,7 +72,7 @@ def test_renaming_to_itself_or_another_case_works(api: Api, sample: Sample, miss
 
 
 @pytest.mark.parametrize(
-    ("there", "expected", "code"),
+    ("there", "required", "code"),
     [
         ("a.mcap", "a.mcap", "name_taken"),
         ("Straße.mcap", "STRASSE.mcap", "name_taken"),
@@ -94,7 +94,7 @@ def test_a_path_that_is_taken_is_refused(
     assert api.events(file_id) == []
 
 
-@pytest.mark.parametrize(("there", "wanted"), [("a.b", "a"), ("a", "a.b"), ("a-/x", "a"), ("a0", "a/b"), ("b/a", "a")])
+@pytest.mark.parametrize(("there", "required"), [("a.b", "a"), ("a", "a.b"), ("a-/x", "a"), ("a0", "a/b"), ("b/a", "a")])
 def test_a_path_beside_a_similar_one_is_fine(api: Api, sample: Sample, mission: str, there: str, required: str) -> None:
     sample.file(mission, there)
     file_id = sample.file(mission, "mine.mcap")

@@ -65,7 +65,7 @@ FRONT, NOTES, REAR = "Bags/front.mcap", "notes_1.txt", "rear.bag"
 
 
 @pytest.mark.parametrize(
-    ("query", "actual"),
+    ("query", "result"),
     [
         ({}, [FRONT, NOTES, REAR]),
         ({"mission": "alps"}, [FRONT, NOTES]),
@@ -107,7 +107,7 @@ def test_files(api: Api, project: Any, query: Query, result: list[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("query", "actual"),
+    ("query", "result"),
     [
         ({}, "Alps Lake"),
         ({"name": "ALPS"}, "Alps"),
@@ -150,7 +150,7 @@ def test_a_project_is_selected_by_name_or_pattern(api: Api, project: Any) -> Non
 
 
 @pytest.mark.parametrize(
-    ("sort", "actual"),
+    ("sort", "result"),
     [
         ("path", [FRONT, NOTES, REAR]),
         ("-path", [REAR, NOTES, FRONT]),

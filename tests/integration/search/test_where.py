@@ -22,7 +22,7 @@ def project_id(api: Api, sample: Sample) -> str:
 
 
 @pytest.mark.parametrize(
-    ("expression", "actual"),
+    ("expression", "result"),
     [
         ("robot=anymal", "one"),
         ("robot = anymal", "one"),
@@ -97,7 +97,7 @@ def test_values_outside_the_range_of_the_database_are_refused(api: Api, query: d
 
 
 @pytest.mark.parametrize(
-    ("sort", "actual"),
+    ("sort", "result"),
     [
         ("meta.robot", ["three", "one", "two", "none"]),
         ("-meta.robot", ["two", "one", "three", "none"]),

@@ -15,7 +15,7 @@ from tests.integration.upload_client import begin, complete, fetch, send, upload
 _BLOCK = "SELECT 1 FROM mission WHERE id = %s FOR UPDATE"
 
 
-@pytest.fixture(name="twin")
+@pytest.fixture(name="duplicate")
 def _duplicate(api: Api) -> bytes:
     """What is in a file of another mission already, so that it is linked and not sent."""
     body = os.urandom(1000)

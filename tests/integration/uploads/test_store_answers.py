@@ -72,7 +72,7 @@ def _is_multipart(requested: ProxiedRequest) -> bool:
     return "uploadId" in requested.query
 
 
-@pytest.mark.parametrize("said", [item for item in _PASSING if isinstance(item, Reply)], ids=repr)
+@pytest.mark.parametrize("shown", [item for item in _PASSING if isinstance(item, Reply)], ids=repr)
 def test_a_store_that_cannot_now_does_not_end_an_upload(
     api: Api, middleman: Middleman, mission_id: str, shown: Reply
 ) -> None:
