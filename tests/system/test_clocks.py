@@ -78,7 +78,7 @@ def _check_reports(cluster: Cluster, hours: int) -> None:
     ).stdout
     (line,) = [line for line in runtime_info.splitlines() if "clock against the API" in line]
     assert line.startswith("PROBLEM")
-    assert "let both machines set their clocks (NTP)" in line
+    assert "set the clocks of both machines by NTP" in line
 
 
 def _time_at(url: str) -> datetime.datetime:

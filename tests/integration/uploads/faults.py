@@ -188,7 +188,7 @@ FAULTS = [
         ObjectChecksums.differs_from,
         "if self.size_bytes",
         "if True:\n        return None\n    if self.size_bytes",
-        "_see_what_is_told",
+        "_check_answer",
         "bring, object altered, verify",
     ),
     Fault(
@@ -196,7 +196,7 @@ FAULTS = [
         scrub._compare_blob,
         " or listed_bytes != row.size_bytes",
         "",
-        "_see_what_is_told",
+        "_check_answer",
         "bring, object cut, scrub",
     ),
     Fault(
@@ -204,7 +204,7 @@ FAULTS = [
         service.record_verified,
         '"state": BlobState.verified.value, "state_reason"',
         '"state_reason"',
-        "_see_what_is_told",
+        "_check_answer",
         "bring, object gone, verify, object whole, verify",
     ),
 ]
