@@ -98,12 +98,13 @@ def run(options: UpOptions) -> None:
             while True:
                 try:
                     supervisor.start()
-                except ServiceFailed:
+                except ServiceFailed as error:
                     supervisor.stop()
                     taken = taken_ports(listening, supervisor.plan.ports)
-                    if not taken:
+                    # The other program may have released the port already.
+                    if not taken and "address already in use" not in str(error).lower():
                         raise
-                    _log_taken(taken)
+                    _log_taken(taken or ["a port"])
                     supervisor.plan = make_plan(options)
                     supervisor.start()
                 _print_address(supervisor, options)

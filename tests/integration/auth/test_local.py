@@ -205,7 +205,10 @@ def test_a_hash_of_older_parameters_is_renewed_by_signing_in(api: Api) -> None:
     sign_in(Browser(api), made.email)
 
 
-def test_guessing_is_refused_to_an_address_whether_it_is_there_or_not(start_api: StartApi) -> None:
+def test_guessing_is_refused_to_an_address_whether_it_is_there_or_not(
+    start_api: StartApi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rate_limit, "_WINDOW", rate_limit._WINDOW * 60 * 24 * 365)
     api = start_api(sign_ins_per_minute=3)
     tries = [
         Browser(api).post("/auth/password", {"email": "nobody@lab.example", "password": f"guess number {number}"})

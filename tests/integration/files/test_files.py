@@ -94,7 +94,9 @@ def test_a_path_that_is_taken_is_refused(
     assert api.events(file_id) == []
 
 
-@pytest.mark.parametrize(("there", "required"), [("a.b", "a"), ("a", "a.b"), ("a-/x", "a"), ("a0", "a/b"), ("b/a", "a")])
+@pytest.mark.parametrize(
+    ("there", "required"), [("a.b", "a"), ("a", "a.b"), ("a-/x", "a"), ("a0", "a/b"), ("b/a", "a")]
+)
 def test_a_path_beside_a_similar_one_is_fine(api: Api, sample: Sample, mission: str, there: str, required: str) -> None:
     sample.file(mission, there)
     file_id = sample.file(mission, "mine.mcap")
