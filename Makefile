@@ -60,6 +60,7 @@ check: setup
 	@$(BIN)/ruff format --check --quiet . && $(BIN)/ruff check --quiet .
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports --no-cache | tail -n 4
+	@$(BIN)/python -m tools.check_names
 	@$(BIN)/python docs/generate.py --check
 	@web/npm run --silent check
 	@$(BIN)/python -m pytest -q tests/integration/test_migrations.py
