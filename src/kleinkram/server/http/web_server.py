@@ -32,7 +32,7 @@ _BODY_BYTES_PER_S = 4096
 _FRAMING_BYTES = 64 * 1024
 _FRAMING_PER_BODY_BYTE = 16
 # A client that got a response before it sent the whole request has this time to read it.
-_SIGN_BATCH_DELAY_S = 10.0
+_LINGER_S = 10.0
 _MAX_CONNECTIONS = 16_384
 # Files that this process opens for the database, the store and logs.
 _OTHER_FILES = 256
@@ -265,7 +265,7 @@ class LimitedHttp(HttpToolsProtocol):
         super().on_response_complete()
         if self._is_in_body and not self.transport.is_closing():
             self._cancel_timeout()
-            self._timer = self.loop.call_later(_SIGN_BATCH_DELAY_S, self.transport.close)
+            self._timer = self.loop.call_later(_LINGER_S, self.transport.close)
 
     def refuse(self, status: int) -> None:
         """Close the connection, with an error response if a request has begun and its response has not."""
