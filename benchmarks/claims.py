@@ -33,9 +33,10 @@ _ABILITIES = {
 # As many as were asked for, all alike: what a claim looks at is the same as if each had been launched.
 _FILL = """
 INSERT INTO run (id, mission_id, version_id, parameters, network, cores, memory_bytes, disk_bytes, gpus, labels,
-  needs_images, given_sha256, started_by_id, input_count, input_bytes)
+  needs_images, inputs_fingerprint, started_by_id, input_count, input_bytes)
 SELECT gen_random_uuid(), mission_id, version_id, parameters, network, cores, memory_bytes, disk_bytes, gpus, labels,
-  needs_images, given_sha256, started_by_id, input_count, input_bytes FROM run, generate_series(1, %s) WHERE id = %s
+  needs_images, inputs_fingerprint, started_by_id, input_count, input_bytes
+FROM run, generate_series(1, %s) WHERE id = %s
 """
 _EXPIRE_LEASES = (
     "UPDATE run SET lease_ends_at = now() - interval '1 second' WHERE id = %s AND attempt = %s AND ended_at IS NULL"

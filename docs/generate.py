@@ -101,7 +101,7 @@ def _right(need: Permission) -> str:
         return "admin"
     if need.right is None:
         return "—"
-    noun = "each object in the result" if need.on is ResourceKind.anything else f"the {need.on.value}"
+    noun = "each object in the result" if need.on is ResourceKind.visible else f"the {need.on.value}"
     return f"{need.right.value} on {noun}"
 
 
@@ -109,11 +109,11 @@ def _scopes(need: Permission) -> str:
     if need.browsers:
         return "none: a signed-in browser"
     scopes = "any" if len(need.scopes) == len(Scope) else " or ".join(sorted(scope.value for scope in need.scopes))
-    return f"{scopes}, without limits" if need.boundless else scopes
+    return f"{scopes}, without limits" if need.unrestricted else scopes
 
 
 def _others(need: Permission) -> str:
-    guests = "everybody" if need.on is ResourceKind.nothing else "guests, for public or shared objects"
+    guests = "everybody" if need.on is ResourceKind.none else "guests, for public or shared objects"
     return ", ".join([guests] * need.guests + ["runners"] * need.runners)
 
 

@@ -55,10 +55,10 @@ def test_a_robot_that_may_only_upload_to_one_project(
     cut.kill()
     end(cut)
     resumed = robot.run("upload", *place, "--create", "--wait", f"{day}/", "--json").json()["items"]
-    assert {item["outcome"] for item in resumed} <= {"uploaded", "present"}
+    assert {item["outcome"] for item in resumed} <= {"uploaded", "already_present"}
     assert sum(item["moved_bytes"] for item in resumed) < 20_003_000, "what had arrived was not sent again"
     again = robot.run("upload", *place, f"{day}/", "--json").json()["items"]
-    assert [item["outcome"] for item in again] == ["present"] * 4
+    assert [item["outcome"] for item in again] == ["already_present"] * 4
 
     for command in (["file", "list"], ["trash", "list"], ["token", "list"]):
         robot.run(*command, code=4)
@@ -82,7 +82,7 @@ def test_a_person_with_one_mission_may_name_it_by_its_project(
     partner.run("mission", "info", "-p", project, "-m", "hidden", code=3)
     (day / "more.bin").write_bytes(b"more")
     outcomes = [item["outcome"] for item in partner.run("upload", *place, f"{day}/", "--json").json()["items"]]
-    assert sorted(outcomes) == ["present"] * 4 + ["uploaded"]
+    assert sorted(outcomes) == ["already_present"] * 4 + ["uploaded"]
     back = tmp_path / "back"
     partner.run("download", *place, "--dest", back)
     assert all(filecmp.cmp(path, back / path.name, shallow=False) for path in day.iterdir())

@@ -117,11 +117,11 @@ def test_files_already_uploaded_are_not_sent_again(terminal: Terminal, project: 
     upload = ["upload", "-p", project, "-m", "m", "--create", file, "--json"]
     (first,) = terminal.run(*upload).json()["items"]
     (again,) = terminal.run(*upload).json()["items"]
-    assert (again["outcome"], again["moved_bytes"], again["file_id"]) == ("present", 0, first["file_id"])
+    assert (again["outcome"], again["moved_bytes"], again["file_id"]) == ("already_present", 0, first["file_id"])
 
     terminal.run("verify", "--remote", first["file_id"])  # verified now, so that others may link to it
     (linked,) = terminal.run("upload", "-p", project, "-m", "other", "--create", file, "--json").json()["items"]
-    assert (linked["outcome"], linked["moved_bytes"]) == ("linked", 0)
+    assert (linked["outcome"], linked["moved_bytes"]) == ("deduplicated", 0)
 
     with file.open("r+b") as out:
         out.write(b"other")
@@ -199,7 +199,7 @@ def test_a_download_leaves_what_is_here(terminal: Terminal, project: str, tmp_pa
     download = ["download", "-p", project, "-m", "m", "--dest", dest]
     terminal.run(*download)
     (present,) = terminal.run(*download, "--json").json()["items"]
-    assert present["outcome"] == "present"
+    assert present["outcome"] == "already_present"
 
     (dest / "a.bin").write_bytes(b"mine")
     terminal.run(*download, code=11)

@@ -173,7 +173,7 @@ def share(api: Api, mission_id: str, *, file_ids: Sequence[str] | None = None, e
     made = Token(str(uuid.uuid4()), f"test_{secrets.token_hex(32)}")
     digest = hashlib.sha256(made.secret.encode()).digest()
     api.sql(
-        "INSERT INTO share (id, mission_id, name, is_whole, prefix, secret_sha256, created_by_id, expires_at)"
+        "INSERT INTO share (id, mission_id, name, is_whole_mission, prefix, secret_sha256, created_by_id, expires_at)"
         f" VALUES (%s, %s, %s, %s, %s, %s, %s, {_SOON})",
         *(made.id, mission_id, f"link {made.id[:8]}", file_ids is None, made.secret[:12], digest, OWNER_ID, expires_s),
     )

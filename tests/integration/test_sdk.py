@@ -58,7 +58,7 @@ def test_uploading_and_downloading_take_one_line_each(
 ) -> None:
     project, mission = place
     again = client.upload([drive], f"{project}/{mission}", exclude=["notes.*"])
-    assert [result.outcome.value for result in again.results] == ["present"]
+    assert [result.outcome.value for result in again.results] == ["already_present"]
     client.download(dest=tmp_path, project=project, mission=mission)
     assert (tmp_path / "drive" / "drive.mcap").read_bytes() == (drive / "drive.mcap").read_bytes()
     client.download(client.missions.get(f"{project}/{mission}"), tmp_path / "nested", nested=True)

@@ -80,9 +80,9 @@ def complete(api: Api, upload: Mapping[str, Any], body: bytes) -> Any:
 def upload(api: Api, mission_id: str, path: str, body: bytes) -> Any:
     """Upload one file, whole; returns the file."""
     decision = begin(api, mission_id, {path: body})[0]
-    if decision["decision"] in {"present", "linked"}:
+    if decision["decision"] in {"already_present", "deduplicated"}:
         return decision["file"]
-    assert decision["decision"] == "send", decision
+    assert decision["decision"] == "upload", decision
     send(api, decision["upload"], body)
     outcome = complete(api, decision["upload"], body)
     assert outcome["outcome"] == "completed", outcome
@@ -93,7 +93,9 @@ def upload_all(api: Api, mission_id: str, files: Mapping[str, bytes]) -> dict[st
     """Upload many small files with few requests; returns the files by path."""
     decisions = dict(zip(files, begin(api, mission_id, files), strict=True))
     ready = {
-        path: decision["file"] for path, decision in decisions.items() if decision["decision"] in {"present", "linked"}
+        path: decision["file"]
+        for path, decision in decisions.items()
+        if decision["decision"] in {"already_present", "deduplicated"}
     }
     uploads = {path: decision["upload"] for path, decision in decisions.items() if path not in ready}
     if not uploads:

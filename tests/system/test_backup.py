@@ -65,7 +65,7 @@ def test_a_lost_machine_is_restored(cluster: Cluster) -> None:
     me.run(*send)  # the uploaded parts are lost, and nothing conflicts
     me.run("verify", large, "-p", "p", "-m", "drive")
     scrubbed = me.run("admin", "scrub", "--json").json()["last"]
-    assert (scrubbed["lost"], scrubbed["corrupt"], scrubbed["stopped"]) == (0, 0, None)
+    assert (scrubbed["lost"], scrubbed["corrupt"], scrubbed["aborted_reason"]) == (0, 0, None)
     assert me.run("backup", "create", backups, "--json").json()["copied"] == 1
 
 

@@ -69,7 +69,7 @@ def test_lost_truncated_and_altered_objects_are_reported_and_repaired_by_uploadi
     assert "same" in terminal.run("verify", "--remote", "-p", "p", "-m", "m").out
     assert set(_states(terminal).values()) == {("verified", None)}
     again = terminal.run("admin", "scrub", "--json").json()
-    assert (again["last"]["lost"], again["last"]["corrupt"], again["last"]["stopped"]) == (0, 0, None)
+    assert (again["last"]["lost"], again["last"]["corrupt"], again["last"]["aborted_reason"]) == (0, 0, None)
     terminal.run("download", "-p", "p", "-m", "m", "--dest", tmp_path / "back")
     assert {path.name: path.read_bytes() for path in (tmp_path / "back").rglob("*.bin")} == bodies
     backend.tidy(cluster)
@@ -109,5 +109,5 @@ def test_a_download_reports_a_damaged_object_within_a_minute(cluster: Cluster, t
     assert (state, "serves others" in str(why)) == ("corrupt", True)
     token = (cluster.data_dir / "owner-token").read_text().strip()
     with connect(cluster.runtime_info()["url"], token) as client:
-        needs = {(item.need.value, item.count) for item in client.home.get().attention}
+        needs = {(item.kind.value, item.count) for item in client.home.get().attention}
     assert ("files_corrupt", 1) in needs

@@ -20,7 +20,7 @@ import pytest
 import urllib3
 
 from kleinkram.client import Client, connect
-from kleinkram.contract.uploads import MIN_PART_BYTES, PartToSign, Send, UploadFile, UploadFinish, UploadRead
+from kleinkram.contract.uploads import MIN_PART_BYTES, PartToSign, UploadFile, UploadFinish, UploadRead, UploadRequired
 from kleinkram.standalone.object_store import locate_weed
 from tests.integration.upload_client import checksum, crc64, sha256
 from tests.system.cluster import Cluster
@@ -84,7 +84,7 @@ def _live(client: Client, mission_id: uuid.UUID, history: History, file: Path) -
     file.write_bytes(body)
     announced = UploadFile(path=file.name, size_bytes=len(body), sha256=sha256(body), crc64nvme=crc64(body))
     (decision,) = client.uploads.begin(mission_id, [announced]).items
-    assert isinstance(decision, Send)
+    assert isinstance(decision, UploadRequired)
     upload = decision.upload
     finish = UploadFinish(upload_id=upload.id, sha256=sha256(body), crc64nvme=crc64(body))
     with ThreadPoolExecutor(_AT_ONCE) as together:

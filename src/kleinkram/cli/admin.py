@@ -98,18 +98,18 @@ def scrub(
     last: Annotated[bool, flag("--last", "Show the last scrub, and start none.")] = False,
     wait: Annotated[bool, flag("--wait/--no-wait", "Wait for its end.")] = True,
     timeout: Annotated[float, option("--timeout", "SECONDS", "Wait at most so long.")] = 3600.0,
-    believe: Annotated[
-        bool, flag("--believe", "Mark as lost whatever is missing, however much. Check the store first.")
+    accept_losses: Annotated[
+        bool, flag("--accept-losses", "Mark as lost whatever is missing, however much. Check the store first.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Compare the store with the database, and show which objects vanished, were truncated, or came back."""
     with connect() as client:
         if not last:
-            client.admin.begin_scrub(believe=believe)
+            client.admin.begin_scrub(accept_losses=accept_losses)
         status = follow(client.admin.watch_scrub(timeout_s=timeout)) if wait and not last else client.admin.scrub()
     show_json(status) if as_json else show_scrub(status)
-    is_stopped = status.last is not None and status.last.stopped is not None
+    is_stopped = status.last is not None and status.last.aborted_reason is not None
     if not last and (is_stopped or is_damaged(status)):
         raise typer.Exit(ExitCode.server_failed if is_stopped else ExitCode.bytes_differ)
 
@@ -137,7 +137,7 @@ def show_scrub(state: ScrubState) -> None:
     else:
         ended = "under way" if last.started_at else "waits for the worker"
         if last.ended_at is not None:
-            ended = f"{moment(last.ended_at)}{' (stopped)' if last.stopped else ''}"
+            ended = f"{moment(last.ended_at)}{' (stopped)' if last.aborted_reason else ''}"
         details(
             [
                 ("began", last.started_at or last.created_at),
@@ -160,8 +160,8 @@ def show_scrub(state: ScrubState) -> None:
         table(["state", "count", "size"], [(row.state, row.count, size(row.size_bytes)) for row in state.blobs])
     if is_damaged(state):
         note("`klein file list --state lost --state corrupt` lists them; upload such a file again to repair it.")
-    if last is not None and last.stopped is not None:
-        note(last.stopped)
+    if last is not None and last.aborted_reason is not None:
+        note(last.aborted_reason)
 
 
 @app.command("health")
@@ -185,8 +185,8 @@ def health(as_json: AsJson = False) -> None:
             ("runs", status.runs_problem),
             ("invitations", status.invitation_warning),
             ("store", f"verifies {status.store_checksum}"),
-            ("overwrites", "the store refuses them" if status.store_writes_once else "the store takes them"),
-            ("pages", "may send to the store" if status.store_takes_pages else "may not send to the store"),
+            ("overwrites", "the store refuses them" if status.store_refuses_overwrites else "the store takes them"),
+            ("pages", "may send to the store" if status.store_allows_browser_uploads else "may not send to the store"),
             ("clocks apart", f"{status.clock_skew_s:.2f} s"),
         ]
     )

@@ -74,7 +74,7 @@ def search(
                 return
             rows = [(row.name, item.value, item.file_count, item.query) for row in facets.facets for item in row.values]
             table(["facet", "value", "files", "query"], rows)
-            if not facets.is_whole:
+            if not facets.is_exact:
                 note(f"To save time only {facets.file_count} files were counted; say more to find fewer.")
         elif show is Shown.missions:
             query = mission_query(client, choice, paths)

@@ -191,12 +191,12 @@ class Admin(ApiResource):
         """Return the results so far of the last comparison of the store with the database."""
         return self._api.get("/admin/scrub", ScrubState)
 
-    def begin_scrub(self, *, believe: bool = False) -> ScrubRead:
+    def begin_scrub(self, *, accept_losses: bool = False) -> ScrubRead:
         """Start comparing the store with the database; return the scrub that is under way, or begins.
 
-        Where very much is missing, a scrub marks nothing, since the store may be another one, unless `believe`.
+        Where very much is missing, a scrub marks nothing, since the store may be another one, unless `accept_losses`.
         """
-        return self._api.repeat("/admin/scrub", ScrubRead, ScrubRequest(believe=believe))
+        return self._api.repeat("/admin/scrub", ScrubRead, ScrubRequest(accept_losses=accept_losses))
 
     def watch_scrub(self, *, timeout_s: float) -> Iterator[ScrubState]:
         """Yield the state of the last scrub, once a second, until it has ended. After TimedOut the server goes on."""

@@ -99,22 +99,22 @@ class AdminHealth(Response):
     runs_problem: str | None
     invitation_warning: str | None
     store_checksum: str
-    store_writes_once: bool
-    store_takes_pages: bool
+    store_refuses_overwrites: bool
+    store_allows_browser_uploads: bool
 
 
 class ScrubRequest(Response):
-    """A scrub to start. `believe`: the admin has checked that missing objects are really gone."""
+    """A scrub to start. `accept_losses`: the admin has checked that missing objects are really gone."""
 
-    believe: bool = False
+    accept_losses: bool = False
 
 
 class ScrubRead(Response):
     """A comparison of the objects in the store with the database.
 
     `lost` and `corrupt`: newly detected blobs; `recovered`: lost ones whose objects are back and are being verified;
-    `unknown`: objects that the database does not have. `stopped`: why it marked nothing, or not all. Until `ended_at`,
-    the numbers cover what was compared so far.
+    `unknown`: objects that the database does not have. `aborted_reason`: why it marked nothing, or not all.
+    Until `ended_at`, the numbers cover what was compared so far.
     """
 
     id: uuid.UUID
@@ -122,7 +122,7 @@ class ScrubRead(Response):
     started_at: datetime.datetime | None
     seen_at: datetime.datetime
     ended_at: datetime.datetime | None
-    stopped: str | None
+    aborted_reason: str | None
     compared: int
     compared_bytes: int
     lost: int

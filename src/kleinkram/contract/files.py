@@ -166,7 +166,7 @@ class RecordingRead(Response):
     file_ids: list[uuid.UUID]
     paths: list[str]
     missing: list[str]
-    surplus: list[str]
+    unlisted: list[str]
     problems: list[FileProblem]
     content: ContentState
     content_reason: str | None
@@ -237,7 +237,7 @@ class FetchPurpose(str, enum.Enum):
     """What addresses of files are asked for, by the word of whoever asks: either gives all bytes, for as long."""
 
     download = "download"
-    look = "look"
+    preview = "preview"
 
 
 class DownloadRequest(Request):

@@ -33,7 +33,7 @@ class UnfinishedUpload(Response):
     expires_at: datetime.datetime
 
 
-class Need(str, enum.Enum):
+class AttentionKind(str, enum.Enum):
     """Reasons for attention. The last four concern the whole server and are shown to admins."""
 
     files_corrupt = "files_corrupt"
@@ -53,7 +53,7 @@ class Need(str, enum.Enum):
 class Attention(Response):
     """A number of objects that need attention, in one mission or on the whole server."""
 
-    need: Need
+    kind: AttentionKind
     count: int
     mission: MissionRef | None = None
 

@@ -37,7 +37,7 @@ class SearchRead(Response):
 
     `query` is the normalized text; `filter` its meaning. Missions match themselves or by their files. The lists
     continue at `/missions` and `/files` with the same `query` and `sort=-start`. If very many files match, not
-    `is_whole`: all numbers are estimates with two digits, and the topics are those of sampled files.
+    `is_exact`: all numbers are estimates with two digits, and the topics are those of sampled files.
     """
 
     query: str
@@ -45,7 +45,7 @@ class SearchRead(Response):
     missions: Page[MissionRead]
     files: Page[FileRead]
     topics: Page[TopicFound]
-    is_whole: bool = True
+    is_exact: bool = True
 
 
 class FacetValue(Response):
@@ -56,7 +56,7 @@ class FacetValue(Response):
 
     value: str
     file_count: int
-    is_chosen: bool
+    is_selected: bool
     query: str
 
 
@@ -72,11 +72,11 @@ class Facet(Response):
 
 
 class FacetsRead(Response):
-    """The facets of a query. If `is_whole` is false, they cover only the first `file_count` files."""
+    """The facets of a query. If `is_exact` is false, they cover only the first `file_count` files."""
 
     query: str
     file_count: int
-    is_whole: bool
+    is_exact: bool
     facets: list[Facet]
 
 

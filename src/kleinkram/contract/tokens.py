@@ -20,7 +20,7 @@ from kleinkram.contract.people import PersonRef
 _DIGITS = string.digits + string.ascii_uppercase + string.ascii_lowercase
 CHECKSUM_CHARACTERS = 6
 RANDOM_CHARACTERS = 43
-# For secret scanners; `is_whole` then verifies a match.
+# For secret scanners; `has_valid_checksum` then verifies a match.
 PATTERN = r"klein_(?:pat|robot|runner|run|link)_[A-Za-z0-9_-]{43}[0-9A-Za-z]{6}"
 _PATTERN = re.compile(PATTERN, re.ASCII)
 
@@ -44,14 +44,14 @@ def with_checksum(text: str) -> str:
     return text + digits
 
 
-def is_whole(secret: str) -> bool:
+def has_valid_checksum(secret: str) -> bool:
     """Whether a secret has the right form and checksum; it may still be revoked, or never have been issued."""
     return _PATTERN.fullmatch(secret) is not None and with_checksum(secret[:-CHECKSUM_CHARACTERS]) == secret
 
 
 def is_mangled(secret: str) -> bool:
     """Whether a secret begins like one of ours, but was cut or mistyped."""
-    return secret.startswith(tuple(f"klein_{kind.value}_" for kind in SecretKind)) and not is_whole(secret)
+    return secret.startswith(tuple(f"klein_{kind.value}_" for kind in SecretKind)) and not has_valid_checksum(secret)
 
 
 DEFAULT_SCOPES = {
@@ -203,7 +203,7 @@ class SharedRead(Response):
 
     name: str
     mission: MissionRef
-    is_whole: bool
+    is_whole_mission: bool
     file_count: int
     size_bytes: int
     expires_at: datetime.datetime

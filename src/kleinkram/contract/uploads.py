@@ -114,35 +114,35 @@ class SignedPart(Response):
     expires_at: datetime.datetime
 
 
-class Send(Response):
+class UploadRequired(Response):
     """Send the parts that `upload` does not list.
 
     `part` is where the only part of a file goes, signed for the checksum that was announced; else ask for addresses.
     """
 
-    decision: Literal["send"] = "send"
+    decision: Literal["upload"] = "upload"
     upload: UploadRead
     part: SignedPart | None = None
 
 
-class Present(Response):
+class AlreadyPresent(Response):
     """The mission already has this very file under this name: nothing to send. `file` is null for who may not read."""
 
-    decision: Literal["present"] = "present"
+    decision: Literal["already_present"] = "already_present"
     file: FileRead | None
 
 
-class Linked(Response):
+class Deduplicated(Response):
     """The same bytes are kept already and you may read them: the file now exists, nothing to send."""
 
-    decision: Literal["linked"] = "linked"
+    decision: Literal["deduplicated"] = "deduplicated"
     file: FileRead
 
 
-class HashFirst(Response):
+class HashRequired(Response):
     """Something of this name or size is kept already: ask again with the sha256."""
 
-    decision: Literal["hash_first"] = "hash_first"
+    decision: Literal["hash_required"] = "hash_required"
     path: str
 
 
@@ -154,7 +154,9 @@ class UploadRefused(Response):
     problem: ProblemDocument
 
 
-UploadDecision = Annotated[Present | Linked | HashFirst | Send | UploadRefused, Field(discriminator="decision")]
+UploadDecision = Annotated[
+    AlreadyPresent | Deduplicated | HashRequired | UploadRequired | UploadRefused, Field(discriminator="decision")
+]
 
 
 class UploadDecisions(Response):

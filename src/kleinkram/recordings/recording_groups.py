@@ -151,8 +151,8 @@ def _members(folder: str, paths: list[str], metadata: Rosbag2Metadata | None) ->
     expected = [path for _, path in here]
     are_expected = set(expected)
     stems = sorted({file.stem for path in expected if (file := _parse_name(path)) is not None})
-    surplus = [file.path for stem in stems for file in _in_order(by_stem[stem]) if file.path not in are_expected]
-    return [*expected, *surplus]
+    unlisted = [file.path for stem in stems for file in _in_order(by_stem[stem]) if file.path not in are_expected]
+    return [*expected, *unlisted]
 
 
 def _in_order(files: Iterable[_DataFile]) -> list[_DataFile]:

@@ -214,7 +214,7 @@ class Settings(BaseSettings):
         BeforeValidator(_networks),
         Field(description="Networks of proxies whose X-Forwarded-For and -Proto are trusted, separated by commas."),
     ] = ()
-    watcher_networks: Annotated[
+    monitoring_networks: Annotated[
         tuple[Network, ...],
         NoDecode,
         BeforeValidator(_networks),

@@ -86,7 +86,7 @@ def admitted(need: Permission, carrier: Carrier, *, is_change: bool) -> Verdict:
         return Verdict.refused
     if need.browsers and not carrier.is_browser:
         return Verdict.refused
-    if need.boundless and carrier.is_limited:
+    if need.unrestricted and carrier.is_limited:
         return Verdict.refused
     if need.on is ResourceKind.server and (not carrier.power or carrier.is_limited):
         return Verdict.refused

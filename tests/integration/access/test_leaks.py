@@ -89,7 +89,7 @@ def test_a_hash_does_not_reveal_whether_the_bytes_exist(api: Api, hidden: Any, m
     theirs, mine = api.as_(member.token), _own_mission(api, member)
     decisions = begin(theirs, mine, {"a.bin": secret, "b.bin": other})
     decisions += begin(theirs, mine, {"c.bin": secret, "d.bin": os.urandom(2001)}, hashed=False)
-    assert [item["decision"] for item in decisions] == ["send"] * 4
+    assert [item["decision"] for item in decisions] == ["upload"] * 4
     assert [sorted(item["upload"]) for item in decisions[1:]] == [sorted(decisions[0]["upload"])] * 3
 
 

@@ -131,7 +131,7 @@ def test_every_operation_is_called() -> None:
     assert sorted(OPERATIONS.keys() - called) == [], how
     assert sorted(called - OPERATIONS.keys()) == [], "these are no operations any more; drop their callers:"
     assert sorted(CALLERS.keys() & PUBLIC_OPERATIONS) == []
-    ports = {name for name, need in OPERATIONS.items() if need.guests and need.on is ResourceKind.nothing}
+    ports = {name for name, need in OPERATIONS.items() if need.guests and need.on is ResourceKind.none}
     assert ports == PUBLIC_OPERATIONS, (
         "whatever is for whoever comes, and about nothing that is there, is a door, and only that"
     )

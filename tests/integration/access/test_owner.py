@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.contract.tokens import is_whole
+from kleinkram.contract.tokens import has_valid_checksum
 from kleinkram.server.app import create_app
 from kleinkram.server.auth import bootstrap as owner
 from tests.integration.api_server import Api
@@ -36,7 +36,7 @@ def test_an_owner_who_revoked_their_own_token_has_a_new_one_after_the_next_start
     api.delete(f"/tokens/{api.get('/me').ok()['credential']['id']}").ok(204)
     renewed = _start_again(api)
     assert renewed != revoked
-    assert is_whole(renewed)
+    assert has_valid_checksum(renewed)
     assert _file(api).stat().st_mode & 0o777 == 0o600
     api.get("/me").refused(401, "not_authenticated")
     assert api.as_(renewed).get("/me").ok()["is_admin"]

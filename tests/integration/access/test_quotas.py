@@ -60,11 +60,11 @@ def test_resumed_and_duplicate_uploads_need_no_more_quota(api: Api) -> None:
     send(api, opened["upload"], body)
     complete(api, opened["upload"], body)
     (present,) = begin(api, mission["id"], {"a": body})
-    assert present["decision"] == "present"
+    assert present["decision"] == "already_present"
     other = b"y" * 60
     assert _begin(api, mission["id"], {"a": 60, "b": 60}).refused(507, "quota_exceeded")["requested"] == 60
     (linked,) = begin(api, mission["id"], {"b": other[:40]})
-    assert linked["decision"] == "send"
+    assert linked["decision"] == "upload"
 
 
 def test_a_copy_counts_as_what_it_shows(api: Api) -> None:
@@ -133,7 +133,7 @@ def test_a_missing_file_can_be_uploaded_again_into_a_full_project(api: Api) -> N
     there = upload(api, mission["id"], "a", body)
     api.sql("UPDATE blob SET state = 'lost' FROM file WHERE blob.id = file.blob_id AND file.id = %s", there["id"])
     (decision,) = begin(api, mission["id"], {"a": body})
-    assert decision["decision"] == "send"
+    assert decision["decision"] == "upload"
 
 
 def test_quotas_are_for_admins(api: Api) -> None:

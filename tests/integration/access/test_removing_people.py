@@ -32,7 +32,7 @@ def test_sessions_tokens_and_links_end_at_once(api: Api, ada: Person) -> None:
     mission = api.as_(ada.token).mission(project["id"])
     link = secret_hash("a link's secret" + mission["id"])
     api.sql(
-        "INSERT INTO share (id, mission_id, name, is_whole, prefix, secret_sha256, created_by_id, expires_at)"
+        "INSERT INTO share (id, mission_id, name, is_whole_mission, prefix, secret_sha256, created_by_id, expires_at)"
         " VALUES (%s, %s, 'for a friend', true, 'x', %s, %s, now() + interval '1 day')",
         *(str(uuid.uuid4()), mission["id"], link, ada.id),
     )

@@ -12,7 +12,7 @@ import urllib3
 from kleinkram import connect
 from kleinkram.contract.access import Right, Scope
 from kleinkram.contract.errors import NotFound
-from kleinkram.contract.tokens import is_whole
+from kleinkram.contract.tokens import has_valid_checksum
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.sample import Sample
@@ -77,7 +77,7 @@ def outing(api: Api, sample: Sample) -> Outing:
 def test_a_link_to_a_mission_shows_it_whole_and_nothing_else(api: Api, outing: Outing) -> None:
     api.mission(outing.project["id"])
     made = _link(api, outing.mission["id"])
-    assert is_whole(made["secret"])
+    assert has_valid_checksum(made["secret"])
     assert made["url"].endswith(f"/s#{made['secret']}")
     guest = api.as_(made["secret"])
     shown = guest.get("/share").ok()
@@ -92,10 +92,10 @@ def test_a_link_to_a_mission_shows_it_whole_and_nothing_else(api: Api, outing: O
 
 def test_a_link_to_one_half_leaks_nothing_of_the_rest(api: Api, outing: Outing) -> None:
     guest = api.as_(_link(api, outing.mission["id"], file_ids=[outing.first, outing.first])["secret"])
-    assert {key: guest.get("/share").ok()[key] for key in ("file_count", "size_bytes", "is_whole")} == {
+    assert {key: guest.get("/share").ok()[key] for key in ("file_count", "size_bytes", "is_whole_mission")} == {
         "file_count": 1,
         "size_bytes": 100,
-        "is_whole": False,
+        "is_whole_mission": False,
     }
     (mission,) = guest.all("/missions")
     numbers = ("file_count", "size_bytes", "message_count", "start_ns", "end_ns")

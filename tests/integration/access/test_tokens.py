@@ -13,7 +13,7 @@ from kleinkram.client.transfer import Outcome, plan_upload
 from kleinkram.client.transfer.upload import upload as send_files
 from kleinkram.contract.access import Right, Scope, TokenKind
 from kleinkram.contract.errors import FileExists
-from kleinkram.contract.tokens import PATTERN, is_mangled, is_whole
+from kleinkram.contract.tokens import PATTERN, has_valid_checksum, is_mangled
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.races import racing
@@ -35,7 +35,7 @@ def test_a_secret_is_shown_once_and_works_until_it_is_revoked(api: Api) -> None:
     hers = api.as_(ada.token)
     made = _made(hers, name="laptop", scopes=["read"])
     assert re.fullmatch(PATTERN, made["secret"])
-    assert is_whole(made["secret"])
+    assert has_valid_checksum(made["secret"])
     token_id = made["token"]["id"]
     assert made["secret"].startswith(made["token"]["prefix"])
     listed = {item["id"]: item for item in hers.all("/tokens")}
@@ -60,7 +60,7 @@ def test_only_the_hash_of_a_token_is_stored(api: Api) -> None:
     made = _made(api, name="kept")
     rows = api.sql("SELECT * FROM token WHERE id = %s", made["token"]["id"])
     assert made["secret"] not in str(rows)
-    assert not is_whole(made["token"]["prefix"])
+    assert not has_valid_checksum(made["token"]["prefix"])
 
 
 @pytest.mark.parametrize(
@@ -151,7 +151,7 @@ def test_an_upload_only_token_sees_that_a_file_exists_and_nothing_else(api: Api,
     with connect(api.url, secret) as client:
         report = send_files(client, uuid.UUID(mission["id"]), plan_upload([f"{tmp_path}/"]))
         new, other, same = sorted(report.results, key=lambda result: result.path)
-        assert (new.outcome, same.outcome, same.file_id) == (Outcome.uploaded, Outcome.present, None)
+        assert (new.outcome, same.outcome, same.file_id) == (Outcome.uploaded, Outcome.already_present, None)
         assert isinstance(other.error, FileExists)
         assert (other.error.existing_sha256, other.error.existing_file_id) == (None, None)
         assert "other content" in str(other.error)

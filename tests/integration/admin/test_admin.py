@@ -131,7 +131,7 @@ def test_health_says_how_database_and_store_are(lab: Api) -> None:
     assert message["not_ready"] is None
     assert message["database_bytes"] > 1_000_000
     assert abs(message["clock_skew_s"]) < 5
-    assert (message["store_checksum"], message["store_takes_pages"]) == ("crc64nvme", True)
+    assert (message["store_checksum"], message["store_allows_browser_uploads"]) == ("crc64nvme", True)
 
 
 def test_effective_settings_contain_no_secret(lab: Api) -> None:

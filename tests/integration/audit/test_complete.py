@@ -21,7 +21,7 @@ WRITES: dict[str, set[str]] = {
     "update_mission": {"[mission.update]"},
     "move_mission": {"mission.leave", "mission.arrive"},
     "delete_mission": {"[mission.delete]"},
-    "download_files": {"file.download", "[file.look]"},
+    "download_files": {"file.download", "[file.preview]"},
     "verify_file": {"file.verify"},
     "update_file": {"[file.update]"},
     "label_files": {"file.update"},

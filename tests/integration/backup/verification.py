@@ -32,14 +32,14 @@ def complaints(settings: Settings) -> list[str]:
 async def _scrub(context: AppContext) -> list[str]:
     async with context.database.begin() as db:
         anybody = (await db.execute(select(person.c.id).limit(1))).scalar_one()
-        begun = await scrub.request_scrub(db, context.settings.store_id, by_id=anybody, believes=False)
+        begun = await scrub.request_scrub(db, context.settings.store_id, by_id=anybody, accept_losses=False)
     await scrub_store(context, begun.id)
     async with context.database.begin() as db:
         last = await scrub.last_scrub(db, context.settings.store_id)
     assert last is not None
     assert last.ended_at is not None
     assert last.compared > 0
-    result = {"stopped": last.stopped, "lost": last.lost, "corrupt": last.corrupt}
+    result = {"aborted_reason": last.aborted_reason, "lost": last.lost, "corrupt": last.corrupt}
     return [f"{what}: {value}" for what, value in result.items() if value]
 
 

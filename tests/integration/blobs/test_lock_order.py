@@ -61,7 +61,7 @@ def test_a_file_begins_when_its_blob_does_whichever_of_reading_and_linking_came_
     read = RecordingSummary(RecordingFormat.mcap, Content.indexed, start_ns=5, end_ns=9)
 
     def link() -> None:
-        assert begin(api, mission_id, {"b.bin": body})[0]["decision"] == "linked"
+        assert begin(api, mission_id, {"b.bin": body})[0]["decision"] == "deduplicated"
 
     def keep() -> None:
         async def work(context: AppContext) -> None:

@@ -97,7 +97,7 @@ def test_a_member_that_is_missing_is_named(api: Api, mission_id: str) -> None:
     upload(api, mission_id, "run/run_7.mcap", b"\x89MCAP0\r\n" + os.urandom(9))
     run_jobs(api)
     recording = api.all(f"/missions/{mission_id}/recordings")[0]
-    assert (recording["kind"], recording["missing"], recording["surplus"]) == (
+    assert (recording["kind"], recording["missing"], recording["unlisted"]) == (
         "rosbag2",
         ["run_1.mcap"],
         ["run_7.mcap"],
@@ -142,7 +142,7 @@ def test_a_vanished_object_is_lost(api: Api, mission_id: str) -> None:
     run_jobs(api)
     read = api.get(f"/files/{file['id']}").ok()
     assert (read["state"], read["state_reason"]) == ("lost", "the store no longer has the object")
-    assert begin(api, mission_id, {"copy.bin": body})[0]["decision"] == "send", "what is lost is nobody's twin"
+    assert begin(api, mission_id, {"copy.bin": body})[0]["decision"] == "upload", "what is lost is nobody's twin"
 
 
 def test_deleted_files_leave_the_store_only_when_nothing_refers_to_their_bytes(api: Api, mission_id: str) -> None:
@@ -183,7 +183,7 @@ def test_a_blob_marked_for_deletion_is_not_linked(api: Api, mission_id: str) -> 
     api.sql(
         "UPDATE blob SET marked_for_deletion_at = now() WHERE id = (SELECT blob_id FROM file WHERE id = %s)", file["id"]
     )
-    assert begin(api, mission_id, {"again.bin": body})[0]["decision"] == "send"
+    assert begin(api, mission_id, {"again.bin": body})[0]["decision"] == "upload"
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,7 @@ def _scrub(api: Api, **expected: Any) -> Any:
 
 
 def _counts(last: Any) -> tuple[int, int, int]:
-    assert last["stopped"] is None
+    assert last["aborted_reason"] is None
     assert last["ended_at"] is not None
     return last["lost"], last["corrupt"], last["recovered"]
 
@@ -162,12 +162,12 @@ def test_another_store_marks_nothing_until_somebody_says_so(start_api: StartApi,
         _remove(api, key)
     last = _scrub(api)
     assert (last["lost"], last["compared"]) == (0, 12)
-    assert "KLEINKRAM_S3_BUCKET" in last["stopped"]
-    assert f"{12 if how == 'empty' else 11} are not in the list" in last["stopped"]
+    assert "KLEINKRAM_S3_BUCKET" in last["aborted_reason"]
+    assert f"{12 if how == 'empty' else 11} are not in the list" in last["aborted_reason"]
     assert {_read(api, file)["state"] for file, _ in files} == {"verified"}
-    assert "scrub_stopped" in {item["need"] for item in api.get("/home").ok()["attention"]}
+    assert "scrub_stopped" in {item["kind"] for item in api.get("/home").ok()["attention"]}
     wait_until(lambda: "kleinkram_scrub_stopped 1.0" in api.metrics())
-    last = _scrub(api, believe=True)
+    last = _scrub(api, accept_losses=True)
     assert _counts(last) == (12 if how == "empty" else 11, 0, 0)
     wait_until(lambda: 'kleinkram_blobs{state="lost"}' in api.metrics())
     assert "kleinkram_scrub_stopped 0.0" in api.metrics()
@@ -261,11 +261,11 @@ def test_one_at_a_time_and_each_when_it_is_due(start_api: StartApi) -> None:
     api = start_api()
     first = api.post("/admin/scrub", {}).ok(202)
     assert api.post("/admin/scrub", {}).ok(202)["id"] == first["id"], "it is under way already"
-    forceful = api.post("/admin/scrub", {"believe": True}).ok(202)
+    forceful = api.post("/admin/scrub", {"accept_losses": True}).ok(202)
     assert forceful["id"] != first["id"]
     run_jobs(api)
     assert api.get("/admin/scrub").ok()["last"]["id"] == forceful["id"]
-    assert "and replaced it" in api.sql("SELECT stopped FROM scrub WHERE id = %s", first["id"])[0][0]
+    assert "and replaced it" in api.sql("SELECT aborted_reason FROM scrub WHERE id = %s", first["id"])[0][0]
 
     def due(hours: float) -> int:
         async def look(context: AppContext) -> None:

@@ -157,7 +157,7 @@ def test_artifacts_are_verified_before_they_get_their_name(tmp_path: Path) -> No
         assert script.requests[1].body == {"artifact_ids": [str(good.id)]}
         with scripted(Page(items=[good], next=None)) as script, client_of(script) as client:
             (result,) = client.runs.download_artifacts(good.run_id, tmp_path).results
-        assert result.outcome is Outcome.present
+        assert result.outcome is Outcome.already_present
 
         other = artifact("other.csv", b"TOPIC,COUNT\n")
         urls = ArtifactUrls(items=[ArtifactUrl(artifact=other, url=url, expires_at=later)])

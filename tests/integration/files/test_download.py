@@ -87,9 +87,9 @@ def test_each_file_fetched_is_one_audit_row(api: Api, sample: Sample, mission: s
 
 def test_a_look_into_a_file_is_recorded_as_one(api: Api, sample: Sample, mission: str) -> None:
     file_id = sample.file(mission, "a.mcap")
-    api.post("/files/download", {"file_ids": [file_id], "purpose": "look"}).ok()
+    api.post("/files/download", {"file_ids": [file_id], "purpose": "preview"}).ok()
     api.post("/files/download", {"file_ids": [file_id], "purpose": "download"}).ok()
-    assert sorted(event["operation"] for event in api.events(file_id)) == ["file.download", "file.look"]
+    assert sorted(event["operation"] for event in api.events(file_id)) == ["file.download", "file.preview"]
 
 
 @pytest.mark.parametrize("state", ["lost", "corrupt"])

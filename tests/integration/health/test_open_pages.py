@@ -33,7 +33,7 @@ def test_metrics_are_not_on_the_port_that_a_proxy_publishes(api: Api, far: Api) 
 
 
 def test_networks_that_watch_are_a_setting(start_api: StartApi) -> None:
-    api = start_api(trusted_proxies="127.0.0.1", watcher_networks="203.0.113.0/24")
+    api = start_api(trusted_proxies="127.0.0.1", monitoring_networks="203.0.113.0/24")
     api.sql("UPDATE alembic_version SET version_num = 'other'")
     assert "migrations" in _get(api, "/health/ready", _FROM_AFAR)[1]
     for headers in ({"X-Forwarded-For": "203.0.114.1"}, {}):

@@ -66,7 +66,7 @@ def test_missions_that_need_attention_are_listed(lab: Api, member: people.Person
     problems = '[{"field": "robot", "message": "missing"}]'
     lab.sql("UPDATE mission SET metadata_problems = %s::jsonb WHERE id = %s", problems, mission["id"])
     message = lab.as_(member.token).get("/home").ok()["attention"]
-    assert [(item["need"], item["count"]) for item in message] == [
+    assert [(item["kind"], item["count"]) for item in message] == [
         ("files_lost", 1),
         ("files_broken", 2),
         ("metadata_missing", 1),
@@ -81,7 +81,7 @@ def test_admins_see_the_whole_server(lab: Api) -> None:
     lab.sql(failed)
     with connect(lab.url, lab.token) as client:
         home, store = client.home.get(), client.home.storage().store
-    needs = {item.need.value: item.count for item in home.attention}
+    needs = {item.kind.value: item.count for item in home.attention}
     assert needs["jobs_failed"] == 1
     assert needs["verifications_overdue"] >= 1
     assert store is not None

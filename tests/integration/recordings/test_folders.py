@@ -182,7 +182,7 @@ def test_a_metadata_is_read_by_a_child_alone(api: Api, mission_id: str, monkeypa
     monkeypatch.setattr(YAML, "load", _refuse)
     run_jobs(api)
     (recording,) = api.all(f"/missions/{mission_id}/recordings")
-    assert (recording["missing"], recording["surplus"]) == (["run_0.mcap"], ["run_1.mcap"])
+    assert (recording["missing"], recording["unlisted"]) == (["run_0.mcap"], ["run_1.mcap"])
 
 
 def test_metadata_that_takes_too_long_to_read_is_reported(

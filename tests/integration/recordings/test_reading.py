@@ -15,7 +15,7 @@ def test_reads_a_recording_with_its_members_in_order(api: Api, sample: Sample) -
     assert (seen["name"], seen["kind"], seen["mission"]["id"]) == ("run", "rosbag2", mission["id"])
     assert (seen["paths"], seen["file_ids"]) == (["run/run_0.db3", "run/run_1.db3"], files[::-1])
     assert (seen["start_ns"], seen["end_ns"], seen["message_count"], seen["size_bytes"]) == (5, 9, 3, 20)
-    assert (seen["missing"], seen["surplus"], seen["problems"]) == (["run_2.db3"], [], [])
+    assert (seen["missing"], seen["unlisted"], seen["problems"]) == (["run_2.db3"], [], [])
     assert [item["id"] for item in api.all("/files", {"recording_id": made})] == files[::-1]
 
 

@@ -81,10 +81,10 @@ def test_matching_metadata_causes_no_problem() -> None:
             [("metadata-topic-count", "/gps")],
         ),
         (replace(STATED, file_entries=(StatedFile("a_1.db3", 9, None, None),)), [("metadata-count", "a_1.db3")]),
-        (replace(STATED, files=("a_0.db3",)), [("member-surplus", "a_1.db3")]),
+        (replace(STATED, files=("a_0.db3",)), [("member-unlisted", "a_1.db3")]),
         (
             replace(STATED, files=("a_0.db3", "a_2.db3")),
-            [("member-missing", "a_2.db3"), ("member-surplus", "a_1.db3")],
+            [("member-missing", "a_2.db3"), ("member-unlisted", "a_1.db3")],
         ),
     ],
 )
@@ -249,7 +249,7 @@ def test_a_surplus_file_is_named_and_counted(folder: Path) -> None:
     shutil.copy(folder / "run_0.db3", folder / "run_1.db3")
     actual = inspect_one(folder)
     assert [Path(member).name for member in actual.members] == ["run_0.db3", "run_1.db3"]
-    assert codes(actual.summary.problems) == [("member-surplus", "run_1.db3")]
+    assert codes(actual.summary.problems) == [("member-unlisted", "run_1.db3")]
 
 
 @pytest.mark.parametrize("version", range(1, 10))

@@ -9,12 +9,11 @@ from kleinkram.contract.errors import UploadGone
 from kleinkram.contract.problems import to_problem
 from kleinkram.contract.runners import LOG_PATH, ArtifactUploadsCreate
 from kleinkram.contract.uploads import (
+    AlreadyPresent,
     ChecksumKind,
     Completed,
     NotCompleted,
     PartsSign,
-    Present,
-    Send,
     SignedPart,
     SignedParts,
     StoredPart,
@@ -23,6 +22,7 @@ from kleinkram.contract.uploads import (
     UploadOutcome,
     UploadOutcomes,
     UploadRead,
+    UploadRequired,
     UploadsComplete,
     UploadState,
     part_size_bytes,
@@ -48,7 +48,7 @@ class FakeUploads:
         decisions: list[UploadDecision] = []
         for file in begin.files:
             if file.path in run.artifacts:
-                decisions.append(Present(file=None))
+                decisions.append(AlreadyPresent(file=None))
                 continue
             upload_id = uuid.uuid4()
             self._uploads[upload_id] = (run, file.path, file.size_bytes)
@@ -64,7 +64,7 @@ class FakeUploads:
                 expires_at=LATER,
                 parts=list[StoredPart](),
             )
-            decisions.append(Send(upload=upload))
+            decisions.append(UploadRequired(upload=upload))
         return UploadDecisions(items=decisions)
 
     def sign(self, requested: PartsSign) -> SignedParts:

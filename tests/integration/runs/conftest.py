@@ -82,7 +82,7 @@ class Played:
         expected = {"path": path, "size_bytes": len(data), "sha256": sha256(data)}
         body = {"attempt": claim["attempt"], "files": [expected]}
         (decision,) = self.api.post(f"/runner/runs/{claim['run_id']}/uploads", body).ok()["items"]
-        assert decision["decision"] == "send", decision
+        assert decision["decision"] == "upload", decision
         return decision["upload"]
 
     def leave(self, claim: Mapping[str, Any], path: str, data: bytes) -> None:

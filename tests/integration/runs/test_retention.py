@@ -79,7 +79,7 @@ def test_an_artifact_whose_runner_was_killed_while_it_was_completed_is_there(
     expected = {"path": "map.ply", "size_bytes": size_bytes, "sha256": sha256(data)}
     body = {"attempt": claim["attempt"], "files": [expected]}
     (decision,) = runner.api.post(f"/runner/runs/{claim['run_id']}/uploads", body).ok()["items"]
-    assert decision["decision"] == "present"
+    assert decision["decision"] == "already_present"
     runner.finish(claim).ok()
     (stored,) = lab.all(f"/runs/{claim['run_id']}/artifacts")
     assert (stored["path"], stored["size_bytes"]) == ("map.ply", size_bytes)

@@ -59,7 +59,7 @@ def test_a_second_account_makes_script_runs_refused_with_the_remedy(
     health = single.get("/admin/health").ok()
     assert health["runs_problem"].startswith("1 queued run can never start.")
     assert health["invitation_warning"] is None, "it has happened"
-    needs = [(entry["need"], entry["count"], entry["mission"]["id"]) for entry in single.get("/home").ok()["attention"]]
+    needs = [(entry["kind"], entry["count"], entry["mission"]["id"]) for entry in single.get("/home").ok()["attention"]]
     assert needs == [("runs_cannot_start", 1, mission["id"])]
 
     single.post(f"/runs/{queued['id']}/cancel").ok()
@@ -118,7 +118,7 @@ def test_failed_runs_need_attention_until_the_same_action_succeeds(lab: Api, run
 
     def needs() -> list[tuple[str, int]]:
         reported = lab.as_(member.token).get("/home").ok()["attention"]
-        return [(entry["need"], entry["count"]) for entry in reported]
+        return [(entry["kind"], entry["count"]) for entry in reported]
 
     def ended(reason: str, **action: Any) -> Any:
         launch(lab, runner, place.mission, **action)

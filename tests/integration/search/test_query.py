@@ -214,12 +214,12 @@ def test_choosing_a_value_finds_as_many_files_as_it_says(lab: Api) -> None:
     for text in ("", "alps", "label:night", "meta.robot:spot", "project:Town", "topic:/imu month:2024-10"):
         answer = lab.get("/search/facets", {"query": text}).ok()
         for facet in answer["facets"]:
-            chosen = [value for value in facet["values"] if value["is_chosen"]]
+            chosen = [value for value in facet["values"] if value["is_selected"]]
             for value in facet["values"]:
                 total = _result(lab, value["query"])["files"]["total"]
                 if not chosen:
                     assert total == value["file_count"], (text, facet["name"], value)
-                if value["is_chosen"]:
+                if value["is_selected"]:
                     assert total >= value["file_count"], (text, facet["name"], value)
 
 
@@ -227,13 +227,13 @@ def test_a_facet_of_which_something_is_chosen_still_shows_the_others(lab: Api) -
     result = lab.get("/search/facets", {"query": "meta.robot:spot label:night"}).ok()
     facets = {entry["name"]: entry["values"] for entry in result["facets"]}
     robots = [
-        (entry["value"], entry["file_count"], entry["is_chosen"], entry["query"]) for entry in facets["meta.robot"]
+        (entry["value"], entry["file_count"], entry["is_selected"], entry["query"]) for entry in facets["meta.robot"]
     ]
     assert robots == [
         ("anymal", 2, False, "meta.robot:anymal label:night"),
         ("spot", 0, True, "label:night"),
     ]
-    assert (result["file_count"], result["is_whole"]) == (0, True)
+    assert (result["file_count"], result["is_exact"]) == (0, True)
 
 
 def test_hidden_files_are_in_no_count(lab: Api) -> None:

@@ -57,20 +57,20 @@ def _sampled(monkeypatch: pytest.MonkeyPatch) -> int:
 
 def test_a_small_number_of_files_is_counted_exactly(full: Api) -> None:
     result = full.get("/search", {"query": "drive"}).ok()
-    assert (result["is_whole"], result["files"]["total"], result["missions"]["total"]) == (True, _FILES - _RARE, 1)
+    assert (result["is_exact"], result["files"]["total"], result["missions"]["total"]) == (True, _FILES - _RARE, 1)
     assert result["topics"]["items"][0]["file_count"] == _FILES - _RARE
 
 
 def test_an_estimated_total_of_very_many_files_is_declared_as_one(full: Api, sampled: int) -> None:
     result = full.get("/search", {"query": "drive", "limit": "5"}).ok()
-    assert not result["is_whole"]
+    assert not result["is_exact"]
     # Ids are random: of 120 files, the 60th id lies near the middle, and seldom beyond these.
     assert _FILES / 2 < result["files"]["total"] < _FILES * 2
     assert [item["start_ns"] for item in result["files"]["items"]] == [*range(_FILES, _FILES - 5, -1)]
     assert [item["name"] for item in result["topics"]["items"]] == ["/imu"]
     for query in ("drive", "", "drive topic:/imu", "project:many*"):
         facets = full.get("/search/facets", {"query": query}).ok()
-        assert not facets["is_whole"]
+        assert not facets["is_exact"]
         assert 0 < facets["file_count"] <= sampled
         (topics,) = (item["values"] for item in facets["facets"] if item["name"] == "topic")
         assert [(item["value"], item["file_count"]) for item in topics] == [("/imu", facets["file_count"])]
@@ -78,10 +78,10 @@ def test_an_estimated_total_of_very_many_files_is_declared_as_one(full: Api, sam
 
 def test_a_rare_word_among_very_many_files_finds_all_its_files(full: Api, sampled: int) -> None:
     result = full.get("/search", {"query": "rarely"}).ok()
-    assert (result["is_whole"], result["files"]["total"]) == (True, _RARE)
+    assert (result["is_exact"], result["files"]["total"]) == (True, _RARE)
     assert full.get("/search", {"query": "zzyzx"}).ok()["files"] == {"items": [], "next": None, "total": 0}
     facets = full.get("/search/facets", {"query": "rarely"}).ok()
-    assert (facets["is_whole"], facets["file_count"]) == (True, _RARE)
+    assert (facets["is_exact"], facets["file_count"]) == (True, _RARE)
 
 
 @pytest.mark.parametrize("timed_by", ["nothing", "path", "label", "topic", "mission", "project"])
@@ -112,7 +112,7 @@ def test_files_without_a_time_come_last_among_very_many(start_api: StartApi, tim
         assert [item["id"] for item in result["files"]["items"]] == [item for item in in_order if item in shown][:5], (
             query
         )
-        assert query == "sheet sheet_1" or result["is_whole"] == (timed_by != "nothing")
+        assert query == "sheet sheet_1" or result["is_exact"] == (timed_by != "nothing")
     assert api.get("/search", {"query": "sheet", "sort": "size", "limit": "1"}).ok()["files"]["items"]
 
 
@@ -130,7 +130,7 @@ def test_very_many_files_in_one_mission_find_that_mission(start_api: StartApi, m
     sampled_first = str(api.sql("SELECT id FROM mission ORDER BY id LIMIT 1")[0][0])
     _set_limit(monkeypatch, missions_service, "SAMPLED_MISSIONS", 1)
     result = api.get("/search", {"query": "sheet"}).ok()
-    assert not result["is_whole"]
+    assert not result["is_exact"]
     assert [item["id"] for item in result["missions"]["items"]] == [full]
     assert result["missions"]["total"] == 1 or sampled_first == full
 
@@ -162,7 +162,7 @@ def test_stored_topics_exclude_a_mission_only_where_current_and_complete(
 
     def is_found() -> bool:
         result = full.get("/search", {"query": query}).ok()
-        assert not result["is_whole"]
+        assert not result["is_exact"]
         in_missions = {item["id"] for item in result["missions"]["items"]}
         in_files = {item["mission"]["id"] for item in result["files"]["items"]}
         assert (str(mission_id) in in_missions) == (str(mission_id) in in_files)
@@ -254,6 +254,6 @@ def test_a_common_word_lists_what_a_rare_one_does(spread: tuple[Api, str], monke
     _set_limit(monkeypatch, planner, "_COMMON_TOGETHER", 0)
     _set_limit(monkeypatch, planner, "COMMON", 1)
     common = api.get("/search", {"query": word, "limit": "50"}).ok()
-    assert (rare["is_whole"], common["is_whole"]) == (True, False)
+    assert (rare["is_exact"], common["is_exact"]) == (True, False)
     for kind in ("files", "missions"):
         assert [item["id"] for item in common[kind]["items"]] == [item["id"] for item in rare[kind]["items"]]

@@ -43,7 +43,7 @@ def test_everyone_finds_only_what_their_own_query_and_rights_allow(
             result = api.get("/search", {"query": query.format(word), "sort": sort}).ok()
             assert [item["mission"]["id"] for item in result["files"]["items"]] == [mission]
             assert {item["id"] for item in result["missions"]["items"]} <= {mission}
-            assert (result["files"]["total"], result["topics"]["total"], result["is_whole"]) == (1, 1, True)
+            assert (result["files"]["total"], result["topics"]["total"], result["is_exact"]) == (1, 1, True)
         facets = api.get("/search/facets", {"query": query.format(word)}).ok()
         assert facets["file_count"] == 1
         (labels,) = (item["values"] for item in facets["facets"] if item["name"] == "label")

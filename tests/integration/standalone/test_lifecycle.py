@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from kleinkram.contract.tokens import is_whole
+from kleinkram.contract.tokens import has_valid_checksum
 from kleinkram.standalone import object_store
 from kleinkram.standalone.address import Listening, is_free
 from kleinkram.standalone.data_dir import DataDir, load_secrets
@@ -54,7 +54,7 @@ def test_up_answers_and_ctrl_c_ends_everything(shared_instance: Instance) -> Non
     wait_until(lambda: _answers(shared_instance))
     token = shared_instance.data_dir / "owner-token"
     assert token.stat().st_mode & 0o777 == 0o600
-    assert is_whole(token.read_text().strip())
+    assert has_valid_checksum(token.read_text().strip())
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
     assert (process.returncode, out, _unexpected(err)) == (0, "", "")

@@ -77,7 +77,7 @@ class Machine(RuleBasedStateMachine):
         if decision["decision"] == "refused":
             assert decision["problem"]["code"] in {"name_leased", "file_exists"}
             assert self._holds(path), "refused, although nobody holds the name"
-        if decision["decision"] in {"linked", "present"}:
+        if decision["decision"] in {"deduplicated", "already_present"}:
             self._see_that_it_can_be_read(path, body)
         return decision.get("upload") or {}, body
 
@@ -176,7 +176,7 @@ class Machine(RuleBasedStateMachine):
     @rule()
     def scrub(self) -> None:
         """Compare the store's list; afterwards each blob says whether its object is there, and of its size."""
-        scrub_id = uuid.UUID(self.api.post("/admin/scrub", {"believe": True}).ok(202)["id"])
+        scrub_id = uuid.UUID(self.api.post("/admin/scrub", {"accept_losses": True}).ok(202)["id"])
         self.context.run(lambda context: scrub_store(context, scrub_id))
         self._check_answer({"gone": "lost", "cut": "corrupt"})
 
@@ -273,7 +273,7 @@ class Machine(RuleBasedStateMachine):
         for file in self._files():
             self.api.delete(f"/files/{file['id']}").ok()
         for path in _PATHS:
-            assert begin(self.api, self.mission_id, {path: b"free?" + path.encode()})[0]["decision"] == "send"
+            assert begin(self.api, self.mission_id, {path: b"free?" + path.encode()})[0]["decision"] == "upload"
         self.expire()
         self.empty_trash()
         assert {key for key in self._keys() if not key.startswith("probe/")} == set()

@@ -83,7 +83,7 @@ def test_uploading_again_after_the_mark_need_not_wait_for_garbage_collection(
     api.as_(people.person(api).token).post(path, {"files": [file]}).refused(404, "not_found")
     assert begin(api, mission_id, {"run.bin": body})[0]["problem"]["code"] == "name_leased", "not gone on with"
     (decision,) = api.post(path, {"files": [file]}).ok()["items"]
-    assert (decision["decision"], decision["file"]["sha256"]) == ("present", sha256(body))
+    assert (decision["decision"], decision["file"]["sha256"]) == ("already_present", sha256(body))
 
 
 def test_a_token_that_may_not_fill_the_mission_ends_nothing_there(api: Api, mission_id: str) -> None:
@@ -109,7 +109,7 @@ def test_a_partial_upload_continues_after_it_was_marked(api: Api, mission_id: st
     _mark_only(api, upload, body)
     file = {"path": "run.bin", "size_bytes": len(body), "upload_id": upload["id"]}
     (decision,) = api.post(f"/missions/{mission_id}/uploads", {"files": [file]}).ok()["items"]
-    assert (decision["decision"], [part["number"] for part in decision["upload"]["parts"]]) == ("send", [1])
+    assert (decision["decision"], [part["number"] for part in decision["upload"]["parts"]]) == ("upload", [1])
     send(api, decision["upload"], body, only=[2])
     assert complete(api, decision["upload"], body)["outcome"] == "completed"
 
@@ -128,7 +128,7 @@ def test_an_abandoned_upload_expires_and_leaves_nothing_in_the_store(start_api: 
     assert on_site(api, lambda context: context.storage.sizes("")) == {}
     assert on_site(api, lambda context: context.storage.list_multiparts("")) == []
     sign(api, uploads[1], [(1, small)]).refused(410, "upload_gone")
-    assert begin(api, mission_id, {"small": small})[0]["decision"] == "send"
+    assert begin(api, mission_id, {"small": small})[0]["decision"] == "upload"
 
 
 def test_a_multipart_upload_that_nobody_wrote_down_is_found_and_dropped(api: Api, mission_id: str) -> None:
@@ -150,7 +150,7 @@ def test_one_of_two_clients_that_race_for_a_name_gets_a_conflict(api: Api, missi
     def race(body: bytes) -> None:
         barrier.wait()
         decision = begin(api, mission_id, {"run.bin": body})[0]
-        if decision["decision"] == "send":
+        if decision["decision"] == "upload":
             send(api, decision["upload"], body)
             outcomes.append(complete(api, decision["upload"], body)["outcome"])
         else:

@@ -88,7 +88,7 @@ def test_a_blob_being_linked_is_not_collected(api: Api, mission_id: str, other: 
         linked = send_one(begin, api, mission_id, {"run.bin": duplicate.body})
         duplicate.leave()
         assert duplicate.key in _collect(api)
-    assert linked.result(30)[0]["decision"] == "linked"
+    assert linked.result(30)[0]["decision"] == "deduplicated"
     _see_that_all_have_bytes(api, mission_id, {"run.bin": duplicate.body})
 
 
@@ -113,7 +113,7 @@ def test_a_blob_linked_during_garbage_collection_is_not_collected(
             at_gate = "SELECT count(*) FROM pg_locks WHERE locktype = 'advisory' AND objid = %s AND NOT granted"
             wait_until(lambda: collected.done() or api.sql(at_gate, _GATE) == [(1,)])
             assert not collected.done()
-        assert linked.result(30)[0]["decision"] == "linked"
+        assert linked.result(30)[0]["decision"] == "deduplicated"
         gate.rollback()
         collected.result(30)
     monkeypatch.undo()
@@ -147,7 +147,7 @@ def test_linking_a_collected_blob_requires_an_upload(
     collected.result(30)
     monkeypatch.undo()
     linked, message = began.result(30)
-    assert (linked["decision"], message["decision"]) == ("linked", "send")
+    assert (linked["decision"], message["decision"]) == ("deduplicated", "upload")
     send(api, message["upload"], second.body)
     assert complete(api, message["upload"], second.body)["outcome"] == "completed"
     _see_that_all_have_bytes(api, mission_id, {"first.bin": first.body, "run.bin": second.body})

@@ -52,18 +52,18 @@ def test_many_small_files_take_three_requests(api: Api, mission_id: str) -> None
 
 def test_the_same_file_again_is_present_and_sends_nothing(api: Api, mission_id: str, one: bytes) -> None:
     file = upload(api, mission_id, "run.bin", one)
-    assert begin(api, mission_id, {"run.bin": one}, hashed=False)[0]["decision"] == "hash_first"
+    assert begin(api, mission_id, {"run.bin": one}, hashed=False)[0]["decision"] == "hash_required"
     decision = begin(api, mission_id, {"run.bin": one})[0]
-    assert (decision["decision"], decision["file"]["id"]) == ("present", file["id"])
+    assert (decision["decision"], decision["file"]["id"]) == ("already_present", file["id"])
 
 
 def test_the_same_content_elsewhere_is_linked_without_a_byte(api: Api, mission_id: str) -> None:
     body = os.urandom(1000)
     first = upload(api, mission_id, "first.bin", body)
     other = str(api.mission(api.project()["id"])["id"])
-    assert begin(api, other, {"second.bin": body}, hashed=False)[0]["decision"] == "hash_first"
+    assert begin(api, other, {"second.bin": body}, hashed=False)[0]["decision"] == "hash_required"
     decision = begin(api, other, {"second.bin": body})[0]
-    assert (decision["decision"], decision["file"]["origin"]) == ("linked", "link")
+    assert (decision["decision"], decision["file"]["origin"]) == ("deduplicated", "link")
     assert api.sql(
         "SELECT count(DISTINCT blob_id) FROM file WHERE id IN (%s, %s)", first["id"], decision["file"]["id"]
     ) == [(1,)]
@@ -78,13 +78,13 @@ def test_bytes_that_only_others_claim_are_not_handed_out(api: Api, mission_id: s
     api.sql(
         "UPDATE blob SET uploaded_by_id = %s WHERE id = (SELECT blob_id FROM file WHERE id = %s)", stranger, file["id"]
     )
-    assert begin(api, mission_id, {"mine.bin": body})[0]["decision"] == "send"
+    assert begin(api, mission_id, {"mine.bin": body})[0]["decision"] == "upload"
     api.sql(
         "UPDATE blob SET state = 'verified', md5 = decode(repeat('00', 16), 'hex'), verified_at = now()"
         " WHERE id = (SELECT blob_id FROM file WHERE id = %s)",
         file["id"],
     )
-    assert begin(api, mission_id, {"yours.bin": body})[0]["decision"] == "linked"
+    assert begin(api, mission_id, {"yours.bin": body})[0]["decision"] == "deduplicated"
 
 
 def test_other_content_under_the_same_name_is_refused_naming_both_hashes(
@@ -114,7 +114,7 @@ def test_two_names_in_one_request_that_are_the_same_do_not_both_begin(
     api: Api, mission_id: str, one: bytes, two: bytes
 ) -> None:
     decisions = begin(api, mission_id, {"Zürich.bin": one, "ZU\u0308RICH.bin": two})
-    assert [decision["decision"] for decision in decisions] == ["send", "refused"]
+    assert [decision["decision"] for decision in decisions] == ["upload", "refused"]
 
 
 def test_other_bytes_are_refused_by_the_store(api: Api, mission_id: str) -> None:
@@ -156,7 +156,7 @@ def test_a_wrong_whole_checksum_makes_no_file(api: Api, mission_id: str) -> None
         outcome = api.post("/uploads/complete", {"uploads": [finish]}).ok()["items"][0]
         assert outcome["problem"]["code"] == "checksum_mismatch"
     assert api.all("/files", {"mission_id": mission_id}) == []
-    assert begin(api, mission_id, {"run.bin": body})[0]["decision"] == "send", "the name is free again"
+    assert begin(api, mission_id, {"run.bin": body})[0]["decision"] == "upload", "the name is free again"
 
 
 def test_missing_parts_are_named_and_the_upload_continues(api: Api, mission_id: str) -> None:
@@ -230,7 +230,7 @@ def test_an_upload_can_be_cancelled(api: Api, mission_id: str, one: bytes) -> No
     assert [item["id"] for item in api.all(f"/missions/{mission_id}/uploads")] == [started["id"]]
     api.delete(f"/uploads/{started['id']}").ok(204)
     assert api.all(f"/missions/{mission_id}/uploads") == []
-    assert begin(api, mission_id, {"run.bin": one})[0]["decision"] == "send"
+    assert begin(api, mission_id, {"run.bin": one})[0]["decision"] == "upload"
 
 
 def test_a_mission_deleted_meanwhile_takes_no_file(api: Api, one: bytes) -> None:
@@ -323,7 +323,7 @@ def test_a_checksum_of_the_wrong_kind_is_refused_and_spoils_nothing(api: Api, mi
 
 
 def test_a_file_and_a_folder_of_one_name_do_not_both_come_in(api: Api, mission_id: str, one: bytes, two: bytes) -> None:
-    assert [item["decision"] for item in begin(api, mission_id, {"day": one, "day/run": two})] == ["send", "refused"]
+    assert [item["decision"] for item in begin(api, mission_id, {"day": one, "day/run": two})] == ["upload", "refused"]
     other = begin(api, mission_id, {"day/run": two})[0]["upload"]
     first = api.all(f"/missions/{mission_id}/uploads")[0]
     for upload_read, body in ((first, one), (other, two)):

@@ -70,7 +70,7 @@ def test_the_first_of_a_link_and_an_upload_for_one_name_gets_it(api: Api, missio
         return begin(api, mission_id, {"run.bin": body})[0]
 
     linked, announced = _race(api, mission_id, [link, announce])
-    assert (linked["decision"], announced["decision"]) == ("linked", "refused")
+    assert (linked["decision"], announced["decision"]) == ("deduplicated", "refused")
     assert announced["problem"]["code"] == "file_exists"
     assert _read(api, mission_id) == [("run.bin", duplicate)]
 
@@ -95,7 +95,7 @@ def test_a_missing_file_is_repaired_once_by_the_first_upload(
     works = [link, finish] if link_first else [finish, link]
     answers = dict(zip(works, _race(api, mission_id, works), strict=True))
     assert answers[finish]["outcome"] == "completed"
-    assert answers[link]["decision"] in {"present", "refused"}
+    assert answers[link]["decision"] in {"already_present", "refused"}
     assert _read(api, mission_id) == [("run.bin", duplicate)]
     assert [file["id"] for file in api.all("/files", {"mission_id": mission_id})] == [linked["id"]]
 
@@ -117,4 +117,4 @@ def test_a_lost_file_that_is_found_again_while_it_is_to_be_linked_is_present(
 
     monkeypatch.setattr(queries, "lock_duplicates", lock_and_heal)
     (decision,) = begin(api, mission_id, {"run.bin": duplicate})
-    assert (decision["decision"], decision["file"]["id"]) == ("present", mine)
+    assert (decision["decision"], decision["file"]["id"]) == ("already_present", mine)

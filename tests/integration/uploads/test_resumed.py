@@ -27,7 +27,7 @@ def test_resuming_lists_small_files_already_uploaded(api: Api, mission_id: str, 
     again = [{"path": path, "size_bytes": len(body), "upload_id": first[path]["id"]} for path, body in bodies.items()]
     for decision in api.post(f"/missions/{mission_id}/uploads", {"files": again}).ok()["items"]:
         answer = decision["upload"]
-        assert decision["decision"] == "send"
+        assert decision["decision"] == "upload"
         assert answer["id"] == first[answer["path"]]["id"]
         size_bytes = len(bodies[answer["path"]])
         locked = [(part["number"], part["size_bytes"]) for part in answer["parts"]]

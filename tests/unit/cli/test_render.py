@@ -52,7 +52,7 @@ def test_details_leave_out_what_is_not_known(capsys: pytest.CaptureFixture[str])
 
 
 def test_json_has_plain_values(capsys: pytest.CaptureFixture[str]) -> None:
-    show_json({"outcome": Outcome.present, "items": [{"a": 1}], "name": "\x1b"})
+    show_json({"outcome": Outcome.already_present, "items": [{"a": 1}], "name": "\x1b"})
     assert capsys.readouterr().out == (
-        '{\n  "outcome": "present",\n  "items": [\n    {\n      "a": 1\n    }\n  ],\n  "name": "\\u001b"\n}\n'
+        '{\n  "outcome": "already_present",\n  "items": [\n    {\n      "a": 1\n    }\n  ],\n  "name": "\\u001b"\n}\n'
     )

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from kleinkram.contract.tokens import PATTERN, SecretKind, is_mangled, is_whole, with_checksum
+from kleinkram.contract.tokens import PATTERN, SecretKind, has_valid_checksum, is_mangled, with_checksum
 from kleinkram.server.access.actor import new_secret, secret_prefix
 
 
@@ -15,7 +15,7 @@ def test_a_new_secret_is_found_and_verified(kind: SecretKind) -> None:
     assert len({secret.text for secret in secrets}) == 200
     for secret in secrets:
         assert re.findall(PATTERN, f"token='{secret.text}',") == [secret.text]
-        assert is_whole(secret.text)
+        assert has_valid_checksum(secret.text)
         assert len(secret.prefix) == len(f"klein_{kind.value}_") + 4
         assert secret.text not in repr(secret)
 

@@ -69,7 +69,7 @@ def test_an_unknown_name_begins() -> None:
 
 
 def test_an_existing_name_requires_the_hash_first() -> None:
-    assert decide(_requested(), _facts(files={"run.mcap": _existing()})).action is Action.hash_first
+    assert decide(_requested(), _facts(files={"run.mcap": _existing()})).action is Action.hash_required
 
 
 def test_the_same_content_under_the_same_name_is_present() -> None:
@@ -128,7 +128,7 @@ def test_another_size_does_not_resume() -> None:
 def test_a_possible_duplicate_is_hashed_first_and_then_linked() -> None:
     blob_id = uuid.uuid4()
     facts = _facts(duplicate_sizes=frozenset({10}), duplicates={FileContent(10, bytes.fromhex(_SHA)): blob_id})
-    assert decide(_requested(), facts).action is Action.hash_first
+    assert decide(_requested(), facts).action is Action.hash_required
     linked = decide(_requested(sha256=_SHA), facts)
     assert (linked.action, linked.blob_id) == (Action.link, blob_id)
     assert decide(_requested(sha256=_OTHER), facts).action is Action.begin

@@ -2727,12 +2727,12 @@ export interface components {
             runs_problem: string | null;
             /** Schema Version */
             schema_version: string;
+            /** Store Allows Browser Uploads */
+            store_allows_browser_uploads: boolean;
             /** Store Checksum */
             store_checksum: string;
-            /** Store Takes Pages */
-            store_takes_pages: boolean;
-            /** Store Writes Once */
-            store_writes_once: boolean;
+            /** Store Refuses Overwrites */
+            store_refuses_overwrites: boolean;
             /** Version */
             version: string;
             /** Warnings */
@@ -2779,6 +2779,18 @@ export interface components {
             store: components["schemas"]["StoreUse"];
             trash: components["schemas"]["StateAmount"];
             uploads: components["schemas"]["StateAmount"];
+        };
+        /**
+         * AlreadyPresent
+         * @description The mission already has this very file under this name: nothing to send. `file` is null for who may not read.
+         */
+        AlreadyPresent: {
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            decision: "already_present";
+            file: components["schemas"]["FileRead"] | null;
         };
         /**
          * ArtifactRead
@@ -2863,9 +2875,15 @@ export interface components {
         Attention: {
             /** Count */
             count: number;
+            kind: components["schemas"]["AttentionKind"];
             mission?: components["schemas"]["MissionRef"] | null;
-            need: components["schemas"]["Need"];
         };
+        /**
+         * AttentionKind
+         * @description Reasons for attention. The last four concern the whole server and are shown to admins.
+         * @enum {string}
+         */
+        AttentionKind: "files_corrupt" | "files_lost" | "files_broken" | "files_unread" | "files_recovered" | "runs_cannot_start" | "runs_failed" | "metadata_missing" | "scrub_stopped" | "verifications_overdue" | "jobs_failed" | "disk_low";
         /**
          * AuditRead
          * @description One event: who did what to which object, and what changed.
@@ -3092,6 +3110,18 @@ export interface components {
             name: string;
         };
         /**
+         * Deduplicated
+         * @description The same bytes are kept already and you may read them: the file now exists, nothing to send.
+         */
+        Deduplicated: {
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            decision: "deduplicated";
+            file: components["schemas"]["FileRead"];
+        };
+        /**
          * Deleted
          * @description What a deletion moved to the trash (or, as a dry run, would move).
          *
@@ -3310,15 +3340,15 @@ export interface components {
         };
         /**
          * FacetsRead
-         * @description The facets of a query. If `is_whole` is false, they cover only the first `file_count` files.
+         * @description The facets of a query. If `is_exact` is false, they cover only the first `file_count` files.
          */
         FacetsRead: {
             /** Facets */
             facets: components["schemas"]["Facet"][];
             /** File Count */
             file_count: number;
-            /** Is Whole */
-            is_whole: boolean;
+            /** Is Exact */
+            is_exact: boolean;
             /** Query */
             query: string;
         };
@@ -3331,8 +3361,8 @@ export interface components {
         FacetValue: {
             /** File Count */
             file_count: number;
-            /** Is Chosen */
-            is_chosen: boolean;
+            /** Is Selected */
+            is_selected: boolean;
             /** Query */
             query: string;
             /** Value */
@@ -3361,7 +3391,7 @@ export interface components {
          * @description What addresses of files are asked for, by the word of whoever asks: either gives all bytes, for as long.
          * @enum {string}
          */
-        FetchPurpose: "download" | "look";
+        FetchPurpose: "download" | "preview";
         /**
          * FieldProblem
          * @description One invalid field of a request, a metadata document or a field definition.
@@ -3797,15 +3827,15 @@ export interface components {
             name: string;
         };
         /**
-         * HashFirst
+         * HashRequired
          * @description Something of this name or size is kept already: ask again with the sha256.
          */
-        HashFirst: {
+        HashRequired: {
             /**
              * @description discriminator enum property added by openapi-typescript
              * @enum {string}
              */
-            decision: "hash_first";
+            decision: "hash_required";
             /** Path */
             path: string;
         };
@@ -4063,18 +4093,6 @@ export interface components {
             /** Inputs */
             inputs: components["schemas"]["LineageFile"][];
             run: components["schemas"]["RunRead"];
-        };
-        /**
-         * Linked
-         * @description The same bytes are kept already and you may read them: the file now exists, nothing to send.
-         */
-        Linked: {
-            /**
-             * @description discriminator enum property added by openapi-typescript
-             * @enum {string}
-             */
-            decision: "linked";
-            file: components["schemas"]["FileRead"];
         };
         /**
          * Location
@@ -4528,12 +4546,6 @@ export interface components {
             project_id?: string | null;
         };
         /**
-         * Need
-         * @description Reasons for attention. The last four concern the whole server and are shown to admins.
-         * @enum {string}
-         */
-        Need: "files_corrupt" | "files_lost" | "files_broken" | "files_unread" | "files_recovered" | "runs_cannot_start" | "runs_failed" | "metadata_missing" | "scrub_stopped" | "verifications_overdue" | "jobs_failed" | "disk_low";
-        /**
          * Network
          * @description Network access of a run: none, the API and the store with its own token, or that of its machine.
          * @enum {string}
@@ -4953,18 +4965,6 @@ export interface components {
             name: string;
         };
         /**
-         * Present
-         * @description The mission already has this very file under this name: nothing to send. `file` is null for who may not read.
-         */
-        Present: {
-            /**
-             * @description discriminator enum property added by openapi-typescript
-             * @enum {string}
-             */
-            decision: "present";
-            file: components["schemas"]["FileRead"] | null;
-        };
-        /**
          * Preview
          * @description A picture (PNG, JPEG, SVG), table (CSV) or track (GeoJSON) among the artifacts that is shown with the run.
          */
@@ -5237,8 +5237,8 @@ export interface components {
             size_bytes: number;
             /** Start Ns */
             start_ns: number | null;
-            /** Surplus */
-            surplus: string[];
+            /** Unlisted */
+            unlisted: string[];
         };
         /**
          * RecordingRef
@@ -5827,10 +5827,12 @@ export interface components {
          * @description A comparison of the objects in the store with the database.
          *
          *     `lost` and `corrupt`: newly detected blobs; `recovered`: lost ones whose objects are back and are being verified;
-         *     `unknown`: objects that the database does not have. `stopped`: why it marked nothing, or not all. Until `ended_at`,
-         *     the numbers cover what was compared so far.
+         *     `unknown`: objects that the database does not have. `aborted_reason`: why it marked nothing, or not all.
+         *     Until `ended_at`, the numbers cover what was compared so far.
          */
         ScrubRead: {
+            /** Aborted Reason */
+            aborted_reason: string | null;
             /** Compared */
             compared: number;
             /** Compared Bytes */
@@ -5860,21 +5862,19 @@ export interface components {
             seen_at: string;
             /** Started At */
             started_at: string | null;
-            /** Stopped */
-            stopped: string | null;
             /** Unknown */
             unknown: number;
         };
         /**
          * ScrubRequest
-         * @description A scrub to start. `believe`: the admin has checked that missing objects are really gone.
+         * @description A scrub to start. `accept_losses`: the admin has checked that missing objects are really gone.
          */
         ScrubRequest: {
             /**
-             * Believe
+             * Accept Losses
              * @default false
              */
-            believe: boolean;
+            accept_losses: boolean;
         };
         /**
          * ScrubState
@@ -5899,35 +5899,20 @@ export interface components {
          *
          *     `query` is the normalized text; `filter` its meaning. Missions match themselves or by their files. The lists
          *     continue at `/missions` and `/files` with the same `query` and `sort=-start`. If very many files match, not
-         *     `is_whole`: all numbers are estimates with two digits, and the topics are those of sampled files.
+         *     `is_exact`: all numbers are estimates with two digits, and the topics are those of sampled files.
          */
         SearchRead: {
             files: components["schemas"]["Page_FileRead_"];
             filter: components["schemas"]["FileFilter"];
             /**
-             * Is Whole
+             * Is Exact
              * @default true
              */
-            is_whole: boolean;
+            is_exact: boolean;
             missions: components["schemas"]["Page_MissionRead_"];
             /** Query */
             query: string;
             topics: components["schemas"]["Page_TopicFound_"];
-        };
-        /**
-         * Send
-         * @description Send the parts that `upload` does not list.
-         *
-         *     `part` is where the only part of a file goes, signed for the checksum that was announced; else ask for addresses.
-         */
-        Send: {
-            /**
-             * @description discriminator enum property added by openapi-typescript
-             * @enum {string}
-             */
-            decision: "send";
-            part?: components["schemas"]["SignedPart"] | null;
-            upload: components["schemas"]["UploadRead"];
         };
         /**
          * ServiceRead
@@ -6045,8 +6030,8 @@ export interface components {
             expires_at: string;
             /** File Count */
             file_count: number;
-            /** Is Whole */
-            is_whole: boolean;
+            /** Is Whole Mission */
+            is_whole_mission: boolean;
             mission: components["schemas"]["MissionRef"];
             /** Name */
             name: string;
@@ -6558,7 +6543,7 @@ export interface components {
          */
         UploadDecisions: {
             /** Items */
-            items: (components["schemas"]["Present"] | components["schemas"]["Linked"] | components["schemas"]["HashFirst"] | components["schemas"]["Send"] | components["schemas"]["UploadRefused"])[];
+            items: (components["schemas"]["AlreadyPresent"] | components["schemas"]["Deduplicated"] | components["schemas"]["HashRequired"] | components["schemas"]["UploadRequired"] | components["schemas"]["UploadRefused"])[];
         };
         /**
          * UploadFile
@@ -6656,6 +6641,21 @@ export interface components {
             /** Path */
             path: string;
             problem: components["schemas"]["ProblemDocument"];
+        };
+        /**
+         * UploadRequired
+         * @description Send the parts that `upload` does not list.
+         *
+         *     `part` is where the only part of a file goes, signed for the checksum that was announced; else ask for addresses.
+         */
+        UploadRequired: {
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            decision: "upload";
+            part?: components["schemas"]["SignedPart"] | null;
+            upload: components["schemas"]["UploadRead"];
         };
         /**
          * UploadsComplete

@@ -32,7 +32,7 @@ const ERRORS: ReadonlySet<string> = new Set([
 ]);
 // Worth knowing, and often intended.
 const INFOS: ReadonlySet<string> = new Set([
-  "gaps-upper-bound", "member-surplus", "metadata-unread", "more-problems", "silent-topic", "stamp-unit", "stamps-before-start",
+  "gaps-upper-bound", "member-unlisted", "metadata-unread", "more-problems", "silent-topic", "stamp-unit", "stamps-before-start",
 ]);
 
 /** Returns how severe a kind of problem is. */

@@ -17,7 +17,7 @@ const operations: Readonly<Record<string, string>> = {
   "file.heal": "found intact again:",
   "file.leave": "moved out",
   "file.link": "linked",
-  "file.look": "viewed",
+  "file.preview": "viewed",
   "file.repair": "repaired",
   "file.verify": "requested verification of",
   "file.put_back": "created in a run",

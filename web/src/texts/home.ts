@@ -2,9 +2,9 @@
 import type { components } from "@/api/schema";
 import { counted, formatShare, formatSize } from "@/components/format";
 
-type Need = components["schemas"]["Need"];
+type AttentionKind = components["schemas"]["AttentionKind"];
 
-const needs: Readonly<Record<Need, (count: number) => string>> = {
+const kinds: Readonly<Record<AttentionKind, (count: number) => string>> = {
   files_corrupt: (count) => `${counted(count, "file")} corrupt in the store`,
   files_lost: (count) => `${counted(count, "file")} missing from the store`,
   files_broken: (count) => `${counted(count, "file")} broken`,
@@ -39,7 +39,7 @@ export const texts = {
 
   attention: "Needs attention",
   nothingNeeds: "Nothing needs attention.",
-  need: (need: Need, count: number) => needs[need](count),
+  kind: (kind: AttentionKind, count: number) => kinds[kind](count),
   where: (project: string, mission: string) => `${project} / ${mission}`,
   more: (count: number) => `Show ${count} more`,
   fewer: "Show fewer",

@@ -93,7 +93,7 @@ export const texts = {
   problems: "Warnings",
   noWarnings: "No warnings.",
   missingFile: (path: string) => `The recording lists ${path}, but this file is missing. Upload it to complete the recording.`,
-  surplusFile: (path: string) => `${path} is in the folder of the recording, but the recording does not list it.`,
+  unlistedFile: (path: string) => `${path} is in the folder of the recording, but the recording does not list it.`,
   metadataProblem: (field: string, message: string) => `${field}: ${message}`,
   moreWithWarnings: (most: number) => `Showing the first ${formatCount(most)} files.`,
 

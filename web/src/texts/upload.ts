@@ -46,8 +46,8 @@ const states: Readonly<Record<FileState, string>> = {
   reading: "reading",
   sending: "sending",
   uploaded: "uploaded",
-  present: "already there",
-  linked: "linked",
+  already_present: "already there",
+  deduplicated: "deduplicated",
   refused: "not uploaded",
   left: "not started",
 };
@@ -86,8 +86,8 @@ export const texts = {
   phases,
   waitReasons,
   stateWhy: {
-    present: "The mission already had this file; nothing was sent.",
-    linked: "The server already had this content; nothing was sent.",
+    already_present: "The mission already had this file; nothing was sent.",
+    deduplicated: "The server already had this content; nothing was sent.",
   } as Readonly<Partial<Record<FileState, string>>>,
   drop: {
     title: "Drop a folder or files here",

@@ -240,7 +240,7 @@ class Downloader:
                 return True
             if is_same(target.file, target.local, self._stop.check):
                 self._watcher.skipped(target.file.path, target.file.size_bytes, target.file.size_bytes)
-                self._end(target, Outcome.present)
+                self._end(target, Outcome.already_present)
                 return False
         except DestinationRefused as error:
             self._end(target, Outcome.refused, error=error)

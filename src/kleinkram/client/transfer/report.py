@@ -33,11 +33,11 @@ class Watcher:
 
 
 class Outcome(str, enum.Enum):
-    """How a file ended. `present`: the other side has this very file; `linked`: the server had the bytes."""
+    """How a file ended. `already_present`: the other side has this file; `deduplicated`: the server had these bytes."""
 
     uploaded = "uploaded"
-    present = "present"
-    linked = "linked"
+    already_present = "already_present"
+    deduplicated = "deduplicated"
     downloaded = "downloaded"
     refused = "refused"
 

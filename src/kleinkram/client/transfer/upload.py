@@ -34,12 +34,12 @@ from kleinkram.contract.errors import KleinkramError, NameLeased, QuotaExceeded,
 from kleinkram.contract.problems import from_problem
 from kleinkram.contract.uploads import (
     MIN_PART_BYTES,
-    HashFirst,
-    Send,
+    HashRequired,
     UploadDecision,
     UploadFile,
     UploadRead,
     UploadRefused,
+    UploadRequired,
 )
 
 _FIRST_BATCH_FILES = 16
@@ -190,7 +190,7 @@ class Uploader:
                 answered = [*zip(pending, decisions, strict=True)]
                 # All are recorded before the first is sent: a kill from here on leaves none that cannot be resumed.
                 for candidate, decision in answered:
-                    if isinstance(decision, Send):
+                    if isinstance(decision, UploadRequired):
                         self._record(candidate, decision.upload)
                 pending = [candidate for candidate, decision in answered if self._must_ask_again(candidate, decision)]
         except BaseException:
@@ -225,12 +225,12 @@ class Uploader:
     def _must_ask_again(self, candidate: PendingFile, decision: UploadDecision) -> bool:
         """Act on the server's decision; return True for a file to announce again, with what the server lacked."""
         file = candidate.source.file
-        if isinstance(decision, Send):
+        if isinstance(decision, UploadRequired):
             self._pipeline.submit(FileUpload(candidate.source, candidate.journal, decision, candidate.whole))
             return False
         if isinstance(decision, UploadRefused):
             return self._refuse(candidate, from_problem(decision.problem))
-        if isinstance(decision, HashFirst):
+        if isinstance(decision, HashRequired):
             if candidate.whole is not None:
                 reason = "the server asks for a checksum that it was given"
                 return self._refuse(candidate, TransferFailed(path=file.path, reason=reason))

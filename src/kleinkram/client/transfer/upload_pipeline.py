@@ -24,7 +24,7 @@ from kleinkram.client.transfer.store import PATIENCE_S, PutResult, StoreAnswer, 
 from kleinkram.client.transfer.threads import Budget, RateLimit, Stop, WorkQueue
 from kleinkram.contract.errors import KleinkramError, NotFound, UploadGone, UploadIncomplete
 from kleinkram.contract.problems import from_problem
-from kleinkram.contract.uploads import ChecksumKind, NotCompleted, PartToSign, Send, SignedPart, UploadFinish
+from kleinkram.contract.uploads import ChecksumKind, NotCompleted, PartToSign, SignedPart, UploadFinish, UploadRequired
 
 AHEAD_BYTES = 128 * 1024 * 1024
 _PART_COST = 512 * 1024  # what the smallest part counts, so that open files are bounded too
@@ -61,7 +61,7 @@ class FileUpload:
     `whole` are the checksums of the file where it has been read already.
     """
 
-    def __init__(self, source: OpenFile, journal: Journal, send: Send, whole: FileHashes | None) -> None:
+    def __init__(self, source: OpenFile, journal: Journal, send: UploadRequired, whole: FileHashes | None) -> None:
         self.source = source
         self.journal = journal
         self.upload = send.upload

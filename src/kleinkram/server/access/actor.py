@@ -14,7 +14,7 @@ from sqlalchemy import ColumnElement, Select, bindparam, case, exists, func, or_
 
 from kleinkram.contract.access import Right, Scope, TokenKind
 from kleinkram.contract.people import PersonRef
-from kleinkram.contract.tokens import SecretKind, is_whole, with_checksum
+from kleinkram.contract.tokens import SecretKind, has_valid_checksum, with_checksum
 from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID, OWNER_TOKEN_NAME
 from kleinkram.server.db import Connection
 from kleinkram.server.tables import membership, mission, person, project, session, share, share_file, token, token_limit
@@ -63,7 +63,7 @@ class Actor:
     limits: Limits | None = None
     # For the token of a run: the highest right it has, whatever the rights of the person who started it.
     run_id: uuid.UUID | None = None
-    most: Right | None = None
+    max_right: Right | None = None
     # For the token of a runner: the runner it is bound to; None before its first use.
     runner_id: uuid.UUID | None = None
     # Seconds since the person signed in, also with `klein login` for its token; None for tokens made with a token.
@@ -122,7 +122,7 @@ async def find_actor(db: Connection, secret: str) -> Actor | None:
             scopes=scopes,
             limits=Limits(frozenset(row.project_ids), frozenset(row.mission_ids)) if row.is_limited else None,
             run_id=row.run_id,
-            most=None if row.most is None else Right(row.most),
+            max_right=None if row.max_right is None else Right(row.max_right),
             runner_id=row.runner_id,
             sign_in_age_s=None if row.sign_in_age_s is None else float(row.sign_in_age_s),
         )
@@ -131,7 +131,7 @@ async def find_actor(db: Connection, secret: str) -> Actor | None:
         return None
     if row.is_use_outdated:
         await db.execute(update(share).where(share.c.id == row.id).values(last_used_at=func.now()))
-    file_ids = None if row.is_whole else frozenset(row.file_ids)
+    file_ids = None if row.is_whole_mission else frozenset(row.file_ids)
     return Actor(
         None,
         f"link {row.name}",
@@ -197,7 +197,7 @@ def _by_token() -> Select[Any]:
         token.c.scopes,
         token.c.is_limited,
         token.c.run_id,
-        token.c.most,
+        token.c.max_right,
         token.c.runner_id,
         case((from_sign_in & is_owner_file, 0), (from_sign_in, _age_s(token.c.created_at))).label("sign_in_age_s"),
         limits(token_limit.c.project_id).label("project_ids"),
@@ -254,4 +254,4 @@ def new_secret(kind: SecretKind) -> NewSecret:
 
 def secret_prefix(secret: str) -> str:
     """Return the beginning of a secret, for lists; empty if it is not one of ours."""
-    return secret[: secret.index("_", len("klein_")) + 1 + _SHOWN_CHARACTERS] if is_whole(secret) else ""
+    return secret[: secret.index("_", len("klein_")) + 1 + _SHOWN_CHARACTERS] if has_valid_checksum(secret) else ""

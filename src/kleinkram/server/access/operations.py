@@ -12,11 +12,11 @@ from kleinkram.contract.access import Right, Scope
 class ResourceKind(str, enum.Enum):
     """The kind of object on which an operation requires its right."""
 
-    anything = "anything"  # whatever is visible to the actor
+    visible = "visible"  # whatever is visible to the actor
     server = "server"  # for admins
     project = "project"
     mission = "mission"
-    nothing = "nothing"  # the actor's own objects, or nobody's
+    none = "none"  # the actor's own objects, or nobody's
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Permission:
 
     `runners`: also by runners, for their runs, whatever their scopes; `only_runners`: by nobody else.
     `reads`: tokens also need the scope read. `browsers`: only with a browser session, no token.
-    `fresh`: only shortly after signing in. `boundless`: only with a credential without limits.
+    `fresh`: only shortly after signing in. `unrestricted`: only with a credential without limits.
     """
 
     on: ResourceKind
@@ -36,7 +36,7 @@ class Permission:
     only_runners: bool = False
     reads: bool = False
     browsers: bool = False
-    boundless: bool = False
+    unrestricted: bool = False
     fresh: bool = False
 
 
@@ -50,21 +50,21 @@ _ANY = frozenset(Scope)
 
 
 def _seen(scopes: frozenset[Scope] = _READ, *, guests: bool = True) -> Permission:
-    return Permission(ResourceKind.anything, Right.read, scopes, guests)
+    return Permission(ResourceKind.visible, Right.read, scopes, guests)
 
 
 def _public_endpoint() -> Permission:
-    return Permission(ResourceKind.nothing, None, _ANY, guests=True)
+    return Permission(ResourceKind.none, None, _ANY, guests=True)
 
 
 def _runner() -> Permission:
-    return Permission(ResourceKind.nothing, None, _RUN, runners=True, only_runners=True)
+    return Permission(ResourceKind.none, None, _RUN, runners=True, only_runners=True)
 
 
 OPERATIONS: dict[str, Permission] = {
     # Projects
     "list_projects": _seen(_NAMES),
-    "create_project": Permission(ResourceKind.nothing, None, _WRITE),
+    "create_project": Permission(ResourceKind.none, None, _WRITE),
     "get_project": Permission(ResourceKind.project, Right.read, _NAMES, guests=True),
     "update_project": Permission(ResourceKind.project, Right.write, _WRITE),
     "publish_project": Permission(ResourceKind.project, Right.delete, _ADMIN),
@@ -148,31 +148,31 @@ OPERATIONS: dict[str, Permission] = {
     "get_project_access": Permission(ResourceKind.project, Right.read, _READ),
     "get_mission_access": Permission(ResourceKind.mission, Right.read, _READ),
     # Groups: visible to their members, changed by their editors
-    "list_groups": Permission(ResourceKind.nothing, None, _READ),
-    "create_group": Permission(ResourceKind.nothing, None, _ADMIN),
-    "get_group": Permission(ResourceKind.nothing, None, _READ),
-    "update_group": Permission(ResourceKind.nothing, None, _ADMIN),
-    "delete_group": Permission(ResourceKind.nothing, None, _ADMIN),
-    "list_group_members": Permission(ResourceKind.nothing, None, _READ),
-    "set_group_member": Permission(ResourceKind.nothing, None, _ADMIN),
-    "remove_group_member": Permission(ResourceKind.nothing, None, _ADMIN),
+    "list_groups": Permission(ResourceKind.none, None, _READ),
+    "create_group": Permission(ResourceKind.none, None, _ADMIN),
+    "get_group": Permission(ResourceKind.none, None, _READ),
+    "update_group": Permission(ResourceKind.none, None, _ADMIN),
+    "delete_group": Permission(ResourceKind.none, None, _ADMIN),
+    "list_group_members": Permission(ResourceKind.none, None, _READ),
+    "set_group_member": Permission(ResourceKind.none, None, _ADMIN),
+    "remove_group_member": Permission(ResourceKind.none, None, _ADMIN),
     # People: visible to those who share a group or project with them
-    "list_people": Permission(ResourceKind.nothing, None, _READ),
-    "get_person": Permission(ResourceKind.nothing, None, _READ),
+    "list_people": Permission(ResourceKind.none, None, _READ),
+    "get_person": Permission(ResourceKind.none, None, _READ),
     "make_admin": Permission(ResourceKind.server, None, _ADMIN, fresh=True),
     "unmake_admin": Permission(ResourceKind.server, None, _ADMIN),
     "deactivate_person": Permission(ResourceKind.server, None, _ADMIN),
     "reactivate_person": Permission(ResourceKind.server, None, _ADMIN),
     # Trash
-    "list_trash": Permission(ResourceKind.anything, Right.delete, _READ),
+    "list_trash": Permission(ResourceKind.visible, Right.delete, _READ),
     "restore_from_trash": Permission(ResourceKind.mission, Right.delete, _WRITE),
     # Tokens. Every token may revoke itself; everything else requires the scope admin, which robots do not have.
-    "create_token": Permission(ResourceKind.nothing, None, _ADMIN),
-    "list_tokens": Permission(ResourceKind.nothing, None, _ADMIN, boundless=True),
-    "revoke_token": Permission(ResourceKind.nothing, None, _ANY),
+    "create_token": Permission(ResourceKind.none, None, _ADMIN),
+    "list_tokens": Permission(ResourceKind.none, None, _ADMIN, unrestricted=True),
+    "revoke_token": Permission(ResourceKind.none, None, _ANY),
     # Links. Creating one gives others access, which requires the scope admin.
     "create_share": Permission(ResourceKind.mission, Right.write, _ADMIN),
-    "list_shares": Permission(ResourceKind.anything, Right.write, _READ),
+    "list_shares": Permission(ResourceKind.visible, Right.write, _READ),
     "revoke_share": Permission(ResourceKind.mission, Right.write, _WRITE),
     "get_share": _seen(),
     # Signing in: without an account
@@ -190,26 +190,26 @@ OPERATIONS: dict[str, Permission] = {
     "exchange_cli_code": _public_endpoint(),
     "sign_out": _public_endpoint(),
     # The own account
-    "get_me": Permission(ResourceKind.nothing, None, _ANY, runners=True),
-    "list_sessions": Permission(ResourceKind.nothing, None, _ADMIN, boundless=True),
-    "end_session": Permission(ResourceKind.nothing, None, _ADMIN, boundless=True),
-    "end_all_sessions": Permission(ResourceKind.nothing, None, _ADMIN, boundless=True),
-    "get_account": Permission(ResourceKind.nothing, None, _ADMIN, boundless=True),
-    "list_identities": Permission(ResourceKind.nothing, None, _ADMIN, boundless=True),
-    "unlink_identity": Permission(ResourceKind.nothing, None, _ADMIN, boundless=True, fresh=True),
+    "get_me": Permission(ResourceKind.none, None, _ANY, runners=True),
+    "list_sessions": Permission(ResourceKind.none, None, _ADMIN, unrestricted=True),
+    "end_session": Permission(ResourceKind.none, None, _ADMIN, unrestricted=True),
+    "end_all_sessions": Permission(ResourceKind.none, None, _ADMIN, unrestricted=True),
+    "get_account": Permission(ResourceKind.none, None, _ADMIN, unrestricted=True),
+    "list_identities": Permission(ResourceKind.none, None, _ADMIN, unrestricted=True),
+    "unlink_identity": Permission(ResourceKind.none, None, _ADMIN, unrestricted=True, fresh=True),
     "create_owner_link": Permission(ResourceKind.server, None, _ADMIN, fresh=True),
-    "change_password": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True, fresh=True),
-    "link_provider": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True, fresh=True),
-    "approve_cli_login": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True, fresh=True),
-    "get_device_login": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True),
-    "approve_device_login": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True, fresh=True),
-    "deny_device_login": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True),
-    "reauthenticate_by_password": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True),
-    "begin_provider_reauthentication": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True),
-    "begin_totp": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True, fresh=True),
-    "confirm_totp": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True, fresh=True),
-    "disable_totp": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True, fresh=True),
-    "renew_recovery_codes": Permission(ResourceKind.nothing, None, _ADMIN, browsers=True, fresh=True),
+    "change_password": Permission(ResourceKind.none, None, _ADMIN, browsers=True, fresh=True),
+    "link_provider": Permission(ResourceKind.none, None, _ADMIN, browsers=True, fresh=True),
+    "approve_cli_login": Permission(ResourceKind.none, None, _ADMIN, browsers=True, fresh=True),
+    "get_device_login": Permission(ResourceKind.none, None, _ADMIN, browsers=True),
+    "approve_device_login": Permission(ResourceKind.none, None, _ADMIN, browsers=True, fresh=True),
+    "deny_device_login": Permission(ResourceKind.none, None, _ADMIN, browsers=True),
+    "reauthenticate_by_password": Permission(ResourceKind.none, None, _ADMIN, browsers=True),
+    "begin_provider_reauthentication": Permission(ResourceKind.none, None, _ADMIN, browsers=True),
+    "begin_totp": Permission(ResourceKind.none, None, _ADMIN, browsers=True, fresh=True),
+    "confirm_totp": Permission(ResourceKind.none, None, _ADMIN, browsers=True, fresh=True),
+    "disable_totp": Permission(ResourceKind.none, None, _ADMIN, browsers=True, fresh=True),
+    "renew_recovery_codes": Permission(ResourceKind.none, None, _ADMIN, browsers=True, fresh=True),
     # Accounts
     "invite_person": Permission(ResourceKind.server, None, _ADMIN),
     # With these, somebody at an admin's open browser could take over accounts.
@@ -218,9 +218,9 @@ OPERATIONS: dict[str, Permission] = {
     # Audit log, home, events, service
     "list_audit_events": Permission(ResourceKind.project, Right.delete, _READ),
     "export_audit_events": Permission(ResourceKind.project, Right.delete, _READ),
-    "get_home": Permission(ResourceKind.nothing, None, _READ),
-    "get_home_storage": Permission(ResourceKind.nothing, None, _READ),
-    "watch_events": Permission(ResourceKind.nothing, None, _READ),
+    "get_home": Permission(ResourceKind.none, None, _READ),
+    "get_home_storage": Permission(ResourceKind.none, None, _READ),
+    "watch_events": Permission(ResourceKind.none, None, _READ),
     # The whole server
     "get_admin_storage": Permission(ResourceKind.server, None, _ADMIN),
     "get_admin_jobs": Permission(ResourceKind.server, None, _ADMIN),
@@ -230,7 +230,7 @@ OPERATIONS: dict[str, Permission] = {
     "begin_scrub": Permission(ResourceKind.server, None, _ADMIN),
     "get_admin_health": Permission(ResourceKind.server, None, _ADMIN),
     "get_admin_settings": Permission(ResourceKind.server, None, _ADMIN),
-    "get_service": Permission(ResourceKind.nothing, None, _ANY, guests=True, runners=True),
+    "get_service": Permission(ResourceKind.none, None, _ANY, guests=True, runners=True),
 }
 
 # First segments of the paths of the web app, whose views are in web/src/router/routes.ts.

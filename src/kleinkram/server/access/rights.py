@@ -74,7 +74,7 @@ def admit(actor: Actor, operation: str) -> None:
         raise ScopeMissing(operation=_phrase(operation), needs=missing)
     if permission.on is ResourceKind.server and not actor.is_admin:
         raise Forbidden(noun="server", operation=_phrase(operation), needs="admin rights")
-    if (permission.boundless or permission.on is ResourceKind.server) and actor.limits is not None:
+    if (permission.unrestricted or permission.on is ResourceKind.server) and actor.limits is not None:
         raise ScopeMissing(operation=_phrase(operation), needs="a token without limits")
 
 
@@ -87,7 +87,7 @@ def require_fresh_sign_in(actor: Actor, operation: str, *, within_s: float) -> N
 def is_public_endpoint(operation: str) -> bool:
     """Whether an operation, such as signing in, is open to everybody and about no stored object."""
     permission = OPERATIONS[operation]
-    return permission.guests and permission.on is ResourceKind.nothing
+    return permission.guests and permission.on is ResourceKind.none
 
 
 async def require_project(db: Connection, actor: Actor, operation: str, project_id: uuid.UUID) -> None:

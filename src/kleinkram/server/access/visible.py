@@ -188,7 +188,7 @@ def level_on_mission(actor: Actor) -> ColumnElement[int]:
 
 
 def _at_most(actor: Actor, level: ColumnElement[int]) -> ColumnElement[int]:
-    return level if actor.most is None else func.least(level, actor.most.level)
+    return level if actor.max_right is None else func.least(level, actor.max_right.level)
 
 
 def lasting_level_on_project(actor: Actor, until: datetime.datetime | None) -> ColumnElement[int]:
@@ -284,7 +284,7 @@ def _reaches_project(actor: Actor, right: Right) -> ColumnElement[bool]:
 
 
 def _is_beyond(actor: Actor, right: Right) -> bool:
-    return actor.most is not None and right.level > actor.most.level
+    return actor.max_right is not None and right.level > actor.max_right.level
 
 
 def _reaches_mission(actor: Actor, right: Right) -> ColumnElement[bool]:

@@ -56,7 +56,7 @@ async def begin_scrub(
     request: ScrubRequest, db: Transaction, actor: CurrentActor, settings: CurrentSettings
 ) -> ScrubRead:
     """Start a comparison of the store with the database."""
-    return await service.begin_scrub(db, actor, settings, believe=request.believe)
+    return await service.begin_scrub(db, actor, settings, accept_losses=request.accept_losses)
 
 
 @router.get("/health", operation_id="get_admin_health")

@@ -147,12 +147,12 @@ async def get_scrub(db: Connection, settings: Settings) -> ScrubState:
     )
 
 
-async def begin_scrub(db: Connection, actor: Actor, settings: Settings, *, believe: bool) -> ScrubRead:
+async def begin_scrub(db: Connection, actor: Actor, settings: Settings, *, accept_losses: bool) -> ScrubRead:
     """Request a scrub and return it, or the one that is already running."""
     if actor.person_id is None:
         raise NotAuthenticated(reason="starting a scrub requires an account")
-    row = await scrub.request_scrub(db, settings.store_id, by_id=actor.person_id, believes=believe)
-    after: Metadata = {"believe": believe}
+    row = await scrub.request_scrub(db, settings.store_id, by_id=actor.person_id, accept_losses=accept_losses)
+    after: Metadata = {"accept_losses": accept_losses}
     await record(db, actor, Event("store.scrub", "store", None, settings.store_id, None, after=after, by_power=True))
     return _to_scrub(row)
 
@@ -183,8 +183,8 @@ async def get_health(context: AppContext, *, takes_pages: bool) -> AdminHealth:
         runs_problem=runs_problem(queued_runs, known, single_person=alone),
         invitation_warning=invitation_warning(known, single_person=alone),
         store_checksum=context.storage.checksum.value,
-        store_writes_once=context.storage.capabilities.writes_once,
-        store_takes_pages=takes_pages,
+        store_refuses_overwrites=context.storage.capabilities.writes_once,
+        store_allows_browser_uploads=takes_pages,
     )
 
 

@@ -77,7 +77,7 @@ class AdminReads:
 def is_admin_read(operation: str) -> bool:
     """Whether a read operation shows more to admins than to others."""
     permission = OPERATIONS[operation]
-    return (permission.on is not ResourceKind.nothing or operation in _PEOPLE) and operation not in _BY_LINK
+    return (permission.on is not ResourceKind.none or operation in _PEOPLE) and operation not in _BY_LINK
 
 
 def _foreign_object(admin: Actor, operation: str, target: RequestTarget | None, level: int) -> Select[Any]:

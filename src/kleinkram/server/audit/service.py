@@ -24,7 +24,7 @@ _ADMIN_LEVEL = Right.delete.level + 1
 # What the verbs of operations change; requests, reads and refusals change nothing, all others change an object.
 _CREATED = frozenset({"create", "give", "upload", "link", "arrive", "restore", "bootstrap", "put_back"})
 _REMOVED = frozenset({"delete", "revoke", "leave", "abort", "purge"})
-_NO_CHANGE = frozenset({"download", "verify", "look", "denied", "refused", "limited", "approve", "reset_link"})
+_NO_CHANGE = frozenset({"download", "verify", "preview", "denied", "refused", "limited", "approve", "reset_link"})
 
 
 @dataclass(frozen=True)

@@ -316,4 +316,4 @@ async def scrub_blobs(job_context: JobContext, ref: str) -> None:
             raise
         async with context.database.begin() as db:
             stopped = f"The scrub came to no end: {error.sentence()}"
-            await scrub.end(db, scrub_id, scrub.ScrubCounts(), stopped=stopped)
+            await scrub.end(db, scrub_id, scrub.ScrubCounts(), aborted_reason=stopped)

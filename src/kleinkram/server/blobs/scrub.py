@@ -60,9 +60,9 @@ class ScrubRow(NamedTuple):
     started_at: datetime.datetime | None
     ended_at: datetime.datetime | None
     seen_at: datetime.datetime | None
-    believes: bool
+    accept_losses: bool
     requested_by_id: uuid.UUID | None
-    stopped: str | None
+    aborted_reason: str | None
     compared: int
     compared_bytes: int
     lost: int
@@ -83,12 +83,12 @@ class StateCount(NamedTuple):
 # -- which scrubs there are -------------------------------------------------------------------------------------------
 
 
-async def request_scrub(db: Connection, store_id: str, *, by_id: uuid.UUID, believes: bool) -> ScrubRow:
-    """Return the scrub that is running or queued, or a new one; one that `believes` replaces one that does not."""
+async def request_scrub(db: Connection, store_id: str, *, by_id: uuid.UUID, accept_losses: bool) -> ScrubRow:
+    """Return the scrub that is running or queued, or a new one; one that `accept_losses` replaces one that does not."""
     await _lock(db)
     last = await last_scrub(db, store_id)
-    if last is None or last.ended_at is not None or (believes and not last.believes):
-        await _queue(db, store_id, by_id=by_id, believes=believes, priority=Priority.high)
+    if last is None or last.ended_at is not None or (accept_losses and not last.accept_losses):
+        await _queue(db, store_id, by_id=by_id, accept_losses=accept_losses, priority=Priority.high)
         last = await last_scrub(db, store_id)
     if last is None:
         raise AssertionError("a scrub was inserted and is missing")
@@ -106,7 +106,7 @@ async def begin_due_scrub(db: Connection, settings: Settings) -> None:
         return
     interval = datetime.timedelta(hours=settings.scrub_hours)
     if interval and (last is None or last.now - last.created_at >= interval):
-        await _queue(db, settings.store_id, by_id=None, believes=False, priority=Priority.normal)
+        await _queue(db, settings.store_id, by_id=None, accept_losses=False, priority=Priority.normal)
         await _delete_old(db, settings.store_id)
 
 
@@ -139,7 +139,7 @@ async def start(db: Connection, scrub_id: uuid.UUID) -> datetime.datetime | None
         return None
     last = await last_scrub(db, row.store_id)
     if last is not None and last.id != scrub_id:
-        await end(db, scrub_id, ScrubCounts(), stopped="Another scrub was requested meanwhile, and replaced it.")
+        await end(db, scrub_id, ScrubCounts(), aborted_reason="Another scrub was requested meanwhile, and replaced it.")
         return None
     started_at: datetime.datetime = row.started_at
     return started_at
@@ -150,9 +150,9 @@ async def record_progress(db: Connection, scrub_id: uuid.UUID, counts: ScrubCoun
     await db.execute(update(scrub).where(scrub.c.id == scrub_id).values(seen_at=func.now(), **asdict(counts)))
 
 
-async def end(db: Connection, scrub_id: uuid.UUID, counts: ScrubCounts, *, stopped: str | None = None) -> None:
-    """Record that a scrub has ended; `stopped` says why it did so early."""
-    values = {"seen_at": func.now(), "ended_at": func.now(), "stopped": stopped, **asdict(counts)}
+async def end(db: Connection, scrub_id: uuid.UUID, counts: ScrubCounts, *, aborted_reason: str | None = None) -> None:
+    """Record that a scrub has ended; `aborted_reason` says why it did so early."""
+    values = {"seen_at": func.now(), "ended_at": func.now(), "aborted_reason": aborted_reason, **asdict(counts)}
     await db.execute(update(scrub).where(scrub.c.id == scrub_id).values(**values))
 
 
@@ -161,9 +161,11 @@ async def _lock(db: Connection) -> None:
     await db.execute(select(func.pg_advisory_xact_lock(_ADVISORY_LOCK)))
 
 
-async def _queue(db: Connection, store_id: str, *, by_id: uuid.UUID | None, believes: bool, priority: Priority) -> None:
+async def _queue(
+    db: Connection, store_id: str, *, by_id: uuid.UUID | None, accept_losses: bool, priority: Priority
+) -> None:
     # The clock and not the transaction's start, which may be before that of the previous scrub.
-    values = {"created_at": func.clock_timestamp(), "requested_by_id": by_id, "believes": believes}
+    values = {"created_at": func.clock_timestamp(), "requested_by_id": by_id, "accept_losses": accept_losses}
     scrub_id = uuid.uuid4()
     await db.execute(insert(scrub).values(id=scrub_id, store_id=store_id, **values))
     await enqueue(db, Job.scrub, ids=[str(scrub_id)], priority=priority)
@@ -184,7 +186,7 @@ class _Comparison:
 
     context: AppContext
     started_at: datetime.datetime
-    believes: bool
+    accept_losses: bool
     counts: ScrubCounts = field(default_factory=ScrubCounts)
     missing: int = 0
     suspects: list[ExpectedBlob] = field(default_factory=list)
@@ -201,24 +203,24 @@ async def scrub_store(context: AppContext, scrub_id: uuid.UUID) -> None:
         started_at = await start(db, scrub_id)
     if started_at is None or last is None or last.id != scrub_id:
         return
-    comparison = _Comparison(context, started_at, last.believes)
+    comparison = _Comparison(context, started_at, last.accept_losses)
     stopped = None
     try:
         async for _ in _compare(comparison):
-            if comparison.believes:
+            if comparison.accept_losses:
                 await _judge_suspects(comparison)
             else:
                 _check_plausible(comparison)
             async with context.database.begin() as db:
                 await record_progress(db, scrub_id, comparison.counts)
-        if not comparison.believes:
+        if not comparison.accept_losses:
             _check_plausible(comparison, at_end=True)
         await _judge_suspects(comparison)
     except ScrubStopped as reason:
         stopped = str(reason)
         _log.error("scrub stopped", extra={"fields": {"scrub_id": str(scrub_id), "reason": stopped}})
     async with context.database.begin() as db:
-        await end(db, scrub_id, comparison.counts, stopped=stopped)
+        await end(db, scrub_id, comparison.counts, aborted_reason=stopped)
     _log.info("store scrubbed", extra={"fields": {"scrub_id": str(scrub_id), **vars(comparison.counts)}})
 
 
@@ -286,7 +288,7 @@ def _check_plausible(comparison: _Comparison, *, at_end: bool = False) -> None:
             f"Of {compared} objects compared, {missing} are not in the list of bucket {settings.s3_bucket!r}. "
             "It looks like another store, or like one that lists only a part, so nothing was marked. See that "
             "KLEINKRAM_S3_BUCKET and KLEINKRAM_S3_INTERNAL_URL name the right one. If they do, and the objects are "
-            "gone, `klein admin scrub --believe` marks them as lost."
+            "gone, `klein admin scrub --accept-losses` marks them as lost."
         )
 
 

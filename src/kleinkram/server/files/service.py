@@ -49,7 +49,7 @@ _UNREADABLE = {BlobState.lost.value, BlobState.corrupt.value}
 _BY_PATH = {FileSort.path, FileSort.path_desc}
 # The first page of a list by path is looked for among the files of so many missions.
 _FIRST_MISSIONS = 64
-_FETCHED = {FetchPurpose.download: "file.download", FetchPurpose.look: "file.look"}
+_FETCHED = {FetchPurpose.download: "file.download", FetchPurpose.preview: "file.preview"}
 
 
 async def read_files(db: Connection, actor: Actor, file_ids: Sequence[uuid.UUID]) -> list[FileRead]:

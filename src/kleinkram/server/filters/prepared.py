@@ -61,7 +61,7 @@ def prepare(
         is_admin=actor.is_admin,
         scopes=actor.scopes,
         limits=actor.limits,
-        most=actor.most,
+        max_right=actor.max_right,
     )
     ids = [getattr(matching, name, None) for matching in filters for name in _IDS]
     shape = (

@@ -192,7 +192,7 @@ async def _site_metrics(database: Database) -> list[Metric]:
     ]
     if last is not None:
         findings = {name: getattr(last, name) for name in _FINDINGS}
-        ended_at, stopped = last.ended_at.timestamp(), int(last.stopped is not None)
+        ended_at, stopped = last.ended_at.timestamp(), int(last.aborted_reason is not None)
         gauges += [
             GaugeMetricFamily("kleinkram_scrub_ended_timestamp_seconds", "When the last scrub ended.", value=ended_at),
             GaugeMetricFamily("kleinkram_scrub_stopped", "Whether it stopped and marked nothing.", value=stopped),

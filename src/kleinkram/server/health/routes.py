@@ -50,7 +50,7 @@ def _watches(request: Request, settings: Settings) -> bool:
     if request.client is None or ("x-forwarded-for" in request.headers and not settings.trusted_proxies):
         return False
     address = ipaddress.ip_address(request.client.host)
-    return any(address in network for network in settings.watcher_networks)
+    return any(address in network for network in settings.monitoring_networks)
 
 
 @router.get("/service", operation_id="get_service")

@@ -10,9 +10,9 @@ from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.home import (
     Attention,
+    AttentionKind,
     HomeRead,
     HomeStorage,
-    Need,
     ProjectStorage,
     RecentMission,
     StoreUse,
@@ -41,8 +41,12 @@ _LAST_FILES = 2000
 _STORE_TIMEOUT_S = 2.0
 # The same limits as in `klein doctor`.
 _LOW_BYTES, _LOW_SHARE = 5 * 1024**3, 0.02
-_OF_STATE = {"corrupt": Need.files_corrupt, "lost": Need.files_lost}
-_OF_CONTENT = {"broken": Need.files_broken, "error": Need.files_unread, "recovered": Need.files_recovered}
+_OF_STATE = {"corrupt": AttentionKind.files_corrupt, "lost": AttentionKind.files_lost}
+_OF_CONTENT = {
+    "broken": AttentionKind.files_broken,
+    "error": AttentionKind.files_unread,
+    "recovered": AttentionKind.files_recovered,
+}
 # In the words of the partial index.
 _IS_DAMAGED = text("(blob.state IN ('corrupt', 'lost') OR blob.content IN ('broken', 'recovered', 'error'))")
 _VERIFICATION_DUE_AFTER = text("interval '2 days'")
@@ -130,10 +134,10 @@ def _disk(settings: Settings) -> tuple[int, int] | None:
 
 
 async def _attention(db: Connection, actor: Actor) -> list[Attention]:
-    counts: dict[tuple[Need, MissionRef], int] = {}
+    counts: dict[tuple[AttentionKind, MissionRef], int] = {}
 
-    def count(need: Need, row: Row[Any]) -> None:
-        key = (need, _to_mission(row))
+    def count(kind: AttentionKind, row: Row[Any]) -> None:
+        key = (kind, _to_mission(row))
         counts[key] = counts.get(key, 0) + row.number
 
     for row in await db.execute(_damaged_files(actor)):
@@ -143,30 +147,30 @@ async def _attention(db: Connection, actor: Actor) -> list[Attention]:
         known, alone = await known_runners(db), await has_single_person(db)
         for row in queued:
             if reason_never_starts(row, known, single_person=alone) is not None:
-                count(Need.runs_cannot_start, row)
+                count(AttentionKind.runs_cannot_start, row)
     for row in await db.execute(_failed_runs(actor)):
-        count(Need.runs_failed, row)
+        count(AttentionKind.runs_failed, row)
     for row in await db.execute(_unsatisfied_missions(actor)):
-        count(Need.metadata_missing, row)
-    items = [Attention(need=need, count=number, mission=where) for (need, where), number in counts.items()]
-    order = list(Need)
-    return sorted(items, key=lambda attention: order.index(attention.need))
+        count(AttentionKind.metadata_missing, row)
+    items = [Attention(kind=kind, count=number, mission=where) for (kind, where), number in counts.items()]
+    order = list(AttentionKind)
+    return sorted(items, key=lambda attention: order.index(attention.kind))
 
 
 async def _server_attention(db: Connection, settings: Settings) -> list[Attention]:
-    ended = select(scrub.c.stopped).where(scrub.c.store_id == settings.store_id, scrub.c.ended_at.is_not(None))
+    ended = select(scrub.c.aborted_reason).where(scrub.c.store_id == settings.store_id, scrub.c.ended_at.is_not(None))
     last = ended.order_by(scrub.c.created_at.desc()).limit(1).subquery()
     failed_jobs = select(func.count()).select_from(text("procrastinate_jobs")).where(text("status = 'failed'"))
     unverified = (blob.c.state == BlobState.stored.value) & blob.c.marked_for_deletion_at.is_(None)
     is_overdue = unverified & (blob.c.created_at < func.now() - _VERIFICATION_DUE_AFTER)
     overdue = select(func.count()).select_from(blob).where(is_overdue)
     counts = {
-        Need.scrub_stopped: (await db.execute(select(func.count(last.c.stopped)))).scalar_one(),
-        Need.disk_low: int(is_low(settings)),
-        Need.jobs_failed: (await db.execute(failed_jobs)).scalar_one(),
-        Need.verifications_overdue: (await db.execute(overdue)).scalar_one(),
+        AttentionKind.scrub_stopped: (await db.execute(select(func.count(last.c.aborted_reason)))).scalar_one(),
+        AttentionKind.disk_low: int(is_low(settings)),
+        AttentionKind.jobs_failed: (await db.execute(failed_jobs)).scalar_one(),
+        AttentionKind.verifications_overdue: (await db.execute(overdue)).scalar_one(),
     }
-    return [Attention(need=need, count=number) for need, number in counts.items() if number]
+    return [Attention(kind=kind, count=number) for kind, number in counts.items() if number]
 
 
 async def _sent_bytes(context: AppContext, row: Row[Any]) -> int | None:

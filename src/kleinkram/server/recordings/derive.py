@@ -40,7 +40,7 @@ _CREDIBLE_NS = 631_152_000 * 10**9
 _MOST_TOPICS = 100_000
 _DERIVED = (
     "missing",
-    "surplus",
+    "unlisted",
     "problems",
     "message_count",
     "start_ns",
@@ -188,7 +188,7 @@ def _values(grouped: RecordingGroup, parsed: Rosbag2Metadata | None, summary: Re
         "name": grouped.name,
         "kind": grouped.kind.value,
         "missing": [fit_text(name) for name in named if name not in here],
-        "surplus": [fit_text(name) for name in here if name not in named],
+        "unlisted": [fit_text(name) for name in here if name not in named],
         "problems": [{key: fit_text(value) for key, value in asdict(one).items()} for one in summary.problems],
         "message_count": count if count is not None and count <= _MAX_BIGINT else None,
         "start_ns": summary.start_ns,

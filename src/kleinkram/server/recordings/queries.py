@@ -75,7 +75,7 @@ def to_recording(row: Row[Any]) -> RecordingRead:
         file_ids=[row.file_ids[number] for number in order],
         paths=[row.paths[number] for number in order],
         missing=row.missing,
-        surplus=row.surplus,
+        unlisted=row.unlisted,
         problems=[FileProblem(**problem) for problem in row.problems],
         content=row.content,
         content_reason=row.content_reason,

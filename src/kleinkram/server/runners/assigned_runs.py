@@ -244,7 +244,7 @@ async def put_back(
     starter = await find_person(db, row.started_by_id)
     if starter is None or most.level < Right.create.level:
         return ["It put files back, which requires an action with `right: CREATE`; they stay artifacts."]
-    actor = replace(starter.asking("begin_uploads", request_id=None, address=None), most=most)
+    actor = replace(starter.asking("begin_uploads", request_id=None, address=None), max_right=most)
     try:
         await missions.lock_mission_to_fill(db, actor, row.mission_id)
         size_bytes = sum(artifacts[entry.path].size_bytes for entry in selected)

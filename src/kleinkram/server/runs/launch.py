@@ -136,7 +136,7 @@ async def create_run(
         _raise_if_never(task, place.project_id)
     run_id = uuid.uuid4()
     values = _values(task, inputs) | {
-        "given_sha256": fingerprint,
+        "inputs_fingerprint": fingerprint,
         "mission_id": mission_id,
         "started_by_id": actor.person_id,
     }
@@ -276,7 +276,7 @@ async def _earlier(db: Connection, task: Task, mission_id: uuid.UUID, fingerprin
     if task.definition.image is None:
         images = {entry.default_image for entry in await alive_runners(db)}
     same_image = or_(false(), *(run.c.image_digest.is_not_distinct_from(entry) for entry in images))
-    good = (run.c.given_sha256 == fingerprint) & (run.c.state == RunState.done.value) & run.c.reuses_id.is_(None)
+    good = (run.c.inputs_fingerprint == fingerprint) & (run.c.state == RunState.done.value) & run.c.reuses_id.is_(None)
     stmt = select(run).where(good, run.c.mission_id == mission_id, same_image)
     return (await db.execute(stmt.order_by(run.c.ended_at.desc()).limit(1))).one_or_none()
 

@@ -72,7 +72,7 @@ def without_value(matching: FileFilter, facet: str, value: str) -> FileFilter:
     return _with(matching, **{LISTS[facet]: [item for item in chosen(matching, facet) if item != value]})
 
 
-def is_chosen(values: Sequence[str], facet: str, value: str) -> bool:
+def is_selected(values: Sequence[str], facet: str, value: str) -> bool:
     """Say whether a value is among those that a filter asks for; a project is so by its name in any case."""
     return name_key(value) in map(name_key, values) if facet == "project" else value in values
 

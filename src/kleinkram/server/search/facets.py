@@ -36,16 +36,16 @@ async def get_facets(db: Connection, actor: Actor, *, query: str) -> FacetsRead:
     filters = variants(actor, matching)
     plan, sample = await plan_search(db, actor, *filters)
     if plan.finds_nothing:
-        return _to_facets(actor, matching, [], file_count=0, is_whole=True)
+        return _to_facets(actor, matching, [], file_count=0, is_exact=True)
     common = tuple(sample.is_common(number) for number in range(len(filters)))
     for most, milliseconds in _ATTEMPTS:
         stmt, values = prepare(facet_rows, actor, matching, plan=plan, most=most, common=common)
         rows = await _within(db, stmt, values | parameters(matching), milliseconds=milliseconds)
         if rows is not None:
             file_count = next(row.file_count for row in rows if not row.facet)
-            is_whole = file_count < most and not common[0]
-            return _to_facets(actor, matching, rows, file_count=file_count, is_whole=is_whole)
-    return FacetsRead(query=render(matching), file_count=0, is_whole=False, facets=[])
+            is_exact = file_count < most and not common[0]
+            return _to_facets(actor, matching, rows, file_count=file_count, is_exact=is_exact)
+    return FacetsRead(query=render(matching), file_count=0, is_exact=False, facets=[])
 
 
 async def _within(
@@ -64,10 +64,10 @@ async def _within(
 
 
 def _to_facets(
-    actor: Actor, matching: FileFilter, rows: Sequence[Row[Any]], *, file_count: int, is_whole: bool
+    actor: Actor, matching: FileFilter, rows: Sequence[Row[Any]], *, file_count: int, is_exact: bool
 ) -> FacetsRead:
     facets = list(_facets(matching, rows, with_metadata=sees_whole_missions(actor)))
-    return FacetsRead(query=render(matching), file_count=file_count, is_whole=is_whole, facets=facets)
+    return FacetsRead(query=render(matching), file_count=file_count, is_exact=is_exact, facets=facets)
 
 
 def _facets(matching: FileFilter, rows: Sequence[Row[Any]], *, with_metadata: bool) -> Iterator[Facet]:
@@ -95,15 +95,15 @@ def _values(
         (row.value, row.file_count, row.kind) for row in in_order if chosen_values.can_be_filtered(row.value, row.kind)
     ]
     # What is chosen stays to be taken back, whether or not it is among the first; globs are no values.
-    is_found = {value for value in chosen if any(chosen_values.is_chosen([value], facet, name) for name, *_ in shown)}
+    is_found = {value for value in chosen if any(chosen_values.is_selected([value], facet, name) for name, *_ in shown)}
     shown += [(value, 0, "string") for value in chosen if value not in is_found and not is_glob(value)]
     # Only what is said of the facet differs from value to value.
     part = META if facet.startswith(META) else facet
     for value, file_count, kind in shown:
-        is_chosen = chosen_values.is_chosen(chosen, facet, value)
-        if is_chosen:
+        is_selected = chosen_values.is_selected(chosen, facet, value)
+        if is_selected:
             toggled = chosen_values.without_value(matching, facet, value)
         else:
             toggled = chosen_values.with_value(matching, facet, value, kind=kind)
         query = in_words({**query_terms, part: terms_of(part, toggled)})
-        yield FacetValue(value=value, file_count=file_count, is_chosen=is_chosen, query=query)
+        yield FacetValue(value=value, file_count=file_count, is_selected=is_selected, query=query)

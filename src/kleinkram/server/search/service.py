@@ -55,7 +55,7 @@ async def search(db: Connection, actor: Actor, *, text: str, sort: FileSort, lim
         missions=results.missions,
         files=results.files,
         topics=results.topics,
-        is_whole=not plan.is_common,
+        is_exact=not plan.is_common,
     )
 
 

@@ -48,7 +48,7 @@ async def create_share(
             id=share_id,
             mission_id=mission_id,
             name=request.name,
-            is_whole=file_ids is None,
+            is_whole_mission=file_ids is None,
             prefix=secret.prefix,
             secret_sha256=secret.sha256,
             created_by_id=actor.person_id,
@@ -91,7 +91,13 @@ async def get_shared(db: Connection, actor: Actor) -> SharedRead:
     amounts = (func.count(file.c.id).label("file_count"), func.coalesce(func.sum(blob.c.size_bytes), 0).label("bytes"))
     seen = visible_files(actor).with_only_columns(file.c.id, file.c.mission_id, maintain_column_froms=True).subquery()
     stmt = visible_missions(actor).with_only_columns(
-        share.c.name, share.c.is_whole, share.c.expires_at, mission.c.id, *_PLACE, *amounts, maintain_column_froms=True
+        share.c.name,
+        share.c.is_whole_mission,
+        share.c.expires_at,
+        mission.c.id,
+        *_PLACE,
+        *amounts,
+        maintain_column_froms=True,
     )
     joined = stmt.join(share, share.c.mission_id == mission.c.id).outerjoin(seen, seen.c.mission_id == mission.c.id)
     joined = joined.outerjoin(file, file.c.id == seen.c.id).outerjoin(blob, blob.c.id == file.c.blob_id)
@@ -102,7 +108,7 @@ async def get_shared(db: Connection, actor: Actor) -> SharedRead:
     return SharedRead(
         name=row.name,
         mission=_to_mission(row, row.id),
-        is_whole=row.is_whole,
+        is_whole_mission=row.is_whole_mission,
         file_count=row.file_count,
         size_bytes=int(row.bytes),
         expires_at=row.expires_at,
@@ -126,7 +132,7 @@ def _known_shares(actor: Actor, right: Right) -> Select[Any]:
     """
     files = select(func.count()).where(share_file.c.share_id == share.c.id).correlate(share).scalar_subquery()
     own = [column for column in share.c if column is not share.c.secret_sha256]
-    count = case((share.c.is_whole, None), else_=files).label("file_count")
+    count = case((share.c.is_whole_mission, None), else_=files).label("file_count")
     joined = (
         select(*own, *_PLACE, person.c.name.label("created_by_name"), count)
         .join_from(share, mission, mission.c.id == share.c.mission_id)

@@ -213,21 +213,21 @@ scrub = Table(
     # Null where it was due by itself.
     Column("requested_by_id", Uuid, ForeignKey("person.id")),
     # Whoever asked has looked, and says that so many objects are gone indeed.
-    Column("believes", Boolean, nullable=False, server_default=false()),
+    Column("accept_losses", Boolean, nullable=False, server_default=false()),
     created_at_column(),
     Column("started_at", DateTime(timezone=True)),
     # When it was last at work: who finds it long ago takes it up again.
     Column("seen_at", DateTime(timezone=True), nullable=False, server_default=func.now()),
     Column("ended_at", DateTime(timezone=True)),
     # Why it stopped and marked nothing; null where it went through.
-    Column("stopped", Text),
+    Column("aborted_reason", Text),
     _count("compared"),
     _count("compared_bytes"),
     _count("lost"),
     _count("corrupt"),
     _count("recovered"),
     _count("unknown"),
-    CheckConstraint("stopped IS NULL OR ended_at IS NOT NULL", name="stopped"),
+    CheckConstraint("aborted_reason IS NULL OR ended_at IS NOT NULL", name="aborted"),
     Index("ix_scrub_created_at", "store_id", "created_at"),
 )
 

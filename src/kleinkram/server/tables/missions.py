@@ -178,7 +178,7 @@ recording = Table(
     sorted_text("name"),
     Column("kind", Text, nullable=False),
     Column("missing", ARRAY(Text), nullable=False, server_default="{}"),
-    Column("surplus", ARRAY(Text), nullable=False, server_default="{}"),
+    Column("unlisted", ARRAY(Text), nullable=False, server_default="{}"),
     Column("problems", JSONB, nullable=False, server_default="[]"),
     Column("message_count", BigInteger),
     Column("start_ns", BigInteger),

@@ -85,9 +85,9 @@ token = Table(
     Column("revoked_at", DateTime(timezone=True)),
     # With which token it was made: it ends with that one. None where somebody was signed in by a browser.
     Column("made_by_token_id", Uuid, ForeignKey("token.id"), index=True),
-    # A run's: good while that run lasts, and for no more than `most`; the record may speak of it when the run is gone.
+    # A token of a run is valid while the run lasts, for at most `max_right`; the audit log may name it afterwards.
     Column("run_id", Uuid, ForeignKey("run.id", ondelete="SET NULL"), index=True),
-    Column("most", Text),
+    Column("max_right", Text),
     # A runner's: the one runner that may use it, null until the first one does. With `runner_labels`, that runner gets
     # only runs that ask for one of them.
     Column("runner_id", Uuid),
@@ -95,8 +95,8 @@ token = Table(
     CheckConstraint("kind = 'runner' OR (runner_id IS NULL AND runner_labels IS NULL)", name="runner"),
     Index("ix_token_runner_id", "runner_id", postgresql_where=text("runner_id IS NOT NULL")),
     CheckConstraint("octet_length(secret_sha256) = 32", name="secret_sha256"),
-    CheckConstraint("(run_id IS NULL OR kind = 'run') AND (kind = 'run') = (most IS NOT NULL)", name="run"),
-    one_of("most", Right),
+    CheckConstraint("(run_id IS NULL OR kind = 'run') AND (kind = 'run') = (max_right IS NOT NULL)", name="run"),
+    one_of("max_right", Right),
     CheckConstraint(
         f"scopes <@ ARRAY[{', '.join(repr(scope.value) for scope in Scope)}]::text[]",
         name="scopes",
@@ -211,7 +211,7 @@ share = Table(
     Column("mission_id", Uuid, ForeignKey("mission.id", ondelete="CASCADE"), nullable=False, index=True),
     Column("name", Text, nullable=False),
     # Without, `share_file` says which files there are for it.
-    Column("is_whole", Boolean, nullable=False),
+    Column("is_whole_mission", Boolean, nullable=False),
     Column("prefix", Text, nullable=False),
     Column("secret_sha256", LargeBinary, nullable=False, unique=True),
     Column("created_by_id", Uuid, ForeignKey("person.id"), nullable=False),

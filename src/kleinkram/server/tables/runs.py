@@ -118,7 +118,7 @@ run = Table(
     Column("exit_code", Integer),
     Column("image_digest", Text),
     # The SHA-256 of all that decides about its results, but for the image.
-    Column("given_sha256", LargeBinary, nullable=False),
+    Column("inputs_fingerprint", LargeBinary, nullable=False),
     Column("reuses_id", Uuid, ForeignKey("run.id", ondelete="SET NULL"), index=True),
     Column("retry_of_id", Uuid, ForeignKey("run.id", ondelete="SET NULL"), index=True),
     Column("started_by_id", Uuid, ForeignKey("person.id"), nullable=False, index=True),
@@ -162,7 +162,7 @@ run = Table(
     ),
     Index("ix_run_created_at", "created_at", "id"),
     Index("ix_run_mission_id", "mission_id", "created_at"),
-    Index("ix_run_given", "given_sha256", postgresql_where=text("state = 'done'")),
+    Index("ix_run_inputs", "inputs_fingerprint", postgresql_where=text("state = 'done'")),
 )
 
 # The hash stays when the file, or its bytes, are gone; a blob is kept while a run that is not over names it here.

@@ -16,7 +16,15 @@ from kleinkram.contract.errors import (
 from kleinkram.contract.files import ContentState
 from kleinkram.contract.problems import to_problem
 from kleinkram.contract.runners import LOG_PATH
-from kleinkram.contract.uploads import Present, Send, StoredPart, UploadDecision, UploadFile, UploadRefused, UploadState
+from kleinkram.contract.uploads import (
+    AlreadyPresent,
+    StoredPart,
+    UploadDecision,
+    UploadFile,
+    UploadRefused,
+    UploadRequired,
+    UploadState,
+)
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
@@ -123,9 +131,9 @@ def _to_wire(
     parts: Mapping[uuid.UUID, list[StoredPart]],
 ) -> UploadDecision:
     if row is not None:
-        return Send(upload=to_upload_read(row, parts.get(row.id, [])))
+        return UploadRequired(upload=to_upload_read(row, parts.get(row.id, [])))
     if requested.sha256 in {None, existing_sha256}:
-        return Present(file=None)
+        return AlreadyPresent(file=None)
     error = FileExists(
         path=requested.path,
         existing_sha256=existing_sha256,

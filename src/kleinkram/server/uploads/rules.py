@@ -22,7 +22,7 @@ class Action(enum.Enum):
     """Nothing: the mission has this very file."""
     link = enum.auto()
     """Make the file from a blob that is stored already."""
-    hash_first = enum.auto()
+    hash_required = enum.auto()
     """Ask the client for the hash, then decide."""
     begin = enum.auto()
     resume = enum.auto()
@@ -84,7 +84,7 @@ def _decide_with_existing(requested: UploadFile, existing: ExistingFile, facts: 
         return _refuse(requested, PathConflict(path=requested.path, other=other))
     content = content_of(requested)
     if content is None:
-        return Decision(requested, Action.hash_first)
+        return Decision(requested, Action.hash_required)
     if content != existing.content:
         return _refuse(requested, _file_exists(requested.path, existing, content, may_read=facts.may_read))
     if existing.is_damaged:
@@ -108,7 +108,7 @@ def _decide_new(requested: UploadFile, facts: RequestFacts) -> Decision:
     content = content_of(requested)
     if content is None:
         is_worth_hashing = requested.size_bytes in facts.duplicate_sizes
-        return Decision(requested, Action.hash_first if is_worth_hashing else Action.begin)
+        return Decision(requested, Action.hash_required if is_worth_hashing else Action.begin)
     if blob_id := facts.duplicates.get(content):
         return Decision(requested, Action.link, blob_id=blob_id)
     return Decision(requested, Action.begin)

@@ -24,16 +24,16 @@ from kleinkram.contract.files import FileRead
 from kleinkram.contract.names import name_key
 from kleinkram.contract.problems import to_problem
 from kleinkram.contract.uploads import (
+    AlreadyPresent,
     ChecksumKind,
-    HashFirst,
-    Linked,
-    Present,
-    Send,
+    Deduplicated,
+    HashRequired,
     StoredPart,
     UploadDecision,
     UploadFile,
     UploadRead,
     UploadRefused,
+    UploadRequired,
     UploadState,
     part_size_bytes,
 )
@@ -333,13 +333,13 @@ def _to_wire(context: AppContext, actor: Actor, decision: Decision, begun: _Begu
     if decision.upload_id is not None:
         row = begun.uploads[decision.upload_id]
         parts = begun.parts.get(row.id, [])
-        return Send(upload=to_upload_read(row, parts), part=sign_only_part(context, row, requested))
+        return UploadRequired(upload=to_upload_read(row, parts), part=sign_only_part(context, row, requested))
     read = begun.files.get(decision.file_id) if decision.file_id else None
     if decision.action is Action.present and Scope.read not in actor.scopes:
-        return Present(file=read)
+        return AlreadyPresent(file=read)
     if read is None:  # also if the file was deleted since: asking again leads to another answer
-        return HashFirst(path=requested.path)
-    return Present(file=read) if decision.action is Action.present else Linked(file=read)
+        return HashRequired(path=requested.path)
+    return AlreadyPresent(file=read) if decision.action is Action.present else Deduplicated(file=read)
 
 
 def to_upload_read(row: UploadRow, parts: Sequence[StoredPart]) -> UploadRead:

@@ -29,7 +29,7 @@ export function useScrub() {
 export function useScrubbing() {
   const queries = useQueryClient();
   return useMutation({
-    mutationFn: () => call(api.POST("/api/v1/admin/scrub", { body: { believe: false } })),
+    mutationFn: () => call(api.POST("/api/v1/admin/scrub", { body: { accept_losses: false } })),
     onSuccess: () => queries.invalidateQueries({ queryKey: ["admin", "scrub"] }),
     meta: { showsItself: true },
   });
@@ -61,8 +61,8 @@ export type Standing = "waits" | "on" | "stopped" | "done";
 export const standingTones: Readonly<Record<Standing, Tone>> = { waits: "plain", on: "accent", stopped: "bad", done: "good" };
 
 /** Returns whether a scrub waits, goes on, was stopped or is done. */
-export function standingOf(scrub: Pick<Scrub, "started_at" | "ended_at" | "stopped">): Standing {
-  if (scrub.stopped !== null) return "stopped";
+export function standingOf(scrub: Pick<Scrub, "started_at" | "ended_at" | "aborted_reason">): Standing {
+  if (scrub.aborted_reason !== null) return "stopped";
   if (scrub.ended_at !== null) return "done";
   return scrub.started_at === null ? "waits" : "on";
 }

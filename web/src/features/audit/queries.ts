@@ -15,7 +15,7 @@ export type AuditQuery = NonNullable<operations["export_audit_events"]["paramete
 export const IDS = ["person_id", "token_id", "share_id", "noun_id", "mission_id"] as const;
 export const NOUNS = ["project", "mission", "file", "grant", "group", "person", "share", "token", "session"] as const;
 /** Which acts of a thing are offered; the server takes any pattern. */
-export const ACTS = ["*.create", "*.update", "*.delete", "*.restore", "file.upload", "file.download", "file.look", "grant.*", "token.*", "share.*", "session.*", "access.denied", "auth.refused"] as const;
+export const ACTS = ["*.create", "*.update", "*.delete", "*.restore", "file.upload", "file.download", "file.preview", "grant.*", "token.*", "share.*", "session.*", "access.denied", "auth.refused"] as const;
 const DAY = /^\d{4}-\d{2}-\d{2}$/;
 const MOST_PROJECTS = 200;
 

@@ -43,9 +43,9 @@ export function useHasNoAccess(isEnabled: () => boolean) {
   return computed(() => (isAdmin.value || isError.value ? false : data.value && data.value.items.length === 0));
 }
 
-type Need = Attention["need"];
+type AttentionKind = Attention["kind"];
 
-export const needTones: Readonly<Record<Need, Tone>> = {
+export const attentionTones: Readonly<Record<AttentionKind, Tone>> = {
   files_corrupt: "bad",
   files_lost: "bad",
   files_broken: "bad",
@@ -61,12 +61,12 @@ export const needTones: Readonly<Record<Need, Tone>> = {
 };
 
 /** Returns the view in which something is seen and mended: the mission's own, or for the whole server the admin's. */
-export function placeOf({ need, mission }: Attention): RouteLocationRaw {
-  if (mission === null || mission === undefined) return { name: "admin", query: need === "scrub_stopped" ? { tab: "scrub" } : {} };
-  if (need === "runs_cannot_start" || need === "runs_failed") {
+export function placeOf({ kind, mission }: Attention): RouteLocationRaw {
+  if (mission === null || mission === undefined) return { name: "admin", query: kind === "scrub_stopped" ? { tab: "scrub" } : {} };
+  if (kind === "runs_cannot_start" || kind === "runs_failed") {
     return { name: "mission", params: { missionId: mission.id }, query: { tab: "runs" } };
   }
-  const query = need === "metadata_missing" ? {} : { tab: "problems" };
+  const query = kind === "metadata_missing" ? {} : { tab: "problems" };
   return { name: "mission", params: { missionId: mission.id }, query };
 }
 

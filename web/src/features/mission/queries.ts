@@ -169,7 +169,7 @@ function ofRecording(recording: Recording): Problem[] {
   const place = { source: recording.name, fileId: null };
   return [
     ...recording.missing.map((path) => ({ code: "member-missing", message: texts.missingFile(path), where: "", ...place })),
-    ...recording.surplus.map((path) => ({ code: "member-surplus", message: texts.surplusFile(path), where: "", ...place })),
+    ...recording.unlisted.map((path) => ({ code: "member-unlisted", message: texts.unlistedFile(path), where: "", ...place })),
     ...recording.problems.map(({ code, message, where }) => ({ code, message, where, ...place })),
   ];
 }

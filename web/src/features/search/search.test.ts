@@ -54,7 +54,7 @@ let waiting: { query: string; resolve: (response: Response) => void }[] = [];
 
 function searchAnswer(query: string, total: number): { status: number; body: unknown } {
   const page = { items: [], next: null, total };
-  return { status: 200, body: { query, means: query, is_whole: true, files: page, missions: page, topics: page } };
+  return { status: 200, body: { query, means: query, is_exact: true, files: page, missions: page, topics: page } };
 }
 
 function answered({ status, body }: { status: number; body: unknown }): Response {
@@ -64,7 +64,7 @@ function answered({ status, body }: { status: number; body: unknown }): Response
 function respond(request: Request): Promise<Response> {
   const url = new URL(request.url);
   const query = url.searchParams.get("query") ?? "";
-  if (url.pathname.endsWith("/facets")) return Promise.resolve(answered({ status: 200, body: { query, is_whole: true, file_count: 1, facets: [] } }));
+  if (url.pathname.endsWith("/facets")) return Promise.resolve(answered({ status: 200, body: { query, is_exact: true, file_count: 1, facets: [] } }));
   if (!url.pathname.endsWith("/search")) return Promise.resolve(answered({ status: 404, body: {} }));
   const answer = answers.get(query);
   return answer ? Promise.resolve(answered(answer)) : new Promise((resolve) => waiting.push({ query, resolve }));

@@ -130,7 +130,7 @@ function ended(run: Run): void {
 }
 
 function counted(files: readonly FileProgress[]): Counts {
-  const counts = { waiting: 0, reading: 0, sending: 0, uploaded: 0, present: 0, linked: 0, refused: 0, left: 0 };
+  const counts = { waiting: 0, reading: 0, sending: 0, uploaded: 0, already_present: 0, deduplicated: 0, refused: 0, left: 0 };
   for (const { state } of files) counts[state] += 1;
   return counts;
 }

@@ -206,10 +206,10 @@ def compare_names(metadata: Rosbag2Metadata, names: Iterable[str]) -> list[Probl
     """Report data files that are missing, or that metadata.yaml does not name."""
     claimed = {PurePosixPath(path).name for path in metadata.files}
     there = set(names)
-    missing, surplus = "metadata.yaml names it, but it is not there", "it is there, but metadata.yaml does not name it"
+    missing, unlisted = "metadata.yaml names it, but it is not there", "it is there, but metadata.yaml does not name it"
     return [
         *(Problem("member-missing", name, missing) for name in sorted(claimed - there)),
-        *(Problem("member-surplus", name, surplus) for name in sorted(there - claimed)),
+        *(Problem("member-unlisted", name, unlisted) for name in sorted(there - claimed)),
     ]
 
 

@@ -206,19 +206,19 @@ CREATE TABLE scrub (
     id uuid CONSTRAINT pk_scrub PRIMARY KEY,
     store_id text NOT NULL,
     requested_by_id uuid CONSTRAINT fk_scrub_requested_by_id_person REFERENCES person (id),
-    believes boolean NOT NULL DEFAULT false,
+    accept_losses boolean NOT NULL DEFAULT false,
     created_at timestamptz NOT NULL DEFAULT now(),
     started_at timestamptz,
     seen_at timestamptz NOT NULL DEFAULT now(),
     ended_at timestamptz,
-    stopped text,
+    aborted_reason text,
     compared bigint NOT NULL DEFAULT '0',
     compared_bytes bigint NOT NULL DEFAULT '0',
     lost bigint NOT NULL DEFAULT '0',
     corrupt bigint NOT NULL DEFAULT '0',
     recovered bigint NOT NULL DEFAULT '0',
     unknown bigint NOT NULL DEFAULT '0',
-    CONSTRAINT ck_scrub_stopped CHECK (stopped IS NULL OR ended_at IS NOT NULL)
+    CONSTRAINT ck_scrub_aborted CHECK (aborted_reason IS NULL OR ended_at IS NOT NULL)
 );
 CREATE INDEX ix_scrub_created_at ON scrub (store_id, created_at);
 
@@ -442,7 +442,7 @@ CREATE TABLE recording (
     name text COLLATE "C" NOT NULL,
     kind text NOT NULL,
     missing text[] NOT NULL DEFAULT '{}',
-    surplus text[] NOT NULL DEFAULT '{}',
+    unlisted text[] NOT NULL DEFAULT '{}',
     problems jsonb NOT NULL DEFAULT '[]',
     message_count bigint,
     start_ns bigint,
@@ -459,7 +459,7 @@ CREATE TABLE share (
     id uuid CONSTRAINT pk_share PRIMARY KEY,
     mission_id uuid NOT NULL CONSTRAINT fk_share_mission_id_mission REFERENCES mission (id) ON DELETE CASCADE,
     name text NOT NULL,
-    is_whole boolean NOT NULL,
+    is_whole_mission boolean NOT NULL,
     prefix text NOT NULL,
     secret_sha256 bytea NOT NULL,
     created_by_id uuid NOT NULL CONSTRAINT fk_share_created_by_id_person REFERENCES person (id),
@@ -539,7 +539,7 @@ CREATE TABLE run (
     message text NOT NULL DEFAULT '',
     exit_code integer,
     image_digest text,
-    given_sha256 bytea NOT NULL,
+    inputs_fingerprint bytea NOT NULL,
     reuses_id uuid CONSTRAINT fk_run_reuses_id_run REFERENCES run (id) ON DELETE SET NULL,
     retry_of_id uuid CONSTRAINT fk_run_retry_of_id_run REFERENCES run (id) ON DELETE SET NULL,
     started_by_id uuid NOT NULL CONSTRAINT fk_run_started_by_id_person REFERENCES person (id),
@@ -571,7 +571,7 @@ CREATE TABLE run (
     CONSTRAINT ck_run_state CHECK (state IN ('queued', 'preparing', 'running', 'collecting', 'done', 'failed', 'cancelled'))
 );
 CREATE INDEX ix_run_created_at ON run (created_at, id);
-CREATE INDEX ix_run_given ON run (given_sha256) WHERE state = 'done';
+CREATE INDEX ix_run_inputs ON run (inputs_fingerprint) WHERE state = 'done';
 CREATE INDEX ix_run_lease_ends_at ON run (lease_ends_at) WHERE state IN ('preparing', 'running', 'collecting');
 CREATE INDEX ix_run_log_blob_id ON run (log_blob_id);
 CREATE INDEX ix_run_mission_id ON run (mission_id, created_at);
@@ -665,13 +665,13 @@ CREATE TABLE token (
     revoked_at timestamptz,
     made_by_token_id uuid CONSTRAINT fk_token_made_by_token_id_token REFERENCES token (id),
     run_id uuid CONSTRAINT fk_token_run_id_run REFERENCES run (id) ON DELETE SET NULL,
-    most text,
+    max_right text,
     runner_id uuid,
     runner_labels text[],
     CONSTRAINT uq_token_secret_sha256 UNIQUE (secret_sha256),
     CONSTRAINT ck_token_kind CHECK (kind IN ('personal', 'robot', 'runner', 'run')),
-    CONSTRAINT ck_token_most CHECK (most IN ('READ', 'CREATE', 'WRITE', 'DELETE')),
-    CONSTRAINT ck_token_run CHECK ((run_id IS NULL OR kind = 'run') AND (kind = 'run') = (most IS NOT NULL)),
+    CONSTRAINT ck_token_max_right CHECK (max_right IN ('READ', 'CREATE', 'WRITE', 'DELETE')),
+    CONSTRAINT ck_token_run CHECK ((run_id IS NULL OR kind = 'run') AND (kind = 'run') = (max_right IS NOT NULL)),
     CONSTRAINT ck_token_runner CHECK (kind = 'runner' OR (runner_id IS NULL AND runner_labels IS NULL)),
     CONSTRAINT ck_token_scopes CHECK (scopes <@ ARRAY['read', 'upload', 'write', 'run', 'admin']::text[]),
     CONSTRAINT ck_token_secret_sha256 CHECK (octet_length(secret_sha256) = 32)

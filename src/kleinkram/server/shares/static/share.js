@@ -110,7 +110,7 @@ async function showPicture() {
   const query = new URLSearchParams([["limit", "1"], ["max_size_bytes", MOST_PICTURE_BYTES], ...PICTURES.map((ending) => ["path", `*.${ending}`])]);
   const [file] = (await ask("GET", `/files?${query}`)).items;
   if (file === undefined) return;
-  const { items } = await ask("POST", "/files/download", { file_ids: [file.id], purpose: "look" });
+  const { items } = await ask("POST", "/files/download", { file_ids: [file.id], purpose: "preview" });
   const picture = document.getElementById("picture");
   picture.src = items[0].url;
   picture.alt = file.path;

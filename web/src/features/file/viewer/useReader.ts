@@ -15,7 +15,7 @@ export interface FileReader {
 }
 
 /** Requests a temporary URL of a file; the audit log records the purpose. */
-export async function addressOf(fileId: string, purpose: "download" | "look"): Promise<Address> {
+export async function addressOf(fileId: string, purpose: "download" | "preview"): Promise<Address> {
   const { items } = await call(api.POST("/api/v1/files/download", { body: { file_ids: [fileId], purpose } }));
   const [link] = items;
   if (link === undefined) throw new ReadFailure("link_refused");
@@ -33,7 +33,7 @@ export function useReader(file: File, format: ReadableFormat): FileReader {
     file: { format, sizeBytes: file.size_bytes },
     address: async () => {
       try {
-        return await addressOf(file.id, "look");
+        return await addressOf(file.id, "preview");
       } catch (thrown) {
         throw thrown instanceof ReadFailure ? thrown : new ReadFailure("link_refused", toProblem(thrown).code);
       }

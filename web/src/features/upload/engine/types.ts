@@ -69,7 +69,7 @@ export type Failure =
   | { readonly kind: LocalFailure; readonly detail: string };
 
 /** `left`: not begun when the upload was cancelled. */
-export type FileState = "waiting" | "reading" | "sending" | "uploaded" | "present" | "linked" | "refused" | "left";
+export type FileState = "waiting" | "reading" | "sending" | "uploaded" | "already_present" | "deduplicated" | "refused" | "left";
 
 export interface FileProgress {
   readonly path: string;

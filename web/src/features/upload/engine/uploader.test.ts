@@ -94,14 +94,14 @@ describe("an upload", () => {
     house.files.set("a", bytesOf(50));
     await queue().start(HEAD, [planned("a", bytesOf(50))]);
     expect(house.puts).toEqual([]);
-    expect(ends().get("a")?.state).toBe("present");
+    expect(ends().get("a")?.state).toBe("already_present");
   });
 
   it("reads a large file first where the server asks for its checksum", async () => {
     house.files.set("a", bytesOf(LARGE));
     await queue().start(HEAD, [planned("a", bytesOf(LARGE))]);
     expect(house.announced.map(({ sha256 }) => sha256 != null)).toEqual([false, true]);
-    expect(ends().get("a")?.state).toBe("present");
+    expect(ends().get("a")?.state).toBe("already_present");
   });
 
   it("refuses a name with other content, with both hashes, and brings the others", async () => {
@@ -198,7 +198,7 @@ describe("after a reload", () => {
     const unread = planned("b", bytesOf(5));
     unread.file.slice = () => { throw new Error("it is read"); };
     await queue().start(HEAD, [planned("a", whole), unread]);
-    expect(ends().get("b")?.state).toBe("present");
+    expect(ends().get("b")?.state).toBe("already_present");
   });
 });
 

@@ -131,7 +131,7 @@ export class Uploader {
     const files: JournalFile[] = [];
     for (const [place, { planned }] of announced.entries()) {
       const decision = decisions[place];
-      if (decision?.decision === "send") files.push(this.written(planned, "sending", decision.upload.id));
+      if (decision?.decision === "upload") files.push(this.written(planned, "sending", decision.upload.id));
     }
     if (files.length > 0) await this.note(files);
   }
@@ -141,19 +141,19 @@ export class Uploader {
     const { journal, watcher, around } = this.parts;
     const { planned } = candidate;
     switch (decision.decision) {
-      case "hash_first":
+      case "hash_required":
         return this.hashFirst(candidate);
       case "refused":
         return this.refusedAtFirst(candidate, decision.problem);
-      case "present":
-      case "linked": {
+      case "already_present":
+      case "deduplicated": {
         const sha256 = decision.file?.sha256 ?? candidate.sha256;
         await this.note([this.written(planned, "done", null, sha256)]);
         watcher.stored(planned.path, planned.identity.sizeBytes);
         watcher.ended(planned.path, decision.decision, decision.file?.id ?? null, null);
         return false;
       }
-      case "send": {
+      case "upload": {
         const written = await journal.parts(decision.upload.id);
         const now = around.clock.now();
         await this.pipeline.submit(new Sending(planned, decision.upload, written, candidate.sums, now));

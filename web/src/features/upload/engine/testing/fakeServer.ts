@@ -69,9 +69,9 @@ export class House implements UploadApi, Store {
     const there = this.files.get(path);
     const refused = (why: ProblemDocument): UploadDecision => ({ decision: "refused", path, problem: why });
     if (there !== undefined) {
-      if (sha256 == null) return { decision: "hash_first", path };
+      if (sha256 == null) return { decision: "hash_required", path };
       const existing = await sum("sha256", there);
-      if (existing === sha256) return { decision: "present", file: null };
+      if (existing === sha256) return { decision: "already_present", file: null };
       return refused(problem("file_exists", 409, { path, existing_sha256: existing, sent_sha256: sha256 }));
     }
     const active = this.openUploads.find((upload) => upload.path === path);
@@ -91,7 +91,7 @@ export class House implements UploadApi, Store {
     const isMultipart = upload.sizeBytes > this.partBytes;
     const storedParts = [...upload.parts].map(([number, bytes]) => ({ number, size_bytes: bytes.length, etag: `"etag-${upload.id}-${number}"` }));
     return {
-      decision: "send",
+      decision: "upload",
       upload: {
         id: upload.id, mission_id: "m", path: upload.path, size_bytes: upload.sizeBytes, part_size_bytes: this.partBytes,
         checksum: this.checksum, state: "open", lease_ends_at: new Date(upload.leaseMs).toISOString(),
