@@ -230,7 +230,7 @@ await page.getByLabel("Project").selectOption({ label: project });
 await page.getByLabel("Mission").selectOption({ label: "New mission" });
 await page.getByLabel(/^robot/).waitFor();
 await look(page, "upload-form", { shows: [texts.recording, texts.description] });
-const searched = { ready: "[data-found]" };
+const searched = { ready: "[data-results]" };
 await look(page, "search", { path: "/search", ...searched, shows: [texts.recording, texts.label] });
 await look(page, "search-missions", { path: "/search?tab=missions", ...searched, shows: [mission] });
 await look(page, "search-topics", { path: "/search?tab=topics", ...searched, shows: [texts.topic, texts.type] });

@@ -12,7 +12,7 @@ await context.addInitScript(() => (window.showDirectoryPicker = () => navigator.
 await page.goto(link);
 await page.waitForURL((url) => url.pathname === "/");
 
-const names = async () => (await page.locator("main [data-index] [data-way]").allInnerTexts()).map((each) => each.trim());
+const names = async () => (await page.locator("main [data-index] [data-row-link]").allInnerTexts()).map((each) => each.trim());
 await page.goto(`${address}/projects/${project}`);
 await page.getByRole("row", { name: /mild/ }).waitFor();
 for (const order of ["ascending", "descending"]) {

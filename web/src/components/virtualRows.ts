@@ -1,7 +1,7 @@
 // The visible rows of a long table, which scrolls with the page or in a container.
 // When many rows appear at once (dragging the scroll bar), each frame renders some of them.
 // While it scrolls, no element is reordered among its siblings, which would be slow.
-import { onMounted, onScopeDispose, readonly, ref, shallowRef, watch, type Ref } from "vue";
+import { onScopeDispose, readonly, ref, shallowRef, watch, type Ref } from "vue";
 import { drawnAfter, inSight } from "./table";
 
 const MOST_A_FRAME = 6;
@@ -85,17 +85,19 @@ export function useVirtualRows({ body, scroller, count, pinned, rowHeight, isOwn
   }
 
   const observer = new ResizeObserver(measure);
-  let heard: HTMLElement | Window | null = null;
-  onMounted(() => {
-    heard = isOwnScroller ? scroller.value : window;
-    heard?.addEventListener("scroll", onScroll, { passive: true });
+  watch(body, (element, _previous, onCleanup) => {
+    const source = isOwnScroller ? scroller.value : window;
+    if (element === null || source === null) return;
+    source.addEventListener("scroll", onScroll, { passive: true });
     measure();
     observer.observe(document.body); // content above the table moves it
-    if (body.value !== null) observer.observe(body.value);
-  });
+    observer.observe(element);
+    onCleanup(() => {
+      source.removeEventListener("scroll", onScroll);
+      observer.disconnect();
+    });
+  }, { flush: "post" });
   onScopeDispose(() => {
-    heard?.removeEventListener("scroll", onScroll);
-    observer.disconnect();
     clearTimeout(resting);
     if (frame !== null) cancelAnimationFrame(frame);
   });

@@ -32,7 +32,7 @@ export const texts = {
   empty: "No tokens",
   emptyText: "Use a separate token with an expiry date for each robot and script, so that you can revoke them individually.",
   emptyCommand: "klein token create anymal-3 --kind robot -p PROJECT",
-  whose: "Owner",
+  owner: "Owner",
   mine: "Mine",
   everybody: "All people",
   withEnded: "Include expired",

@@ -3,7 +3,7 @@ import { useQuery } from "@tanstack/vue-query";
 import { computed, type ComputedRef } from "vue";
 import { useRoute, type LocationQuery } from "vue-router";
 import { api, call } from "@/api/client";
-import { keys, usePages } from "@/api/queries";
+import { keys, useList } from "@/api/queries";
 import type { operations } from "@/api/schema";
 import { globOf } from "@/components/format";
 import { startOfDay } from "@/components/time";
@@ -14,8 +14,8 @@ export type AuditQuery = NonNullable<operations["export_audit_events"]["paramete
 
 export const IDS = ["person_id", "token_id", "share_id", "noun_id", "mission_id"] as const;
 export const NOUNS = ["project", "mission", "file", "grant", "group", "person", "share", "token", "session"] as const;
-/** Which acts of a thing are offered; the server takes any pattern. */
-export const ACTS = ["*.create", "*.update", "*.delete", "*.restore", "file.upload", "file.download", "file.preview", "grant.*", "token.*", "share.*", "session.*", "access.denied", "auth.refused"] as const;
+/** The event types that the filter lists. The server accepts any pattern. */
+export const OPERATIONS = ["*.create", "*.update", "*.delete", "*.restore", "file.upload", "file.download", "file.preview", "grant.*", "token.*", "share.*", "session.*", "access.denied", "auth.refused"] as const;
 const DAY = /^\d{4}-\d{2}-\d{2}$/;
 const MOST_PROJECTS = 200;
 
@@ -53,10 +53,7 @@ export function useAuditQuery(): ComputedRef<AuditQuery> {
 }
 
 export function useEvents(filters: ComputedRef<AuditQuery>) {
-  return usePages(
-    () => keys.audit(filters.value),
-    (cursor, signal) => call(api.GET("/api/v1/audit", { params: { query: { ...filters.value, ...(cursor !== undefined && { cursor }) } }, signal })),
-  );
+  return useList(keys.audit, filters, (query, signal) => call(api.GET("/api/v1/audit", { params: { query }, signal })));
 }
 
 /** The projects to choose from; the URL accepts any. */

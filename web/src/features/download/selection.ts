@@ -3,7 +3,7 @@ import { safePath, type Source, type Target } from "./save";
 import { api, call } from "@/api/client";
 import type { operations } from "@/api/schema";
 import type { Mission } from "@/api/types";
-import { quoted } from "@/features/file/commands";
+import { fileArguments, missionArguments, quoted } from "@/components/commands";
 
 export interface ChosenFile {
   readonly id: string;
@@ -20,11 +20,6 @@ export type Selection =
 const PAGE = 500;
 /** More files than these at once are for the command line. */
 export const MOST_FILES = 20_000;
-const GLOB = /[*?[\]]/;
-
-function placeOf(mission: ChosenFile["mission"]): string {
-  return GLOB.test(mission.project.name + mission.name) ? `-m ${mission.id}` : `-p ${quoted(mission.project.name)} -m ${quoted(mission.name)}`;
-}
 
 function missionsOf(selection: Exclude<Selection, { kind: "query" }>): readonly ChosenFile["mission"][] {
   const all = selection.kind === "missions" ? selection.missions : selection.files.map(({ mission }) => mission);
@@ -43,8 +38,7 @@ export function commandOf(selection: Selection): string {
   return missionsOf(selection)
     .map((mission) => {
       const files = selection.kind === "files" ? selection.files.filter((file) => file.mission.id === mission.id) : [];
-      const names = files.map(({ path, id }) => (GLOB.test(path) || path.startsWith("-") ? id : quoted(path)));
-      return `klein download ${nested}${[...names, placeOf(mission)].join(" ")}`;
+      return `klein download ${nested}${[...fileArguments(files), missionArguments(mission)].join(" ")}`;
     })
     .join("\n");
 }

@@ -7,7 +7,7 @@ import type { components } from "@/api/schema";
 import type { File, Topic } from "@/api/types";
 import { showToast } from "@/components/toasts";
 import { texts } from "@/texts/file";
-import type { Problem } from "@/components/warnings";
+import type { Warning } from "@/components/warnings";
 import { blobTexts, contentTexts } from "@/texts/states";
 
 type Change = components["schemas"]["FileUpdate"];
@@ -122,14 +122,19 @@ export function coverage(topic: Topic, file: File): number[] {
   });
 }
 
-/** Returns all problems of a file. */
-export function warningsOfFile(file: File): readonly Problem[] {
-  const problems: Problem[] = [];
-  const add = (code: string, message: string, where = "") => problems.push({ code, message, where, source: file.path, fileId: file.id });
+/** Returns all warnings of a file. */
+export function warningsOfFile(file: File): readonly Warning[] {
+  const warnings: Warning[] = [];
+  const add = (code: string, message: string, where = "") => warnings.push({ code, message, where, source: file.path, fileId: file.id });
   if (file.state === "lost" || file.state === "corrupt") add(`bytes-${file.state}`, file.state_reason ?? blobTexts[file.state].why);
   if (file.content === "broken" || file.content === "error") add("unreadable", file.content_reason ?? contentTexts[file.content].why);
   if (file.content === "recovered") add("recovered", file.content_reason ?? contentTexts.recovered.why);
   if (file.lost !== null) add("data-lost", texts.lostAmount(file.lost.bytes, file.lost.chunks, file.lost.messages));
   for (const { code, message, where } of file.problems) add(code, message, where);
-  return problems;
+  return warnings;
+}
+
+/** Returns the URL of a viewer that opens the recording at another URL. */
+export function viewerAddress(template: string, recording: string): string {
+  return template.replaceAll("{url}", encodeURIComponent(recording));
 }

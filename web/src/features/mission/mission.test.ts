@@ -1,10 +1,10 @@
 // The logic behind the page of a mission: the tree, the axis, the topics, the commands.
 import { expect, it } from "vitest";
-import { commandsOf } from "./commands";
 import { barsPath, COLUMNS, fileAt, firstFiles, firstPlace, lanesOf, matching, MOST_LANES, silences, sorted } from "./timeline";
 import type { MissionTopic, TimelineFile } from "./queries";
 import { rowsOf, treeOf, withBranches } from "./tree";
 import type { Mission, Recording } from "@/api/types";
+import { missionCommands } from "@/components/commands";
 
 const S = 1e9;
 
@@ -95,7 +95,7 @@ it("leads from a topic to the first file that has times", () => {
 
 it("writes commands that a shell and Python take literally", () => {
   const mission = { id: "m", name: "it's; rm -rf", project: { id: "p", name: "Alps" } } as unknown as Mission;
-  expect(commandsOf(mission, []).cli).toBe("klein download -p Alps -m 'it'\\''s; rm -rf'");
-  expect(commandsOf(mission, [file("a b.bag"), file("x[1].bag")]).cli).toBe("klein download 'a b.bag' id of x[1].bag -p Alps -m 'it'\\''s; rm -rf'");
-  expect(commandsOf({ ...mission, name: "*" }, []).cli).toBe("klein download -m m");
+  expect(missionCommands(mission, []).cli).toBe("klein download -p Alps -m 'it'\\''s; rm -rf'");
+  expect(missionCommands(mission, [file("a b.bag"), file("x[1].bag")]).cli).toBe("klein download 'a b.bag' id of x[1].bag -p Alps -m 'it'\\''s; rm -rf'");
+  expect(missionCommands({ ...mission, name: "*" }, []).cli).toBe("klein download -m m");
 });

@@ -4,7 +4,7 @@ import { api, call, ifMatch, noteNewEtag, type EtagCarrier } from "@/api/client"
 import { keys } from "@/api/queries";
 import type { components } from "@/api/schema";
 import type { File, Mission, Recording } from "@/api/types";
-import type { Problem } from "@/components/warnings";
+import type { Warning } from "@/components/warnings";
 import { warningsOfFile } from "@/features/file/queries";
 import { texts } from "@/texts/mission";
 
@@ -39,7 +39,7 @@ const MOST_FILES_WITH_WARNINGS = 500;
 export const missionKeys = {
   timeline: (id: string) => [...keys.mission(id), "timeline"],
   topics: (id: string) => [...keys.mission(id), "topics"],
-  withWarnings: (id: string) => [...keys.mission(id), "odd"],
+  withWarnings: (id: string) => [...keys.mission(id), "with-warnings"],
 } as const;
 
 /** Loads all pages. */
@@ -115,7 +115,7 @@ export function useMissionTopics(missionId: string, isWanted: () => boolean) {
   });
 }
 
-/** The files with problems, the first ones by path; `isCut` where there are more. */
+/** The first files with warnings, by path. `isCut`: there are more. */
 export function useFilesWithWarnings(missionId: string) {
   return useQuery({
     queryKey: missionKeys.withWarnings(missionId),
@@ -165,7 +165,7 @@ export function useMissionChanges(missionId: string) {
   return { update, remove, restore, old };
 }
 
-function ofRecording(recording: Recording): Problem[] {
+function ofRecording(recording: Recording): Warning[] {
   const place = { source: recording.name, fileId: null };
   return [
     ...recording.missing.map((path) => ({ code: "member-missing", message: texts.missingFile(path), where: "", ...place })),
@@ -174,8 +174,8 @@ function ofRecording(recording: Recording): Problem[] {
   ];
 }
 
-/** Returns all problems of a mission. */
-export function warningsOfMission(mission: Mission | undefined, recordings: readonly Recording[], files: readonly File[]): readonly Problem[] {
+/** Returns all warnings of a mission. */
+export function warningsOfMission(mission: Mission | undefined, recordings: readonly Recording[], files: readonly File[]): readonly Warning[] {
   const ofMetadata = (mission?.metadata_problems ?? []).map(({ field, message }) => (
     { code: "metadata", message: texts.metadataProblem(field, message), where: "", source: "", fileId: null }
   ));

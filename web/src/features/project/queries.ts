@@ -2,9 +2,9 @@
 import { keepPreviousData, useMutation, useQuery, useQueryClient } from "@tanstack/vue-query";
 import { computed } from "vue";
 import { api, call, ifMatch, noteNewEtag, type EtagCarrier } from "@/api/client";
-import { keys, usePages } from "@/api/queries";
+import { keys, useList } from "@/api/queries";
 import type { components, operations } from "@/api/schema";
-import type { Mission, Project } from "@/api/types";
+import type { Mission } from "@/api/types";
 import { formatCount, formatHours, formatSize } from "@/components/format";
 import { texts as all } from "@/texts/project";
 
@@ -21,13 +21,8 @@ const MOST_BUCKETS = 60;
 export const MOST_ON_AXIS = 1000;
 
 export function useProjects(text: () => string, sort: () => ProjectSort) {
-  return usePages<Project>(
-    () => keys.projects({ text: text(), sort: sort() }),
-    (cursor, signal) => {
-      const query = { limit: PAGE, sort: sort(), count: true, ...(text() !== "" && { text: text() }), ...(cursor !== undefined && { cursor }) };
-      return call(api.GET("/api/v1/projects", { params: { query }, signal }));
-    },
-  );
+  const filters = () => ({ limit: PAGE, sort: sort(), count: true, text: text() || undefined });
+  return useList(keys.projects, filters, (query, signal) => call(api.GET("/api/v1/projects", { params: { query }, signal })));
 }
 
 export function useProject(projectId: string) {
@@ -37,17 +32,13 @@ export function useProject(projectId: string) {
   });
 }
 
-export function useMissions(query: () => MissionQuery, isWanted: () => boolean) {
-  return usePages<Mission>(
-    () => keys.missions(query()),
-    (cursor, signal) =>
-      call(api.GET("/api/v1/missions", { params: { query: { limit: PAGE, count: true, ...query(), ...(cursor !== undefined && { cursor }) } }, signal })),
-    { enabled: isWanted },
-  );
+export function useMissions(query: () => MissionQuery, isEnabled: () => boolean) {
+  const filters = () => ({ limit: PAGE, count: true, ...query() });
+  return useList(keys.missions, filters, (page, signal) => call(api.GET("/api/v1/missions", { params: { query: page }, signal })), isEnabled);
 }
 
 /** The missions that were recorded first, for the axis. */
-export function useMissionsOnAxis(query: () => MissionQuery, isWanted: () => boolean) {
+export function useMissionsOnAxis(query: () => MissionQuery, isEnabled: () => boolean) {
   return useQuery({
     queryKey: computed(() => [...keys.missions(query()), "axis"]),
     queryFn: async ({ signal }): Promise<readonly Mission[]> => {
@@ -60,7 +51,7 @@ export function useMissionsOnAxis(query: () => MissionQuery, isWanted: () => boo
       }
       return timed;
     },
-    enabled: isWanted,
+    enabled: isEnabled,
     placeholderData: keepPreviousData,
   });
 }

@@ -1,6 +1,6 @@
 // Unfinished uploads of earlier visits from this browser's journal, and how newly chosen files match them.
 import { shallowRef, type Ref } from "vue";
-import { lockName, type Journal, type JournalFile, type JournalHead } from "./engine/journal";
+import { lockName, openJournal, type Journal, type JournalFile, type JournalHead } from "./engine/journal";
 import { partSizeBytes, type PlannedFile } from "./engine/types";
 
 /** An upload that did not come to its end. */
@@ -60,7 +60,7 @@ let opening: Promise<Journal | null> | null = null;
 
 /** Return the journal; null where this browser keeps nothing for the page. */
 function journal(): Promise<Journal | null> {
-  opening ??= import("./engine/journal").then(({ openJournal }) => openJournal()).catch(() => null);
+  opening ??= openJournal().catch(() => null);
   return opening;
 }
 

@@ -4,7 +4,7 @@
 // memory is a few slices, and the store rejects a part whose bytes changed in between, because the server signed its
 // checksum. At most `AHEAD_BYTES` are hashed and not yet sent.
 import { ApiProblem, type RetryingApi, type UploadContext } from "./api";
-import { Budget, checkStopped, Queue, Stopped } from "./flow";
+import { Budget, Changed, checkStopped, Queue, Stopped } from "./flow";
 import type { Failure, ProblemDocument, SignedPart, UploadOutcome } from "./types";
 import { checkUnchanged, FileFailure } from "./reading";
 import { sendPart, StoreRefused, toSign, type Part, type Parts, type Sending } from "./sending";
@@ -39,13 +39,14 @@ export class Pipeline {
     private readonly parts: Parts,
     private readonly ends: Ends,
   ) {
-    const { signal } = parts.stop;
-    this.leases = new Leases(parts.retryingApi, parts.around, signal);
-    this.ahead = new Budget(signal, AHEAD_BYTES);
-    this.underWay = new Budget(signal, FILES_UNDER_WAY);
-    this.toSign = new Queue(signal, parts.around.clock);
-    this.toSend = new Queue(signal, parts.around.clock);
-    this.toFinish = new Queue(signal, parts.around.clock);
+    const changed = new Changed(parts.stop.signal);
+    const { clock } = parts.around;
+    this.leases = new Leases(parts.retryingApi, parts.around, parts.stop.signal);
+    this.ahead = new Budget(changed, AHEAD_BYTES);
+    this.underWay = new Budget(changed, FILES_UNDER_WAY);
+    this.toSign = new Queue(changed, clock);
+    this.toSend = new Queue(changed, clock);
+    this.toFinish = new Queue(changed, clock);
   }
 
   /** Start the loops, with `connections` senders. Resolves when all have ended. */
