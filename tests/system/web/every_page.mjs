@@ -210,7 +210,7 @@ await look(page, "mission-problems", { path: ofMission("tab=problems"), shows: [
 await look(page, "mission-access", { path: ofMission("tab=access"), shows: [texts.share, texts.group] });
 await look(page, "file-recording", { path: `/files/${ids.recording}`, shows: [texts.recording, texts.topic, texts.type, texts.label] });
 await look(page, "file-drive", { path: `/files/${ids.drive}`, ready: "[data-log-time]" });
-await look(page, "file-plot", { path: `/files/${ids.drive}?topic=/imu/data`, ready: "[data-plot-look][data-messages]" });
+await look(page, "file-plot", { path: `/files/${ids.drive}?topic=/imu/data`, ready: "[data-plot-viewer][data-messages]" });
 await look(page, "file-broken", { path: `/files/${ids.broken}`, shows: [texts.broken] });
 await look(page, "file-text", { path: `/files/${ids.text}`, shows: [texts.text] });
 await look(page, "mission-runs", { path: ofMission("tab=runs"), shows: [texts.action] });

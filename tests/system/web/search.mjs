@@ -12,7 +12,7 @@ const { page } = await somebody(() => isMeantToFail);
 await page.goto(link);
 await page.waitForURL((url) => url.pathname === "/");
 
-const box = page.getByRole("textbox", { name: "Search files, missions and topics" });
+const box = page.getByRole("textbox", { name: "Search files, missions, and topics" });
 const query = () => page.locator("[data-results]").getAttribute("data-query");
 const tabs = () => page.locator("[data-results] nav a").allInnerTexts();
 const rows = () => page.locator("[data-results] [data-row-link]").allInnerTexts();

@@ -87,7 +87,7 @@ export const lineageTexts = {
   made: "Created by",
   read: "Used by",
   from: "Inputs",
-  cameOf: "Results",
+  results: "Results",
   more: (count: number) => `and ${count} more`,
   truncated: "Earlier runs are not shown.",
 } as const;

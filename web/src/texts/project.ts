@@ -36,7 +36,7 @@ export const texts = {
   upload: "Upload",
 
   missions: {
-    filter: "Filter by name, notes or metadata",
+    filter: "Filter by name, notes, or metadata",
     table: "Table",
     timeline: "Timeline",
     views: "Show missions as",
@@ -118,7 +118,6 @@ export const texts = {
     pattern: "Pattern",
     patternHint: "A regular expression that the whole text must match.",
     help: "Help",
-    helpHint: "Shown below the field.",
     add: "Add field",
     remove: (name: string) => `Remove field ${name}`,
     up: (name: string) => `Move ${name} up`,

@@ -61,8 +61,6 @@ export const texts = {
   emptyCommand: "klein action run script.py -p PROJECT -m MISSION",
   version: (number: number | null) => (number === null ? "not published" : `v${number}`),
   named: (name: string, mission: string) => `${name} on ${mission}`,
-  unpublished: "not published",
-  rerun: "Retry",
 
   on: "on",
   attempt: (number: number) => `attempt ${number}`,

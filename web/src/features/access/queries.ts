@@ -14,7 +14,7 @@ export interface Place {
   readonly id: string;
 }
 
-const MOST = 500;
+const MAX = 500;
 const PAGE = 100;
 
 /** The grants on the project or mission, for users who can change them. */
@@ -22,7 +22,7 @@ export function useGrants(place: Place) {
   return useQuery({
     queryKey: place.kind === "project" ? keys.projectGrants(place.id) : keys.missionGrants(place.id),
     queryFn: async ({ signal }): Promise<readonly Grant[]> => {
-      const query = { limit: MOST };
+      const query = { limit: MAX };
       const page = await (place.kind === "project"
         ? call(api.GET("/api/v1/projects/{project_id}/grants", { params: { path: { project_id: place.id }, query }, signal }))
         : call(api.GET("/api/v1/missions/{mission_id}/grants", { params: { path: { mission_id: place.id }, query }, signal })));
@@ -51,7 +51,7 @@ export interface Candidate {
   readonly name: string;
 }
 
-const MOST_OFFERED = 8;
+const MAX_OFFERED = 8;
 
 /** People and groups with matching names; an email address, whether or not it has an account. */
 export function useCandidates(text: () => string) {
@@ -60,8 +60,8 @@ export function useCandidates(text: () => string) {
     queryFn: async ({ signal }): Promise<readonly Candidate[]> => {
       const typed = text().trim();
       const [people, groups] = await Promise.all([
-        call(api.GET("/api/v1/people", { params: { query: { text: typed, active: true, limit: MOST_OFFERED } }, signal })),
-        call(api.GET("/api/v1/groups", { params: { query: { name: `*${typed.replaceAll(/[*?]/g, "")}*`, limit: MOST_OFFERED } }, signal })),
+        call(api.GET("/api/v1/people", { params: { query: { text: typed, active: true, limit: MAX_OFFERED } }, signal })),
+        call(api.GET("/api/v1/groups", { params: { query: { name: `*${typed.replaceAll(/[*?]/g, "")}*`, limit: MAX_OFFERED } }, signal })),
       ]);
       return [
         ...people.items.map(({ id, name }) => ({ kind: "person" as const, id, name })),

@@ -6,16 +6,16 @@ import type { Definition, Parameter } from "@/api/types";
 import { formatDuration, formatSize, globOf } from "@/components/format";
 import { texts as all } from "@/texts/actions";
 
-const MOST_CHOICES = 500;
+const MAX_CHOICES = 500;
 
 export function useActions(name: () => string, archived: () => boolean) {
   const filters = () => ({ archived: archived(), name: globOf(name()) || undefined });
   return useList(keys.actions, filters, (query, signal) => call(api.GET("/api/v1/actions", { params: { query }, signal })));
 }
 
-/** The actions among which one is chosen. */
+/** The actions to choose from. */
 export function useActionChoice() {
-  const query = { limit: MOST_CHOICES };
+  const query = { limit: MAX_CHOICES };
   return useQuery({
     queryKey: keys.actions(query),
     queryFn: ({ signal }) => call(api.GET("/api/v1/actions", { params: { query }, signal })),
@@ -52,7 +52,7 @@ export function useArchiving(actionId: string) {
 const texts = all.definition;
 const NS_PER_S = 1_000_000_000;
 
-/** Which files it reads. */
+/** The input files as text. */
 export function inputsOf({ inputs }: Definition): string {
   const parts = [
     inputs.paths.length > 0 ? texts.paths(inputs.paths.join(", ")) : "",
@@ -62,7 +62,7 @@ export function inputsOf({ inputs }: Definition): string {
   return parts.length === 0 ? texts.all : parts.join(", ");
 }
 
-/** What it may use at most. */
+/** The resource limits as text. */
 export function resourcesOf({ resources }: Definition): string {
   return [
     texts.cores(resources.cores),

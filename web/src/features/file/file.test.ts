@@ -1,5 +1,5 @@
 import { describe, expect, it, vi } from "vitest";
-import { coverage, reaches, viewerAddress } from "./queries";
+import { coverage, hasRight, viewerAddress } from "./queries";
 import { chosenFields, csvOf, rangeOf, rowsOf, shortNumber } from "./viewer/plot";
 import { defaultTopic } from "./viewer/viewers";
 import { latest } from "./viewer/useReader";
@@ -72,9 +72,9 @@ describe("coverage", () => {
 
 describe("rights", () => {
   it("reach what is below them", () => {
-    expect(reaches("DELETE", "WRITE")).toBe(true);
-    expect(reaches("CREATE", "WRITE")).toBe(false);
-    expect(reaches(undefined, "READ")).toBe(false);
+    expect(hasRight("DELETE", "WRITE")).toBe(true);
+    expect(hasRight("CREATE", "WRITE")).toBe(false);
+    expect(hasRight(undefined, "READ")).toBe(false);
   });
 });
 

@@ -14,8 +14,8 @@ type Change = components["schemas"]["FileUpdate"];
 
 const PAGE = 500;
 /** Topics of one file that are shown; a recording with more of them is a fault. */
-const MOST_TOPICS = 5_000;
-const SOON_MS = 2_000;
+const MAX_TOPICS = 5_000;
+const FAST_POLL_MS = 2_000;
 const ALL_RIGHTS = ["READ", "CREATE", "WRITE", "DELETE"] as const;
 
 /** Whether the file is about to change, because it is being indexed or verified. */
@@ -27,17 +27,17 @@ export function useFile(fileId: string, isVerifying: () => boolean) {
   return useQuery({
     queryKey: keys.file(fileId),
     queryFn: ({ signal }) => call(api.GET("/api/v1/files/{file_id}", { params: { path: { file_id: fileId } }, signal })),
-    refetchInterval: (query) => (isComing(query.state.data, isVerifying()) ? SOON_MS : false),
+    refetchInterval: (query) => (isComing(query.state.data, isVerifying()) ? FAST_POLL_MS : false),
   });
 }
 
-/** All topics of the file, by name; `version` changes when the server has read it anew. */
+/** All topics of the file, by name; `version` changes when the server has read the file again. */
 export function useFileTopics(fileId: string, version: () => string | null | undefined) {
   return useQuery({
     queryKey: [...keys.fileTopics(fileId), version],
     queryFn: async ({ signal }) => {
       const topics: Topic[] = [];
-      for (let cursor: string | null | undefined; cursor !== null && topics.length < MOST_TOPICS; ) {
+      for (let cursor: string | null | undefined; cursor !== null && topics.length < MAX_TOPICS; ) {
         const query = cursor === undefined ? { limit: PAGE } : { limit: PAGE, cursor };
         const params = { path: { file_id: fileId }, query };
         const page = await call(api.GET("/api/v1/files/{file_id}/topics", { params, signal }));
@@ -58,7 +58,7 @@ export function useMissionOf(missionId: () => string | undefined) {
 }
 
 /** Whether a right is at least as much as another. */
-export function reaches(right: (typeof ALL_RIGHTS)[number] | undefined, needed: (typeof ALL_RIGHTS)[number]): boolean {
+export function hasRight(right: (typeof ALL_RIGHTS)[number] | undefined, needed: (typeof ALL_RIGHTS)[number]): boolean {
   return right !== undefined && ALL_RIGHTS.indexOf(right) >= ALL_RIGHTS.indexOf(needed);
 }
 

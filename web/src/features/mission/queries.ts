@@ -33,8 +33,8 @@ const RECORDINGS_PAGE = 500;
 const TOPICS_PAGE = 1000;
 /** Topics with a drawn density. The server stores at most 20,000. */
 const BINS = 192;
-const SOON_MS = 2_000;
-const MOST_FILES_WITH_WARNINGS = 500;
+const FAST_POLL_MS = 2_000;
+const MAX_FILES_WITH_WARNINGS = 500;
 
 export const missionKeys = {
   timeline: (id: string) => [...keys.mission(id), "timeline"],
@@ -43,10 +43,10 @@ export const missionKeys = {
 } as const;
 
 /** Loads all pages. */
-async function all<Part extends { readonly next?: string | null | undefined }>(ask: (cursor: string | undefined) => Promise<Part>): Promise<Part[]> {
+async function all<Part extends { readonly next?: string | null | undefined }>(fetchPage: (cursor: string | undefined) => Promise<Part>): Promise<Part[]> {
   const parts: Part[] = [];
   for (let cursor: string | null | undefined; cursor !== null; ) {
-    const part = await ask(cursor);
+    const part = await fetchPage(cursor);
     parts.push(part);
     cursor = part.next ?? null;
   }
@@ -73,7 +73,7 @@ export function useTimeline(missionId: string) {
       const [first] = parts;
       return { startNs: first?.start_ns ?? null, endNs: first?.end_ns ?? null, files: parts.flatMap((part) => part.items) };
     },
-    structuralSharing: false, // comparing ten thousand files costs more than drawing those in sight anew
+    structuralSharing: false, // comparing ten thousand files is slower than rendering the visible ones
   });
 }
 
@@ -91,7 +91,7 @@ export function useRecordings(missionId: string) {
 }
 
 /** The topics of all recordings; refetched until they are current. */
-export function useMissionTopics(missionId: string, isWanted: () => boolean) {
+export function useMissionTopics(missionId: string, isEnabled: () => boolean) {
   const path = { mission_id: missionId };
   return useQuery({
     queryKey: missionKeys.topics(missionId),
@@ -108,10 +108,10 @@ export function useMissionTopics(missionId: string, isWanted: () => boolean) {
         isCurrent: parts.every((part) => part.is_current),
       };
     },
-    enabled: isWanted,
+    enabled: isEnabled,
     structuralSharing: false,
     placeholderData: keepPreviousData,
-    refetchInterval: (running) => (running.state.data?.isCurrent === false ? SOON_MS : false),
+    refetchInterval: (running) => (running.state.data?.isCurrent === false ? FAST_POLL_MS : false),
   });
 }
 
@@ -120,7 +120,7 @@ export function useFilesWithWarnings(missionId: string) {
   return useQuery({
     queryKey: missionKeys.withWarnings(missionId),
     queryFn: async ({ signal }): Promise<{ readonly files: readonly File[]; readonly isCut: boolean }> => {
-      const common = { mission_id: missionId, sort: "path", limit: MOST_FILES_WITH_WARNINGS } as const;
+      const common = { mission_id: missionId, sort: "path", limit: MAX_FILES_WITH_WARNINGS } as const;
       const [inside, bytes, noted] = await Promise.all([
         call(api.GET("/api/v1/files", { params: { query: { ...common, content: ["recovered", "broken", "error"] } }, signal })),
         call(api.GET("/api/v1/files", { params: { query: { ...common, state: ["lost", "corrupt"] } }, signal })),

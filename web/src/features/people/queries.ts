@@ -12,7 +12,7 @@ export const peopleTabs = (["people", "groups", "access"] as const).map((key) =>
 export type PeopleQuery = NonNullable<operations["list_people"]["parameters"]["query"]>;
 
 /** Projects in which a person's rights are resolved. */
-const MOST_PROJECTS = 200;
+const MAX_PROJECTS = 200;
 const AT_ONCE = 4;
 const PAGE = 500;
 
@@ -50,7 +50,7 @@ export function usePersonChanges(personId: string) {
 
 /** The projects to choose from. */
 export function useProjects() {
-  const query = { limit: MOST_PROJECTS };
+  const query = { limit: MAX_PROJECTS };
   return useQuery({
     queryKey: keys.projects(query),
     queryFn: ({ signal }) => call(api.GET("/api/v1/projects", { params: { query }, signal })),
@@ -60,7 +60,7 @@ export function useProjects() {
 export function useMissionsOf(projectId: () => string) {
   return useQuery({
     queryKey: ["missions", "list", "of", projectId],
-    queryFn: ({ signal }) => call(api.GET("/api/v1/missions", { params: { query: { project_id: projectId(), limit: MOST_PROJECTS } }, signal })),
+    queryFn: ({ signal }) => call(api.GET("/api/v1/missions", { params: { query: { project_id: projectId(), limit: MAX_PROJECTS } }, signal })),
     enabled: () => projectId() !== "",
   });
 }
@@ -86,7 +86,7 @@ export function useReach(personId: string) {
   return useQuery({
     queryKey: ["access", "person", personId],
     queryFn: async ({ signal }) => {
-      const { items: projects } = await call(api.GET("/api/v1/projects", { params: { query: { limit: MOST_PROJECTS } }, signal }));
+      const { items: projects } = await call(api.GET("/api/v1/projects", { params: { query: { limit: MAX_PROJECTS } }, signal }));
       const rows: Reach[] = [];
       for (let at = 0; at < projects.length; at += AT_ONCE) {
         const several = await Promise.all(projects.slice(at, at + AT_ONCE).map((project) => accessOf(project, personId, signal)));

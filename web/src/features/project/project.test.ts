@@ -10,9 +10,9 @@ import {
   operatorsOf,
   readRefusal,
   sortOf,
-  usualFields,
+  defaultFields,
   valueText,
-  wrongWith,
+  validateDrafts,
 } from "./fields";
 import { barsOf, csvOf, type Overview, type StatsRow } from "./queries";
 import type { MetadataField, MetadataFields, Mission } from "@/api/types";
@@ -38,7 +38,7 @@ it("gives fields back as they were, and drops what belongs to another type", () 
 it("says what is wrong beside the field", () => {
   const [robot, speed] = draftsOf(fields);
   if (robot === undefined || speed === undefined) throw new Error("two fields were given");
-  const wrong = wrongWith([{ ...robot, choices: " \n" }, { ...speed, name: "Robot" }, emptyDraft(), { ...emptyDraft(), name: "1st" }]);
+  const wrong = validateDrafts([{ ...robot, choices: " \n" }, { ...speed, name: "Robot" }, emptyDraft(), { ...emptyDraft(), name: "1st" }]);
   expect([...wrong.keys()].map((key) => key.split(" ")[1])).toEqual(["choices", "name", "name", "name"]);
   expect(moved([robot, speed], 0, 1).map(({ name }) => name)).toEqual(["speed", "robot"]);
   expect(moved([robot, speed], 0, -1).map(({ name }) => name)).toEqual(["robot", "speed"]);
@@ -100,7 +100,7 @@ it("makes a column of each field, sorted by the server, with its unit", () => {
 
 it("shows required fields first until somebody chooses", () => {
   const fields = [field("a", "string"), field("b", "string", { required: true }), field("c", "string"), field("d", "string")];
-  expect(usualFields(fields)).toEqual(["meta.b", "meta.a"]);
+  expect(defaultFields(fields)).toEqual(["meta.b", "meta.a"]);
 });
 
 it("writes places, lists and missing values as text", () => {

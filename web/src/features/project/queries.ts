@@ -16,9 +16,9 @@ export type MissionQuery = NonNullable<operations["list_missions"]["parameters"]
 export type ProjectSort = Schemas["ProjectSort"];
 
 const PAGE = 100;
-const MOST_BUCKETS = 60;
+const MAX_BUCKETS = 60;
 /** Missions that are drawn on one axis. */
-export const MOST_ON_AXIS = 1000;
+export const MAX_ON_AXIS = 1000;
 
 export function useProjects(text: () => string, sort: () => ProjectSort) {
   const filters = () => ({ limit: PAGE, sort: sort(), count: true, text: text() || undefined });
@@ -43,7 +43,7 @@ export function useMissionsOnAxis(query: () => MissionQuery, isEnabled: () => bo
     queryKey: computed(() => [...keys.missions(query()), "axis"]),
     queryFn: async ({ signal }): Promise<readonly Mission[]> => {
       const timed: Mission[] = [];
-      for (let cursor: string | null | undefined; cursor !== null && timed.length < MOST_ON_AXIS; ) {
+      for (let cursor: string | null | undefined; cursor !== null && timed.length < MAX_ON_AXIS; ) {
         const pageQuery = { ...query(), sort: "start" as const, limit: 500, ...(cursor && { cursor }) };
         const page = await call(api.GET("/api/v1/missions", { params: { query: pageQuery }, signal }));
         timed.push(...page.items);
@@ -60,7 +60,7 @@ export function useProjectStats(projectId: string, by: () => string) {
   return useQuery({
     queryKey: computed(() => [...keys.project(projectId), "stats", by()]),
     queryFn: ({ signal }) =>
-      call(api.GET("/api/v1/projects/{project_id}/stats", { params: { path: { project_id: projectId }, query: { by: by(), max_buckets: MOST_BUCKETS } }, signal })),
+      call(api.GET("/api/v1/projects/{project_id}/stats", { params: { path: { project_id: projectId }, query: { by: by(), max_buckets: MAX_BUCKETS } }, signal })),
     placeholderData: keepPreviousData,
   });
 }

@@ -110,7 +110,7 @@ export function downloadScript(query: string, server: string, head: string): str
   ].join("\n");
 }
 
-/** Returns a text with one term more. */
+/** Adds a term to a query. */
 export function withTerm(query: string, key: string, value: string): string {
   const isPlain = value !== "" && !/[\s"\\]/.test(value);
   const term = isPlain ? value : `"${value.replaceAll("\\", "\\\\").replaceAll('"', '\\"')}"`;
@@ -123,7 +123,7 @@ export interface Marked {
   readonly after: string;
 }
 
-/** Returns a text parted at what is wrong in it. The server counts columns from 1, by characters. */
+/** Splits a query at its syntax error. The server counts columns from 1, in characters. */
 export function markedAt(text: string, column: number, expression: string): Marked {
   const characters = Array.from(text);
   const rest = characters.slice(column - 1).join("");

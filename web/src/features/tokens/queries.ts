@@ -38,14 +38,14 @@ export interface PlaceOffer {
   readonly label: string;
 }
 
-const MOST_SUGGESTIONS = 8;
+const MAX_SUGGESTIONS = 8;
 
 /** The first projects and missions whose names contain a text. */
 export function usePlaces(typed: () => string, nouns: "missions" | "places"): ComputedRef<readonly PlaceOffer[] | undefined> {
   const offers = useQuery({
     queryKey: ["missions", nouns, typed],
     queryFn: async ({ signal }) => {
-      const query = { limit: MOST_SUGGESTIONS, ...(typed() !== "" && { name: globOf(typed()) }) };
+      const query = { limit: MAX_SUGGESTIONS, ...(typed() !== "" && { name: globOf(typed()) }) };
       const [projects, missions] = await Promise.all([
         nouns === "missions" ? { items: [] } : call(api.GET("/api/v1/projects", { params: { query }, signal })),
         call(api.GET("/api/v1/missions", { params: { query }, signal })),

@@ -126,7 +126,7 @@ export class Budget {
   }
 }
 
-/** Open or shut. While it is shut nothing new begins, and what is on its way is called back. */
+/** Pauses an upload. While the gate is shut, no request starts, and running transfers are aborted. */
 export class Gate {
   private shut = false;
   private calling = new AbortController();
