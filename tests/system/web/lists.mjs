@@ -18,7 +18,7 @@ await page.getByRole("row", { name: /mild/ }).waitFor();
 for (const order of ["ascending", "descending"]) {
   await page.getByRole("button", { name: "temperature" }).click();
   await page.locator(`[aria-sort=${order}]`, { hasText: "temperature" }).waitFor();
-  await page.waitForFunction(() => document.querySelector("main [aria-busy=true], .going.busy") === null);
+  await page.waitForFunction(() => document.querySelector("main [aria-busy=true], .progress.busy") === null);
   seen[order] = await names();
 }
 await page.getByRole("button", { name: "Filter by metadata" }).click();

@@ -21,7 +21,7 @@ export const texts = {
   archiveWhy: "It is no longer listed and cannot start new runs. Its existing runs stay. You can restore it later.",
   unarchive: "Restore",
   unarchived: "Action restored.",
-  run: "Run …",
+  run: "Run…",
   versions: "Versions",
   version: (number: number) => `Version ${number}`,
   latest: "latest",

@@ -16,7 +16,7 @@ export const texts = {
   notRead: "not yet",
   uploaded: "Uploaded",
   uploadedBy: (name: string) => `by ${name}`,
-  origin: "From",
+  origin: "Origin",
   labels: "Labels",
   lost: "Missing data",
   lostAmount: (bytes: number, chunks: number, messages: number | null) =>

@@ -42,7 +42,7 @@ export const texts = {
   renameTitle: "Rename mission",
   renamed: (name: string) => `Renamed to ${name}.`,
   removeTitle: "Delete this mission?",
-  removeWhy: (files: number, bytes: number) => `${counted(files, "file")} (${formatSize(bytes)}) move to the trash. You can restore them for a limited time.`,
+  removeWhy: (files: number, bytes: number) => `The mission and its ${counted(files, "file")} (${formatSize(bytes)}) move to the trash. You can restore them for a limited time.`,
   removed: (name: string) => `${name} moved to the trash.`,
   restored: (name: string) => `${name} restored.`,
 

@@ -54,7 +54,7 @@ it("shows groups with what is left and what says nothing last, and saves no form
     buckets: [{ value: null, low: null, high: null, stats: row(1) }, { value: null, low: 0, high: 5, stats: row(2) }, { value: '=1+"1"', low: null, high: null, stats: row(4) }],
   };
   const bars = barsOf(overview, "duration_ns");
-  expect(bars.map(({ label, share }) => [label, share])).toEqual([["0 – 5 m/s", 0.5], ['=1+"1"', 1], ["all others", 0.25], ["not set", 0.25]]);
+  expect(bars.map(({ label, share }) => [label, share])).toEqual([["0 – 5 m/s", 0.5], ['=1+"1"', 1], ["All others", 0.25], ["Not set", 0.25]]);
   expect(csvOf(bars, overview.total).split("\n")[2]).toBe(`"'=1+""1""",1,2,1,4,5,7`);
 });
 

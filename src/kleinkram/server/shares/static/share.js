@@ -175,7 +175,7 @@ async function saveAll() {
 function offerAll(bytes) {
   const button = document.getElementById("download");
   const canWrite = "showDirectoryPicker" in window;
-  button.textContent = `Download all (${size(bytes)}) …`;
+  button.textContent = `Download all (${size(bytes)})…`;
   button.hidden = !canWrite;
   button.addEventListener("click", () => {
     button.disabled = true;
