@@ -60,7 +60,7 @@ class EndpointTaken(ClientError):
 
 
 class CredentialsExposed(ClientError):
-    """{file} holds tokens, and others on this machine may read or change it (its mode is {mode}). Change it with `chmod 600`; if somebody may have read it, `klein logout --all` revokes the tokens, and `klein login` signs in again."""  # noqa: E501  one sentence
+    """{file} holds tokens, and others on this machine may read or change it (its mode is {mode}). Change it with `chmod 600`; if others may have read it, `klein logout --all` revokes the tokens, and `klein login` signs in again."""  # noqa: E501  one sentence
 
     file: str
     mode: str

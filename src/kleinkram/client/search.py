@@ -129,7 +129,7 @@ def _missions(value: object, *, has_project: bool) -> dict[str, object]:
     if not qualified:
         return _place("mission", refs)
     if has_project or len(refs) > 1:
-        reason = f"say the project of {qualified[0]!r} by project="
+        reason = f"specify the project of {qualified[0]!r} with project="
         raise InvalidInput(what="The filter (mission)", reason=reason)
     project, _, name = qualified[0].partition("/")
     return {**_place("project", [project]), **_place("mission", [name])}

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import pytest
 
-from kleinkram.client.transfer.threads import Budget, Stop, Stopped, WorkQueue
+from kleinkram.client.transfer.pool import Budget, Stop, Stopped, WorkQueue
 
 
 def in_thread(work: Callable[[], object]) -> tuple[threading.Thread, list[object]]:

@@ -1,11 +1,11 @@
 """The bandwidth limit is not exceeded."""
 
 from kleinkram.client._http import LONGEST_WAIT_S, Backoff
-from kleinkram.client.transfer.threads import RateLimit
+from kleinkram.client.transfer.pool import RateLimit
 
 
 class Clock:
-    """A clock that moves when somebody waits."""
+    """A clock that moves with each wait."""
 
     def __init__(self) -> None:
         self.now = 100.0

@@ -7,6 +7,6 @@ def test_patience_runs_out_and_what_else_was_waited_for_is_not_counted() -> None
     waits: list[float] = []
     backoff = Backoff(0.0, waits.append)
     assert not backoff.pause()
-    backoff.excuse(10 * LONGEST_WAIT_S)
+    backoff.extend(10 * LONGEST_WAIT_S)
     assert backoff.pause()
     assert len(waits) == 1

@@ -1,6 +1,7 @@
 """The end of an upload, in three steps: mark the rows, let the store join the parts, make the files.
 
-Every step can be repeated, by the client that lost the answer or by the job that finds what a crash left.
+Every step can be repeated: by a client that lost the response, or after a crash by the periodic job, which also expires
+abandoned uploads and deletes their bytes.
 """
 
 import datetime
@@ -8,6 +9,7 @@ import logging
 import uuid
 from collections.abc import Mapping, Sequence
 
+from procrastinate import JobContext
 from sqlalchemy import ColumnElement, case, func, select, update
 
 from kleinkram.contract.access import Scope
@@ -38,6 +40,8 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among, insert_rows, unnest_rows
 from kleinkram.server.files import service as files
 from kleinkram.server.files.paths import path_conflicts
+from kleinkram.server.jobs.attempts import app_context
+from kleinkram.server.jobs.queue import Job, queue
 from kleinkram.server.missions import service as missions
 from kleinkram.server.quotas import project_of
 from kleinkram.server.recordings.service import regroup
@@ -49,7 +53,9 @@ from kleinkram.server.uploads.queries import UploadRow
 from kleinkram.server.uploads.rules import Placement, blob_columns, conflicts_among, place, visible_conflicts
 
 _log = logging.getLogger("kleinkram.uploads")
-_STALE_BATCH = 500
+_STALE_AFTER_S = 30
+_BATCH = 500
+_ENDED_STATES = (UploadState.aborted.value, UploadState.expired.value, UploadState.done.value)
 
 
 async def complete_uploads(
@@ -299,19 +305,36 @@ async def _finish_own(context: AppContext, actor: Actor, condition: ColumnElemen
     await finish_uploads(context, actor, uploads)
 
 
-async def finish_stale(context: AppContext, *, older_than_s: float) -> int:
-    """Finish uploads that a crash left between mark and finish; return how many were tried."""
-    before = func.now() - datetime.timedelta(seconds=older_than_s)
+@queue.periodic(cron="* * * * *")
+@queue.task(name=Job.finish_uploads.value, pass_context=True, queueing_lock="finish_uploads", lock="finish_uploads")
+async def run_upload_maintenance(job_context: JobContext, timestamp: int = 0) -> None:
+    """Finish, expire and clean up uploads."""
+    await maintain_uploads(app_context(job_context), stale_after_s=_STALE_AFTER_S)
+
+
+async def maintain_uploads(context: AppContext, *, stale_after_s: float) -> None:
+    """Do one round: finish what a crash left, expire abandoned uploads, delete the bytes of ended ones."""
+    before = func.now() - datetime.timedelta(seconds=stale_after_s)
     is_stale = (upload.c.state == UploadState.completing.value) & (upload.c.completing_since < before)
-    statement = queries.select_uploads().where(is_stale).order_by(upload.c.completing_since).limit(_STALE_BATCH)
+    statement = queries.select_uploads().where(is_stale).order_by(upload.c.completing_since).limit(_BATCH)
     async with context.database.begin() as db:
-        uploads = await queries.read_rows(db, statement)
-    for row in uploads:
-        await _finish_stale_upload(context, row)
-    return len(uploads)
+        stale = await queries.read_rows(db, statement)
+    for row in stale:
+        await _finish_stale(context, row)
+    async with context.database.begin() as db:
+        is_abandoned = (upload.c.state == UploadState.open.value) & (upload.c.expires_at < func.now())
+        expire = update(upload).where(is_abandoned).values(state=UploadState.expired.value)
+        expired = await db.execute(expire.returning(upload.c.id, upload.c.mission_id))
+        await publish(db, [_removed(row.id, row.mission_id) for row in expired])
+    is_used = select(blob.c.id).where(blob.c.store_id == upload.c.store_id, blob.c.key == upload.c.key).exists()
+    is_unclean = upload.c.cleaned_at.is_(None) & upload.c.state.in_(_ENDED_STATES) & ~is_used
+    async with context.database.begin() as db:
+        ended = await queries.read_rows(db, queries.select_uploads().where(is_unclean).limit(_BATCH))
+    for row in ended:
+        await _clean_up(context, row)
 
 
-async def _finish_stale_upload(context: AppContext, row: UploadRow) -> None:
+async def _finish_stale(context: AppContext, row: UploadRow) -> None:
     """Finish an upload in the name of the person who began it, with the rights that they have now."""
     async with context.database.begin() as db:
         actor = await find_person(db, row.person_id)
@@ -324,3 +347,14 @@ async def _finish_stale_upload(context: AppContext, row: UploadRow) -> None:
         await finish_uploads(context, actor.asking("complete_uploads", request_id=None, address=None), [row])
     except KleinkramError as error:  # the other uploads must not wait for it
         _log.warning("upload not finished", extra={"fields": {"upload_id": str(row.id), "reason": str(error)}})
+
+
+async def _clean_up(context: AppContext, row: UploadRow) -> None:
+    # Also multipart uploads whose id was never recorded: the process died between the store's answer and the row.
+    for multipart in await context.storage.list_multiparts(row.key):
+        await context.storage.abort_multipart(multipart.key, multipart.multipart_id)
+    await context.storage.delete(row.key)
+    async with context.database.begin() as db:
+        # A part that was being sent when the upload ended can still arrive until its URL expires.
+        urls_expired = upload.c.lease_ends_at < func.now() - datetime.timedelta(seconds=context.settings.part_url_s)
+        await db.execute(update(upload).where(upload.c.id == row.id, urls_expired).values(cleaned_at=func.now()))

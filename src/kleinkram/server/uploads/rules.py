@@ -140,7 +140,7 @@ def place(upload: UploadRow, existing: ExistingFile | None, conflict: str | None
         return Placement(upload)
     if existing.content != upload.content:
         return Placement(upload, error=_file_exists(upload.path, existing, upload.content, may_read=may_read))
-    # The same bytes: they repair a damaged file; a sound one was linked or moved here meanwhile.
+    # The same bytes repair a damaged file; an undamaged one was linked or moved here since.
     return Placement(upload, file_id=existing.id, needs_blob=existing.is_damaged)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from sqlalchemy import func, select, update
 
+from kleinkram.contract import uploads as protocol
 from kleinkram.contract.access import Scope
 from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.base import Page
@@ -23,20 +24,7 @@ from kleinkram.contract.errors import (
 from kleinkram.contract.files import FileRead
 from kleinkram.contract.names import name_key
 from kleinkram.contract.problems import to_problem
-from kleinkram.contract.uploads import (
-    AlreadyPresent,
-    ChecksumKind,
-    Deduplicated,
-    HashRequired,
-    StoredPart,
-    UploadDecision,
-    UploadFile,
-    UploadRead,
-    UploadRefused,
-    UploadRequired,
-    UploadState,
-    part_size_bytes,
-)
+from kleinkram.contract.uploads import ChecksumKind, UploadRead, UploadState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
 from kleinkram.server.audit.service import Event, record, record_all
@@ -74,8 +62,8 @@ _VIEWER_SUFFIXES = (".mcap", ".bag")
 
 
 async def begin_uploads(
-    context: AppContext, actor: Actor, *, mission_id: uuid.UUID, requested: Sequence[UploadFile]
-) -> list[UploadDecision]:
+    context: AppContext, actor: Actor, *, mission_id: uuid.UUID, requested: Sequence[protocol.UploadFile]
+) -> list[protocol.UploadDecision]:
     """Decide about each file, reserve the names of those to be sent, and open them at the store.
 
     Idempotent: with the id of an upload, the upload continues where it was.
@@ -110,7 +98,7 @@ async def begin_uploads(
 
 
 async def _collect_facts(
-    db: Connection, actor: Actor, mission_id: uuid.UUID, requested: Sequence[UploadFile]
+    db: Connection, actor: Actor, mission_id: uuid.UUID, requested: Sequence[protocol.UploadFile]
 ) -> RequestFacts:
     keys = [name_key(file.path) for file in requested]
     sizes_without_hash = [file.size_bytes for file in requested if not file.sha256]
@@ -128,7 +116,7 @@ async def _collect_facts(
     )
 
 
-def _decide_all(requested: Sequence[UploadFile], facts: RequestFacts) -> list[Decision]:
+def _decide_all(requested: Sequence[protocol.UploadFile], facts: RequestFacts) -> list[Decision]:
     conflicts = conflicts_among([file.path for file in requested])
     return [
         Decision(file, Action.refuse, error=PathConflict(path=file.path, other=conflicts[position]))
@@ -184,7 +172,7 @@ async def _reserve_names(
     return [_with_upload(decision, ids) if decision.action is Action.begin else decision for decision in decisions]
 
 
-def _free_id(requested: UploadFile, used: Collection[uuid.UUID]) -> uuid.UUID:
+def _free_id(requested: protocol.UploadFile, used: Collection[uuid.UUID]) -> uuid.UUID:
     """Return the id that the client proposes, unless an upload has it: then a new one."""
     if requested.upload_id is None or requested.upload_id in used:
         return uuid.uuid4()
@@ -204,7 +192,7 @@ def new_upload(
     person_id: uuid.UUID | None,
     mission_id: uuid.UUID,
     batch_id: uuid.UUID,
-    requested: UploadFile,
+    requested: protocol.UploadFile,
     now: datetime.datetime,
     *,
     id_: uuid.UUID | None = None,
@@ -220,7 +208,7 @@ def new_upload(
         "path": requested.path,
         "path_key": name_key(requested.path),
         "size_bytes": requested.size_bytes,
-        "part_size_bytes": part_size_bytes(requested.size_bytes),
+        "part_size_bytes": protocol.part_size_bytes(requested.size_bytes),
         "checksum": context.storage.checksum.value,
         "signed_checksum": announced_checksum(context.storage, requested),
         "store_id": context.settings.store_id,
@@ -300,13 +288,13 @@ class _BegunUploads:
     """Rows for the response to one request, by id."""
 
     uploads: Mapping[uuid.UUID, UploadRow]
-    parts: Mapping[uuid.UUID, list[StoredPart]]
+    parts: Mapping[uuid.UUID, list[protocol.StoredPart]]
     files: Mapping[uuid.UUID, FileRead]
 
 
 async def _open_at_store(
     context: AppContext, decisions: Sequence[Decision], uploads: Mapping[uuid.UUID, UploadRow]
-) -> dict[uuid.UUID, list[StoredPart]]:
+) -> dict[uuid.UUID, list[protocol.StoredPart]]:
     """Open the uploads at the store and return the parts that it has; free the new names if the store is away."""
     resumed = {d.upload_id for d in decisions if d.action is Action.resume and d.upload_id}
     multipart = [row for row in uploads.values() if row.is_multipart]
@@ -326,23 +314,23 @@ async def free_names(context: AppContext, upload_ids: Sequence[uuid.UUID]) -> No
         await db.execute(update(upload).where(is_open).values(state=UploadState.aborted.value))
 
 
-def _to_wire(context: AppContext, actor: Actor, decision: Decision, begun: _BegunUploads) -> UploadDecision:
+def _to_wire(context: AppContext, actor: Actor, decision: Decision, begun: _BegunUploads) -> protocol.UploadDecision:
     requested = decision.requested
     if decision.error is not None:
-        return UploadRefused(path=requested.path, problem=to_problem(decision.error, actor.request_id))
+        return protocol.UploadRefused(path=requested.path, problem=to_problem(decision.error, actor.request_id))
     if decision.upload_id is not None:
         row = begun.uploads[decision.upload_id]
         parts = begun.parts.get(row.id, [])
-        return UploadRequired(upload=to_upload_read(row, parts), part=sign_only_part(context, row, requested))
+        return protocol.UploadRequired(upload=to_upload_read(row, parts), part=sign_only_part(context, row, requested))
     read = begun.files.get(decision.file_id) if decision.file_id else None
     if decision.action is Action.present and Scope.read not in actor.scopes:
-        return AlreadyPresent(file=read)
+        return protocol.AlreadyPresent(file=read)
     if read is None:  # also if the file was deleted since: asking again leads to another answer
-        return HashRequired(path=requested.path)
-    return AlreadyPresent(file=read) if decision.action is Action.present else Deduplicated(file=read)
+        return protocol.HashRequired(path=requested.path)
+    return protocol.AlreadyPresent(file=read) if decision.action is Action.present else protocol.Deduplicated(file=read)
 
 
-def to_upload_read(row: UploadRow, parts: Sequence[StoredPart]) -> UploadRead:
+def to_upload_read(row: UploadRow, parts: Sequence[protocol.StoredPart]) -> UploadRead:
     """Return an upload as its client sees it."""
     return UploadRead(
         id=row.id,
@@ -390,7 +378,7 @@ async def get_upload(context: AppContext, actor: Actor, *, upload_id: uuid.UUID)
     if not rows:
         raise NotFound(noun="upload", ref=str(upload_id))
     [row] = rows
-    parts: list[StoredPart] | None = None
+    parts: list[protocol.StoredPart] | None = None
     if row.state == UploadState.open.value and row.multipart_id is not None:
         parts = await context.storage.list_parts(row.key, row.multipart_id)
     elif row.state == UploadState.open.value:
