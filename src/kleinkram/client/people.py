@@ -58,7 +58,7 @@ class People(NamedResource[PersonRead]):
     def invite(self, email: str, *, name: str | None = None) -> OneTimeLink:
         """Return a link that creates an account with this address, once; no e-mail is sent. For admins.
 
-        The link verifies the address, so give it to this person only. It replaces an earlier one. NameTaken: there is an
+        The link verifies the address: give it to this person only. It replaces an earlier one. NameTaken: there is an
         account.
         """
         body = checked(InvitationCreate, "The invitation", email=email, name=name)

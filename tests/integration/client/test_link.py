@@ -60,7 +60,7 @@ def test_a_slow_link_carries_one_part_at_a_time(clock: Clock) -> None:
     assert window.limit_bytes == PART
 
 
-def test_a_slow_but_steady_link_gets_one_more_and_gives_it_back_when_it_does_not_help(clock: Clock) -> None:
+def test_a_slow_but_steady_link_tries_one_more_part(clock: Clock) -> None:
     window = CongestionWindow(_CONNECTIONS, Stop(), clock=clock)
     clock.now += CALM_S
     window.arrived(PART, QUICK_S + 5)
@@ -90,7 +90,7 @@ def test_many_small_files_may_go_at_once_on_any_link(clock: Clock) -> None:
         assert window.limit_bytes >= _CONNECTIONS * 10_000
 
 
-def test_a_small_part_beside_large_ones_takes_no_room_from_them(clock: Clock) -> None:
+def test_a_small_part_does_not_shrink_the_window(clock: Clock) -> None:
     window = CongestionWindow(_CONNECTIONS, Stop(), clock=clock)
     for _ in range(_CONNECTIONS):
         window.arrived(8 * PART, 0.5)
@@ -99,7 +99,7 @@ def test_a_small_part_beside_large_ones_takes_no_room_from_them(clock: Clock) ->
     assert window.limit_bytes >= _CONNECTIONS * 7 * PART
 
 
-def test_large_parts_of_a_very_large_file_are_judged_by_their_rate(clock: Clock) -> None:
+def test_large_parts_are_judged_by_their_rate(clock: Clock) -> None:
     window = CongestionWindow(_CONNECTIONS, Stop(), clock=clock)
     window.arrived(100 * PART, 10.0)
     assert window.limit_bytes > 100 * PART
@@ -128,7 +128,7 @@ def test_interrupted_parts_are_sent_before_new_ones() -> None:
     assert order == ["first again", "second"]
 
 
-def test_a_part_with_trouble_of_its_own_lets_others_go_first() -> None:
+def test_a_part_with_an_error_of_its_own_lets_others_go_first() -> None:
     window = CongestionWindow(_CONNECTIONS, Stop())
     with window.slot() as failing:
         window.leave(failing)
@@ -147,7 +147,7 @@ def _backoff() -> Backoff:
     return Backoff(10.0, lambda _: None)
 
 
-def test_a_silent_network_is_reported_once_for_all_connections(clock: Clock) -> None:
+def test_a_silent_network_is_reported_once(clock: Clock) -> None:
     outages, messages = _outages(clock)
     for _ in range(4):
         outages.lost("http://store:9000/b/k?signature=x", _backoff(), TimeoutError(), "it took too long")
@@ -172,7 +172,7 @@ def test_a_changed_address_is_reported_and_reconnected_from_at_once(clock: Clock
     assert "1.5 MB had to be sent again" in advice
 
 
-def test_a_connection_that_is_replaced_at_once_is_not_worth_a_word_while_it_lasts(clock: Clock) -> None:
+def test_a_connection_replaced_at_once_is_not_reported(clock: Clock) -> None:
     outages, messages = _outages(clock)
     outages.lost("http://store", _backoff(), ConnectionResetError(), "reset")
     outages.arrived()
@@ -253,7 +253,7 @@ def test_addresses_of_this_machine_are_recognised() -> None:
     assert not has_address(("192.0.2.77", 1234))
 
 
-def test_a_machine_that_cannot_look_keeps_its_connections(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_connections_stay_if_addresses_cannot_be_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     def cannot(*_: object) -> socket.socket:
         raise OSError(errno.EMFILE, "Too many open files")
 
@@ -280,7 +280,7 @@ def test_connections_may_be_collected_by_a_thread_that_looks_at_others(listening
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux counts a busy peer as a silent one")
-def test_a_store_that_takes_nothing_for_a_while_is_not_taken_for_a_dead_one() -> None:
+def test_a_busy_store_is_not_treated_as_dead() -> None:
     listener = socket.create_server(("127.0.0.1", 0))
     connection = WatchedConnection(*listener.getsockname(), socket_options=[*_network.socket_options()])
     connection.connect()
@@ -334,7 +334,7 @@ def test_the_diagnosis_names_what_does_not_answer(listening: Callable[[], str]) 
     assert diagnose(works, None).startswith("It can be reached again")
 
 
-def test_a_transfer_that_ends_before_its_first_byte_says_what_does_not_answer(
+def test_a_transfer_without_a_connection_names_what_does_not_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server = f"http://127.0.0.1:{choose_port()}"

@@ -93,7 +93,7 @@ class LinkReport:
     """How the network was during a transfer.
 
     `network_changes`: how often this machine, or a router in front of it, got another address. `longest_outage_s`: the
-    longest time in which nothing arrived. `resent_bytes`: bytes that were given to the network and had to be sent again.
+    longest time in which nothing arrived. `resent_bytes`: bytes that had to be sent again.
     """
 
     connections_lost: int = 0

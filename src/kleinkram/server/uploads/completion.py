@@ -78,7 +78,7 @@ async def complete_uploads(
     for finish in finishes:
         row, error = by_id.get(finish.upload_id), failures.get(finish.upload_id)
         read = visible.get(row.file_id) if row is not None and row.file_id else None
-        # The file exists but is not visible: to a token that may not read, or since it was deleted a moment ago.
+        # The file exists but is not visible: the token may not read, or the file was just deleted.
         is_hidden = row is not None and row.file_id is not None
         is_hidden = is_hidden and (Scope.read not in actor.scopes or finish.upload_id in just_finished)
         is_artifact = row is not None and row.run_id is not None and row.state == UploadState.done.value
@@ -91,7 +91,7 @@ async def complete_uploads(
 
 
 async def finish_uploads(context: AppContext, actor: Actor, uploads: Sequence[UploadRow]) -> Failures:
-    """Take marked uploads to their end at the store and in the database; return those that failed."""
+    """Finish marked uploads at the store and in the database; return those that failed."""
     failures = await join_parts(context.storage, uploads)
     destinations: dict[tuple[uuid.UUID, uuid.UUID | None], list[UploadRow]] = {}
     for row in uploads:
@@ -115,7 +115,7 @@ async def finish_uploads(context: AppContext, actor: Actor, uploads: Sequence[Up
 async def _mark_completing(
     db: Connection, actor: Actor, finishes: Sequence[UploadFinish]
 ) -> tuple[list[UploadRow], Failures]:
-    """Mark uploads as being completed, with the hashes that the client states.
+    """Mark uploads as completing, with the hashes that the client sends.
 
     Returns the uploads as they are now, in the order asked (of two that conflict, the first wins), and the failures.
     """
@@ -236,7 +236,7 @@ async def _create_or_repair(
 async def _mark_done(db: Connection, mission_id: uuid.UUID, file_ids: Mapping[uuid.UUID, uuid.UUID]) -> None:
     if not file_ids:
         return
-    # An object that no blob uses (the same bytes arrived by another way) stays to be cleaned up.
+    # An object that no blob uses, because the same bytes arrived otherwise, is cleaned up later.
     is_used = select(blob.c.id).where(blob.c.store_id == upload.c.store_id, blob.c.key == upload.c.key).exists()
     rows = [{"id": upload_id, "file_id": file_id} for upload_id, file_id in file_ids.items()]
     values = unnest_rows([upload.c.id, upload.c.file_id], rows)
@@ -247,7 +247,7 @@ async def _mark_done(db: Connection, mission_id: uuid.UUID, file_ids: Mapping[uu
 
 
 async def _record_failures(db: Connection, actor: Actor, failures: Failures) -> None:
-    """Reopen incomplete uploads, so that the rest can be sent; end all others, and keep why."""
+    """Reopen incomplete uploads, so that the rest can be sent; end all others and store the reason."""
     is_completing = upload.c.state == UploadState.completing.value
     incomplete = [upload_id for upload_id, error in failures.items() if isinstance(error, UploadIncomplete)]
     if incomplete:
@@ -256,10 +256,7 @@ async def _record_failures(db: Connection, actor: Actor, failures: Failures) -> 
     for upload_id, error in failures.items():
         if upload_id in incomplete:
             continue
-        values = {
-            "state": UploadState.aborted.value,
-            "failure": to_problem(error, actor.request_id).model_dump_json(),
-        }
+        values = {"state": UploadState.aborted.value, "failure": to_problem(error, actor.request_id).model_dump_json()}
         end = update(upload).where(upload.c.id == upload_id, is_completing).values(**values)
         for row in await db.execute(end.returning(upload.c.id, upload.c.mission_id)):
             await publish(db, [_removed(row.id, row.mission_id)])
@@ -275,10 +272,10 @@ def _removed(upload_id: uuid.UUID, mission_id: uuid.UUID) -> ChangeEvent:
 async def finish_interrupted(
     context: AppContext, actor: Actor, *, mission_id: uuid.UUID, requested: Sequence[UploadFile]
 ) -> None:
-    """Finish the actor's uploads that were being completed when their client died, and that now continue.
+    """Finish the actor's uploads that were being completed when their client died, and that it announces again.
 
     Raises:
-        StoreUnavailable: the store cannot be asked what came of them.
+        StoreUnavailable: the store does not answer.
     """
     is_continued = among(upload.c.id, [file.upload_id for file in requested if file.upload_id])
     await _finish_own(context, actor, (upload.c.mission_id == mission_id) & is_continued)
@@ -290,7 +287,7 @@ async def finish_interrupted_artifacts(
     """Finish a run's artifacts that were being completed when its runner died.
 
     Raises:
-        StoreUnavailable: the store cannot be asked what came of them.
+        StoreUnavailable: the store does not answer.
     """
     await _finish_own(context, actor, (upload.c.run_id == run_id) & among(upload.c.path, paths))
 
@@ -299,7 +296,7 @@ async def _finish_own(context: AppContext, actor: Actor, condition: ColumnElemen
     is_completing = upload.c.state == UploadState.completing.value
     async with context.database.autocommit() as db:
         ids = (await db.execute(select(upload.c.id).where(condition, is_completing))).scalars().all()
-        if not ids:  # nearly always: the slower question whose they are is spared
+        if not ids:  # nearly always; saves the slower query for their owner
             return
         uploads = await queries.read_rows(db, queries.own_uploads(actor).where(among(upload.c.id, ids)))
     await finish_uploads(context, actor, uploads)
@@ -335,7 +332,7 @@ async def maintain_uploads(context: AppContext, *, stale_after_s: float) -> None
 
 
 async def _finish_stale(context: AppContext, row: UploadRow) -> None:
-    """Finish an upload in the name of the person who began it, with the rights that they have now."""
+    """Finish an upload on behalf of the person who began it, with their current rights."""
     async with context.database.begin() as db:
         actor = await find_person(db, row.person_id)
         if actor is None:

@@ -1,6 +1,6 @@
-"""The parts of an upload: URLs to send them to, what the store has of them, and joining them.
+"""The parts of an upload: signs their URLs, lists those that the store has, and joins them.
 
-A URL is signed for one checksum: what arrives there is what was announced, or nothing.
+A URL is signed for one checksum, so the store accepts only the bytes that were announced.
 """
 
 import asyncio
@@ -27,7 +27,7 @@ from kleinkram.server.uploads import queries
 from kleinkram.server.uploads.queries import UploadRow
 
 _CONCURRENT_REQUESTS = 16
-# From so many objects with one prefix, one listing is cheaper than asking for each.
+# From this number of objects with one prefix, one listing is cheaper than a request for each.
 _MIN_FOR_LISTING = 4
 _PROGRESS_EVERY_S = 2
 
@@ -36,7 +36,7 @@ Failures = dict[uuid.UUID, errors.KleinkramError]
 
 
 def lease_columns(settings: Settings, now: datetime.datetime | ColumnElement[Any]) -> dict[str, Any]:
-    """Return the columns that reserve a name and keep an upload from now on, for an insert or update."""
+    """Return the columns that renew the lease and expiry of an upload, for an insert or update."""
     return {
         "lease_ends_at": now + datetime.timedelta(seconds=settings.upload_lease_s),
         "expires_at": now + datetime.timedelta(seconds=settings.upload_expires_s),
@@ -49,7 +49,7 @@ def lease_columns(settings: Settings, now: datetime.datetime | ColumnElement[Any
 async def sign_parts(
     context: AppContext, actor: Actor, *, parts: Sequence[protocol.PartToSign]
 ) -> list[protocol.SignedPart]:
-    """Return where to send parts, in the order asked, and renew the leases of their uploads.
+    """Return the URLs of parts, in the order of the request, and renew the leases of their uploads.
 
     Raises:
         UploadGone: an upload has ended, or its only part was signed with another checksum before.
@@ -86,7 +86,7 @@ def _check_signable(row: UploadRow | None, part: protocol.PartToSign) -> None:
 
 
 def _renew_leases(settings: Settings, checksums: Mapping[uuid.UUID, str | None]) -> Update:
-    """Return the statement that renews leases and records the checksum that an only part was signed for."""
+    """Return the statement that renews leases and records the signed checksum of only parts."""
     rows = [{"id": upload_id, "signed_checksum": checksum} for upload_id, checksum in checksums.items()]
     values = unnest_rows([upload.c.id, upload.c.signed_checksum], rows)
     signed_checksum = func.coalesce(upload.c.signed_checksum, values.c.signed_checksum)
@@ -95,13 +95,13 @@ def _renew_leases(settings: Settings, checksums: Mapping[uuid.UUID, str | None])
 
 
 def _is_progress_due(row: UploadRow, settings: Settings) -> bool:
-    """Return whether subscribers should hear of progress: not for each request, and not for small files."""
+    """Return whether to publish progress: not for each request, and not for small files."""
     since_renewal_s = (row.now - row.lease_ends_at).total_seconds() + settings.upload_lease_s
     return row.is_multipart and since_renewal_s > _PROGRESS_EVERY_S
 
 
 def announced_checksum(storage: Storage, requested: protocol.UploadFile) -> str | None:
-    """Return what the only part of a file is signed for; None for several parts, or if no hash was announced."""
+    """Return the checksum of a file's only part; None if it has several, or if no hash was announced."""
     if requested.size_bytes > protocol.part_size_bytes(requested.size_bytes):
         return None
     announced = {ChecksumKind.crc64nvme: requested.crc64nvme, ChecksumKind.sha256: requested.sha256}
@@ -109,7 +109,7 @@ def announced_checksum(storage: Storage, requested: protocol.UploadFile) -> str 
 
 
 def sign_only_part(context: AppContext, row: UploadRow, requested: protocol.UploadFile) -> protocol.SignedPart | None:
-    """Return where the only part of a file goes, if the row was signed for the checksum that is announced."""
+    """Return the URL of a file's only part, if the row was signed for the announced checksum."""
     checksum = announced_checksum(context.storage.with_checksum(ChecksumKind(row.checksum)), requested)
     if checksum is None or row.signed_checksum != checksum:
         return None
@@ -176,7 +176,7 @@ async def _find_or_create(
 async def stored_small_files(
     storage: Storage, uploads: Sequence[UploadRow]
 ) -> dict[uuid.UUID, list[protocol.StoredPart]]:
-    """Return the only part of each one-part upload whose file the store has, whole."""
+    """Return the only part of each one-part upload whose complete file the store has."""
     signed = [row for row in uploads if not row.is_multipart and row.signed_checksum is not None]
     objects: dict[str, protocol.StoredPart] = {}
     for prefix, group in _by_prefix(signed).items():
@@ -196,7 +196,7 @@ def _by_prefix(uploads: Sequence[UploadRow]) -> dict[str, list[UploadRow]]:
 
 
 async def join_parts(storage: Storage, uploads: Sequence[UploadRow]) -> Failures:
-    """Have the store join the parts of each upload, check what it has, and return the uploads that failed."""
+    """Have the store join the parts of each upload, check the result, and return the uploads that failed."""
     limit = asyncio.Semaphore(_CONCURRENT_REQUESTS)
 
     async def join(row: UploadRow) -> tuple[uuid.UUID, errors.KleinkramError | None]:
@@ -232,14 +232,14 @@ async def _join(storage: Storage, row: UploadRow) -> errors.KleinkramError | Non
     stored = await storage.find(row.key)
     if stored is None:
         return error
-    # Several requests may join the same parts at once. The object counts, not the answer that one of them got.
+    # Several requests may join the same parts at once, so the object counts, not the response to this one.
     if stored.size_bytes != row.size_bytes or stored.crc64nvme not in {None, row.crc64nvme}:
         return errors.ChecksumMismatch(path=row.path, reason="the store's own checksum of the whole differs")
     return None
 
 
 async def _request_join(storage: Storage, row: UploadRow) -> errors.KleinkramError:
-    """Ask the store to join the parts; return the error that holds if there is no object afterwards."""
+    """Have the store join the parts; return the error to report if there is no object afterwards."""
     gone = errors.UploadGone(upload_id=str(row.id))
     if row.multipart_id is None:
         parts: list[protocol.StoredPart] | None = []
