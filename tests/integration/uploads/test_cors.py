@@ -85,7 +85,7 @@ def test_other_origins_may_not_read_and_viewers_may_not_write(lab: Api) -> None:
     assert _preflight(part["url"], _PAGE, "DELETE") is None
 
 
-def test_cors_rules_of_others_are_kept(start_api: StartApi, store: RunningStore) -> None:
+def test_cors_rules_of_others_stay(start_api: StartApi, store: RunningStore) -> None:
     settings = start_api(**_PUBLIC).app.state.settings
     later = start_api(s3_bucket=settings.s3_bucket, s3_cors="leave", public_url=_ELSEWHERE)
     url = f"{store.endpoint}/{settings.s3_bucket}/any"

@@ -17,7 +17,7 @@ class Clock:
         self.now += seconds
 
 
-def test_the_rate_limit_is_kept() -> None:
+def test_the_rate_limit_is_not_exceeded() -> None:
     clock = Clock()
     pace = RateLimit(1000, clock=clock)
     for _ in range(50):

@@ -2782,7 +2782,7 @@ export interface components {
         };
         /**
          * AlreadyPresent
-         * @description The mission already has this very file under this name: nothing to send. `file` is null for who may not read.
+         * @description The mission already has this file. Send nothing. `file` is null without the right to read.
          */
         AlreadyPresent: {
             /**
@@ -3047,7 +3047,7 @@ export interface components {
         };
         /**
          * Completed
-         * @description The store agreed; the file exists. It is null for who may not read, where another brought the same bytes.
+         * @description The upload is complete and the file exists. `file` is null without the right to read.
          */
         Completed: {
             file: components["schemas"]["FileRead"] | null;
@@ -3111,7 +3111,7 @@ export interface components {
         };
         /**
          * Deduplicated
-         * @description The same bytes are kept already and you may read them: the file now exists, nothing to send.
+         * @description The server already has these bytes, and you may read them. The file now exists; send nothing.
          */
         Deduplicated: {
             /**
@@ -3828,7 +3828,7 @@ export interface components {
         };
         /**
          * HashRequired
-         * @description Something of this name or size is kept already: ask again with the sha256.
+         * @description The server has a file with this name or size. Announce the file again with its sha256.
          */
         HashRequired: {
             /**
@@ -4860,7 +4860,7 @@ export interface components {
         ParameterType: "string" | "integer" | "number" | "boolean" | "choice" | "topic";
         /**
          * PartsSign
-         * @description Parts to sign, of one or several uploads: many small files take one request.
+         * @description Parts to sign, of one or several uploads.
          */
         PartsSign: {
             /** Parts */
@@ -4868,7 +4868,7 @@ export interface components {
         };
         /**
          * PartToSign
-         * @description A part about to be sent, with its checksum in lower-case hex (of the kind that the upload names).
+         * @description A part to send, with its checksum in lower-case hex, of the kind that the upload specifies.
          */
         PartToSign: {
             /** Checksum */
@@ -6125,7 +6125,7 @@ export interface components {
         };
         /**
          * SignedParts
-         * @description Signed parts, in the order asked; asking also renews the leases of their uploads.
+         * @description Signed parts, in the order of the request, which also renewed the leases of their uploads.
          */
         SignedParts: {
             /** Items */
@@ -6190,7 +6190,7 @@ export interface components {
         };
         /**
          * StoredPart
-         * @description A part that the store already holds.
+         * @description A part that the store has.
          */
         StoredPart: {
             /** Etag */
@@ -6539,7 +6539,7 @@ export interface components {
         };
         /**
          * UploadDecisions
-         * @description One decision a file, in the order asked.
+         * @description One decision per file, in the order of the request.
          */
         UploadDecisions: {
             /** Items */
@@ -6547,10 +6547,10 @@ export interface components {
         };
         /**
          * UploadFile
-         * @description One file that a client wants to upload. Hashes where they are known already, lower-case hex.
+         * @description One file to upload. The hashes are lower-case hex, and may be left out if they are not known yet.
          *
-         *     Clients send both hashes of small files at once: most are then decided in one response, which also contains the
-         *     URL of the part where there is only one.
+         *     Clients announce small files with both hashes: then one response decides about most of them, and contains the URL
+         *     of a file's only part.
          *     `upload_id` resumes an earlier upload of the same path and size, or starts one with that id. Repeating a request
          *     with the same id therefore returns the upload that the first request created.
          */
@@ -6568,7 +6568,7 @@ export interface components {
         };
         /**
          * UploadFinish
-         * @description An upload whose parts are all sent; the hashes are of the whole file.
+         * @description An upload whose parts are all sent, and the hashes of the file.
          */
         UploadFinish: {
             /** Crc64Nvme */
@@ -6583,7 +6583,7 @@ export interface components {
         };
         /**
          * UploadOutcomes
-         * @description One outcome an upload, in the order asked.
+         * @description One outcome per upload, in the order of the request.
          */
         UploadOutcomes: {
             /** Items */
@@ -6591,7 +6591,7 @@ export interface components {
         };
         /**
          * UploadRead
-         * @description An upload under way. `parts` are those the store holds, in order; empty for one that has just begun.
+         * @description An upload. `parts` are those that the store has, in order.
          */
         UploadRead: {
             checksum: components["schemas"]["ChecksumKind"];
@@ -6646,7 +6646,7 @@ export interface components {
          * UploadRequired
          * @description Send the parts that `upload` does not list.
          *
-         *     `part` is where the only part of a file goes, signed for the checksum that was announced; else ask for addresses.
+         *     `part`: the URL of the file's only part, signed for the announced checksum. Otherwise, request URLs of the parts.
          */
         UploadRequired: {
             /**
@@ -6667,7 +6667,7 @@ export interface components {
         };
         /**
          * UploadState
-         * @description `open` takes parts, `completing` is being finished by the server, the others are ends.
+         * @description `open` accepts parts, the server finishes one that is `completing`; the others are final.
          * @enum {string}
          */
         UploadState: "open" | "completing" | "done" | "aborted" | "expired";
