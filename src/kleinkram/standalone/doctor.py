@@ -41,7 +41,7 @@ class DoctorFinding:
 
 
 def examine(root: Path) -> list[DoctorFinding]:
-    """Run the checks that apply to the state of the instance; takes a few seconds at most."""
+    """Run the checks that apply to the state of the instance; they take a few seconds at most."""
     data_dir = DataDir(root)
     findings = [*_programs(), *_folder(data_dir)]
     if not data_dir.lock_file.exists():
@@ -146,7 +146,7 @@ def _programs() -> Iterator[DoctorFinding]:
 def _folder(data_dir: DataDir) -> Iterator[DoctorFinding]:
     root = data_dir.root
     if not data_dir.lock_file.exists():
-        yield DoctorFinding("data directory", False, f"There is none at {root}.", "`klein up` makes it.")
+        yield DoctorFinding("data directory", False, f"There is none at {root}.", "`klein up` creates it.")
     elif not os.access(root, os.R_OK | os.W_OK | os.X_OK):
         yield DoctorFinding("data directory", False, f"{root} cannot be written.", "Run as the user that owns it.")
     elif root.stat().st_mode & 0o066:
@@ -183,7 +183,7 @@ def _postgres_major() -> int | None:
 def _token(data_dir: DataDir) -> Iterator[DoctorFinding]:
     token = data_dir.token_file
     if not token.exists():
-        yield DoctorFinding("owner token", False, f"{token} is not there.", "`klein up` makes a new one.")
+        yield DoctorFinding("owner token", False, f"{token} does not exist.", "`klein up` creates a new one.")
     elif token.stat().st_mode & 0o077:
         yield DoctorFinding("owner token", False, f"{token} can be read by others.", f"Run `chmod 600 {token}`.")
     else:

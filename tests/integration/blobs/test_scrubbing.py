@@ -95,7 +95,7 @@ def test_a_truncated_object_is_corrupt_with_a_reason(api: Api, mission_id: str) 
     _put(api, _key(api, file["id"]), body[:1000])
     assert _counts(_scrub(api)) == (0, 1, 0)
     read = _read(api, file)
-    assert (read["state"], read["state_reason"]) == ("corrupt", "it has 1000 bytes, and came with 3000")
+    assert (read["state"], read["state_reason"]) == ("corrupt", "it has 1000 bytes instead of 3000")
 
 
 @pytest.mark.parametrize("was", ["lost", "corrupt"])
