@@ -305,7 +305,7 @@ async def _record(comparison: _Comparison, row: ExpectedBlob, stored_bytes: int 
             reason = "the store no longer has the object"
             counts.lost += await service.record_damage(db, row.id, state=BlobState.lost, reason=reason)
         elif stored_bytes != row.size_bytes:
-            reason = f"it has {stored_bytes} bytes, instead of {row.size_bytes}"
+            reason = f"it has {stored_bytes} bytes instead of {row.size_bytes}"
             counts.corrupt += await service.record_damage(db, row.id, state=BlobState.corrupt, reason=reason)
         elif row.state in _DAMAGED:
             # Only its size is known to be right: the verification compares its bytes.

@@ -38,11 +38,11 @@ class ObjectChecksums:
     def differs_from(self, row: BlobRow) -> str | None:
         """Return how the object differs from its row; None if it does not."""
         if self.size_bytes != row.size_bytes:
-            return f"it has {self.size_bytes} bytes, instead of {row.size_bytes}"
+            return f"it has {self.size_bytes} bytes instead of {row.size_bytes}"
         if row.crc64nvme is not None and self.crc64nvme != row.crc64nvme:
-            return f"its CRC-64/NVME is {self.crc64nvme.hex()}, instead of {row.crc64nvme.hex()} at its upload"
+            return f"its CRC-64/NVME is {self.crc64nvme.hex()} instead of {row.crc64nvme.hex()} at its upload"
         if self.sha256 != row.sha256:
-            return f"its sha256 is {self.sha256.hex()}, instead of {row.sha256.hex()} as stated by its uploader"
+            return f"its sha256 is {self.sha256.hex()} instead of {row.sha256.hex()} as stated by its uploader"
         return None
 
 
@@ -99,7 +99,7 @@ async def _raise_if_unreadable(storage: Storage, key: str, offset: int, error: S
         if not _is_failure(again):
             return
         await _read_control(storage)
-        message = f"the store does not return its bytes from {offset:,} on, but serves other objects ({again.reason})"
+        message = f"the store does not return its bytes from {offset:,} on, but serves others ({again.reason})"
         raise Unreadable(message) from again
 
 
