@@ -95,7 +95,7 @@ def test_metadata_is_merged_and_the_changes_are_printed(
         assert [line.strip() for line in lines[1:]] == shown
     mission = json.loads(klein("mission", "info", *where, "--json").stdout)["mission"]
     assert (mission["metadata"], mission["metadata_yaml"]) == ({"operator": "Ada"}, "operator: Ada\n")
-    assert "nothing changed" in klein("mission", "update", *where, "--metadata", update).stderr
+    assert "is unchanged" in klein("mission", "update", *where, "--metadata", update).stderr
 
 
 def test_each_topic_is_listed_once(klein: Klein, projects: tuple[str, str]) -> None:

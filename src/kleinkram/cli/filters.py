@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from kleinkram.cli.options import Many, MissionsOption, ProjectsOption, Text, option, the_only
+from kleinkram.cli.commands import Many, Text, option, set_parameters
+from kleinkram.cli.options import MissionsOption, ProjectsOption, the_only
 from kleinkram.cli.units import parse_size, parse_time
 from kleinkram.client import Client
 from kleinkram.client._nouns import checked, is_glob
@@ -14,7 +15,7 @@ from kleinkram.contract.errors import NotFound
 from kleinkram.contract.files import FileFilter, FileRead
 from kleinkram.contract.missions import MissionFilter, MissionRead
 from kleinkram.contract.names import is_id, name_key
-from kleinkram.contract.query import render, whole
+from kleinkram.contract.query import combined_filter, render
 from kleinkram.contract.search import FileQuery
 
 WhereOption = Annotated[
@@ -51,23 +52,18 @@ class Choice:
         return all(value in (None, []) for value in vars(self).values())
 
 
-def with_choice(command: Callable[..., None]) -> Callable[..., None]:
+def with_choice(command: Callable[..., Any]) -> Callable[..., Any]:
     """Give a command the filter options; it gets them as `choice`."""
-    own = [parameter for name, parameter in inspect.signature(command).parameters.items() if name != "choice"]
-    shared = [*inspect.signature(Choice).parameters.values()]
-    names = {parameter.name for parameter in shared}
+    signature = inspect.signature(command)
+    own = [parameter for name, parameter in signature.parameters.items() if name != "choice"]
+    shared = inspect.signature(Choice).parameters
 
     @functools.wraps(command)
-    def run(**values: Any) -> None:  # Any: Typer calls with whatever the options are
-        choice = Choice(**{name: value for name, value in values.items() if name in names})
-        command(choice=choice, **{name: value for name, value in values.items() if name not in names})
+    def run(**values: Any) -> Any:  # Any: Typer calls with whatever the options are
+        choice = Choice(**{name: values.pop(name) for name in shared})
+        return command(choice=choice, **values)
 
-    every = sorted([*own, *shared], key=lambda parameter: parameter.default is not inspect.Parameter.empty)
-    every = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in every]
-    run.__signature__ = inspect.Signature(every)  # type: ignore[attr-defined]  # what inspect reads
-    run.__annotations__ = {parameter.name: parameter.annotation for parameter in every}
-    del run.__wrapped__
-    return run
+    return set_parameters(run, [*own, *shared.values()])
 
 
 def file_filter(client: Client, choice: Choice, paths: Sequence[str] = ()) -> FileFilter:
@@ -122,7 +118,7 @@ def _filter(choice: Choice, place: dict[str, object], paths: Sequence[str]) -> F
         "query": choice.query,
     }
     set_fields = {key: value for key, value in fields.items() if value not in (None, [])}
-    return whole(checked(FileQuery, "The filter", **set_fields))
+    return combined_filter(checked(FileQuery, "The filter", **set_fields))
 
 
 def select_files(client: Client, choice: Choice, refs: Sequence[str]) -> list[FileRead]:

@@ -15,10 +15,10 @@ from typing import Annotated
 
 from pydantic import HttpUrl, JsonValue, StringConstraints, TypeAdapter, ValidationError
 
-from kleinkram.contract.amounts import iso_text
 from kleinkram.contract.errors import FieldProblem, MetadataInvalid, YamlInvalid
 from kleinkram.contract.metadata import FieldType, Location, Metadata, MetadataField, MetadataFields, Undeclared
 from kleinkram.contract.problems import in_plain_words
+from kleinkram.contract.units import iso_text
 from kleinkram.server.yaml_text import Document, Path, read_yaml, resolve_plain
 
 _WITH_UNIT = re.compile(
