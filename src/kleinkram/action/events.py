@@ -8,7 +8,7 @@ from typing import TypeVar
 from pydantic import BaseModel, JsonValue, ValidationError
 
 from kleinkram.action import run_files
-from kleinkram.contract.problems import in_plain_words
+from kleinkram.contract.problems import first_message
 from kleinkram.contract.reports import (
     EVENTS_FILE,
     MAX_EVENT_BYTES,
@@ -89,7 +89,7 @@ def _validated(kind: type[T], **fields: object) -> T:
         return kind.model_validate(fields)
     except ValidationError as error:
         name = str(error.errors(include_url=False)[0]["loc"][0])
-        reason = in_plain_words(error)
+        reason = first_message(error)
         if name in {"name", "code"}:
             reason = "use at most 64 small letters, digits and _ . -, beginning with a letter: 'rate.imu.data'"
         raise ReportRefused(f"the {name} {fields.get(name)!r} of a {kind.__name__.lower()}: {reason}") from None

@@ -17,7 +17,7 @@ from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import BlobState, ContentState, FileFilter
 from kleinkram.contract.metadata import WHERE_EXPRESSION
 from kleinkram.contract.names import is_id
-from kleinkram.contract.problems import in_plain_words
+from kleinkram.contract.problems import first_message
 from kleinkram.contract.search import FileQuery
 from kleinkram.contract.units import (
     DURATIONS,
@@ -353,7 +353,7 @@ class _QueryReader:
             return FileFilter.model_validate(values)
         except ValidationError as error:
             word = self._words_by_field[str(error.errors()[0]["loc"][0])]
-            raise word.error(in_plain_words(error)) from None
+            raise word.error(first_message(error)) from None
 
     def _add_key(self, key: QueryKey, word: Word) -> None:
         if word.operator not in key.operators:

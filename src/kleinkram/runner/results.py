@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from kleinkram.contract.metadata import check_values
 from kleinkram.contract.names import check_file_path
-from kleinkram.contract.problems import in_plain_words
+from kleinkram.contract.problems import first_message
 from kleinkram.contract.reports import (
     EVENTS_FILE,
     MAX_EVENT_BYTES,
@@ -256,4 +256,4 @@ def _merged(events: list[ReportEvent], report: Report, problems: _Problems) -> R
 
 def _first(error: ValidationError) -> str:
     where = ".".join(map(str, error.errors(include_url=False, include_input=False)[0]["loc"]))
-    return json.dumps(where) + ": " + in_plain_words(error) if where else in_plain_words(error)
+    return json.dumps(where) + ": " + first_message(error) if where else first_message(error)
