@@ -1,4 +1,4 @@
-"""`klein admin …`, `klein trash …` and `klein audit`"""
+"""`klein admin …`, `klein trash …` and `klein audit`: the state of the server, deleted objects, the audit log."""
 
 import json
 import sys
@@ -9,12 +9,11 @@ import typer
 
 from kleinkram.cli.commands import AsJson, Noun, Text, argument, flag, option
 from kleinkram.cli.errors import ExitCode
-from kleinkram.cli.filters import ids_of
+from kleinkram.cli.filters import filter_of, ids_of
 from kleinkram.cli.options import Limit, MissionsOption, ProjectsOption
 from kleinkram.cli.render import Output, as_details, as_table, details, line, moment, note, plain, table
 from kleinkram.cli.units import count, parse_time, size
 from kleinkram.client import Client
-from kleinkram.client._nouns import checked
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.admin import ScrubState, StateAmount
 from kleinkram.contract.audit import AuditFilter, AuditRead
@@ -35,7 +34,7 @@ def storage(client: Client) -> Output:
 
     def show() -> None:
         store = status.store
-        details([("kept", size(store.used_bytes)), ("free", size(store.free_bytes)), ("disk", size(store.disk_bytes))])
+        details([("used", size(store.used_bytes)), ("free", size(store.free_bytes)), ("disk", size(store.disk_bytes))])
         _show_amounts([*status.blobs, status.trash, status.uploads, status.marked_for_deletion])
         if status.is_low:
             note("The store is nearly full: uploads will soon be refused.")
@@ -125,7 +124,7 @@ def follow(states: Iterator[ScrubState]) -> ScrubState:
 
 
 def is_damaged(state: ScrubState) -> bool:
-    """Say whether any blob is lost or corrupt."""
+    """Return whether any blob is lost or corrupt."""
     return any(row.count for row in state.blobs if row.state in _DAMAGED)
 
 
@@ -135,7 +134,7 @@ def show_scrub(state: ScrubState) -> None:
     if last is None:
         note("There was no scrub yet.")
     else:
-        ended = "under way" if last.started_at else "waits for the worker"
+        ended = "under way" if last.started_at else "waiting for the worker"
         if last.ended_at is not None:
             ended = f"{moment(last.ended_at)}{' (stopped)' if last.aborted_reason else ''}"
         details(
@@ -145,8 +144,8 @@ def show_scrub(state: ScrubState) -> None:
                 ("compared", f"{last.compared} objects, {size(last.compared_bytes)}"),
                 ("newly lost", last.lost),
                 ("newly corrupt", last.corrupt),
-                ("there again", last.recovered),
-                ("of nobody", last.unknown),
+                ("recovered", last.recovered),
+                ("unknown", last.unknown),
             ]
         )
     details(
@@ -178,13 +177,13 @@ def health(client: Client) -> Output:
             ("tables", status.schema_version),
             ("database", f"PostgreSQL {status.database_version}, {size(status.database_bytes)}"),
             ("workers", f"{workers} processes" if workers != 1 else "1 process"),
-            ("heard of", moment(status.worker_last_at) if status.worker_last_at else "never"),
+            ("last heartbeat", moment(status.worker_last_at) if status.worker_last_at else "never"),
             ("runs", status.runs_problem),
             ("invitations", status.invitation_warning),
             ("store", f"verifies {status.store_checksum}"),
-            ("overwrites", "the store refuses them" if status.store_refuses_overwrites else "the store takes them"),
-            ("pages", "may send to the store" if status.store_allows_browser_uploads else "may not send to the store"),
-            ("clocks apart", f"{status.clock_skew_s:.2f} s"),
+            ("overwrites", "refused by the store" if status.store_refuses_overwrites else "accepted by the store"),
+            ("browser uploads", "allowed" if status.store_allows_browser_uploads else "refused by the store"),
+            ("clock difference", f"{status.clock_skew_s:.2f} s"),
         ],
     )
 
@@ -246,10 +245,10 @@ def audit(
         "operation": operation,
         "since": parse_time(since),
         "until": parse_time(until),
-        "as_admin": as_admin or None,
+        "as_admin": as_admin,
         **ids_of(client, project, mission),
     }
-    matching = checked(AuditFilter, "The filter", **{key: value for key, value in fields.items() if value})
+    matching = filter_of(AuditFilter, fields)
     if jsonl:
         for event in client.audit.export(matching):
             line(json.dumps(plain(event)))

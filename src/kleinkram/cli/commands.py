@@ -179,7 +179,7 @@ def set_parameters(function: Callable[..., Any], parameters: Iterable[inspect.Pa
 
 
 def take_flag(arguments: list[str], flag: str) -> bool:
-    """Remove a flag wherever it stands before `--`, and say whether it was there."""
+    """Remove a flag wherever it is before `--`; return whether it was there."""
     end = arguments.index("--") if "--" in arguments else len(arguments)
     positions = [position for position, argument in enumerate(arguments[:end]) if argument == flag]
     for position in reversed(positions):
@@ -188,7 +188,7 @@ def take_flag(arguments: list[str], flag: str) -> bool:
 
 
 def is_json_requested() -> bool:
-    """Say whether the command line asks for JSON; a failure is then JSON, too."""
+    """Return whether the command line contains `--json`; a failure is then printed as JSON, too."""
     end = sys.argv.index("--") if "--" in sys.argv else len(sys.argv)
     return "--json" in sys.argv[:end]
 

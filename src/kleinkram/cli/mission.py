@@ -6,12 +6,11 @@ from typing import Annotated
 
 from kleinkram.cli import options
 from kleinkram.cli.commands import AsJson, Many, Noun, Text, argument, flag, option
-from kleinkram.cli.filters import WhereOption, projects_of
+from kleinkram.cli.filters import WhereOption, filter_of, projects_of
 from kleinkram.cli.render import Output, as_list, as_total, details, line, note, show_json, table
 from kleinkram.cli.units import count as count_of
 from kleinkram.cli.units import duration, instant, rate, size, span
 from kleinkram.client import Client
-from kleinkram.client._nouns import checked
 from kleinkram.client.errors import InvalidInput
 from kleinkram.contract.files import BlobState, FileFilter, FileRead, RecordingRead, TopicRead
 from kleinkram.contract.missions import MissionFilter, MissionRead, MissionSort
@@ -63,8 +62,9 @@ def list_(
     refs = [str(client.missions.id_of(ref)) if "/" in ref else ref for ref in [*(names or []), *(mission or [])]]
     fields: dict[str, object] = {"text": text, "where": where, "topic": topic, **projects_of(client, project)}
     fields |= {"name": refs[0]} if len(refs) == 1 and not is_id(refs[0]) else {"missions": refs}
-    set_fields = {key: value for key, value in fields.items() if value}
-    matching = checked(MissionFilter, "The filter", **set_fields, **({"satisfied": False} if unsatisfied else {}))
+    matching = filter_of(MissionFilter, fields)
+    if unsatisfied:
+        matching = matching.model_copy(update={"satisfied": False})
     if count:
         return as_total(client.missions.count(matching))
     return as_list(client.missions.list(matching, sort=sort, limit=limit), show_missions)

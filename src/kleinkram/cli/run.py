@@ -11,14 +11,13 @@ import typer
 from kleinkram.cli import options
 from kleinkram.cli.commands import AsJson, Many, Noun, Text, argument, flag, option
 from kleinkram.cli.errors import ExitCode, exit_code_of
-from kleinkram.cli.filters import Choice, WhereOption, find_missions, ids_of, mission_query
+from kleinkram.cli.filters import Choice, WhereOption, filter_of, find_missions, ids_of, mission_query
 from kleinkram.cli.render import Output, as_list, as_table, as_total, note, show_json
 from kleinkram.cli.run_view import action_name, follow, mission_name, show_results, show_run, show_runs, write_log
 from kleinkram.cli.transfer import run_transfer, transfer_output
 from kleinkram.cli.units import count as count_of
 from kleinkram.cli.units import instant, size
 from kleinkram.client import Client
-from kleinkram.client._nouns import checked
 from kleinkram.client.actions import read_manifest
 from kleinkram.client.errors import InvalidInput, NothingToDo
 from kleinkram.contract import runs as contract
@@ -198,7 +197,7 @@ def list_(
     """List runs, latest first."""
     criteria: dict[str, object] = {"action": action, "state": state, "active": active, "mine": mine}
     criteria |= ids_of(client, project, mission)
-    matching = checked(contract.RunFilter, "The filter", **{key: value for key, value in criteria.items() if value})
+    matching = filter_of(contract.RunFilter, criteria)
     if count:
         return as_total(client.runs.count(matching))
     rows = [*client.runs.list(matching, limit=limit or _SHOWN)]
@@ -337,4 +336,4 @@ def _report_filter(client: Client, run: Text, project: Many, mission: Many, **mo
     criteria: dict[str, object] = {**more, **ids_of(client, project, mission)}
     if run is not None:
         criteria["run_id"] = client.runs.get(run).id
-    return checked(contract.ReportFilter, "The filter", **{key: value for key, value in criteria.items() if value})
+    return filter_of(contract.ReportFilter, criteria)

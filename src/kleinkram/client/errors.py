@@ -176,14 +176,14 @@ class DestinationDiffers(ClientError):
 
 
 class DiskFull(ClientError):
-    """There is not enough disk space for {path!r}: {reason}. Free some space and run the same command again; it continues where this one stopped."""
+    """There is not enough disk space for {path!r}: {reason}. Free some space and run the same command again; it continues where this one stopped."""  # noqa: E501  one sentence
 
     path: str
     reason: str
 
 
 class VerifyFailed(ClientError):
-    """The downloaded bytes of {path!r} do not match the server's checksum: {reason}. Nothing was saved; run the command again."""
+    """The downloaded bytes of {path!r} do not match the server's checksum: {reason}. Nothing was saved; run the command again."""  # noqa: E501  one sentence
 
     path: str
     reason: str
