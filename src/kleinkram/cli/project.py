@@ -32,7 +32,7 @@ def create(
 ) -> Output:
     """Create a project."""
     name = options.the_ref("project", name, project)
-    fields_yaml = options.options.read_text(fields)
+    fields_yaml = options.read_text(fields)
     return _output(client.projects.create(name, description=description or "", fields_yaml=fields_yaml))
 
 

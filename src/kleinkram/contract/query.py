@@ -208,7 +208,7 @@ def _unknown_key(key: str) -> str:
     """Return the message for an unknown key: a similar one, and all that exist."""
     close = difflib.get_close_matches(key.lower()[:40], KEYS, n=1)
     hint = f"did you mean {close[0]!r}? " if close else ""
-    return f"there is no key {key!r}; {hint}There are {', '.join(KEYS)} and {META}FIELD"
+    return f"there is no key {key!r}; {hint}the keys are {', '.join(KEYS)} and {META}FIELD"
 
 
 _NAMES = [*KEYS]
@@ -332,7 +332,7 @@ class _QueryReader:
         elif word.key.startswith(META) and word.key != META:
             self._add_value("where", _comparison(word), word)
         elif word.key not in KEYS:
-            hint = f"write {META}{word.key}{word.operator}{as_value(word.value)} for metadata, and quotes around text"
+            hint = f"write metadata as {META}{word.key}{word.operator}{as_value(word.value)}, and text in quotes"
             raise word.error(f"{_unknown_key(word.key)}; {hint}")
         else:
             self._add_key(KEYS[word.key], word)

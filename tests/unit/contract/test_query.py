@@ -87,7 +87,7 @@ def test_a_query_has_one_spelling(text: str, message: str) -> None:
     ("text", "column", "words"),
     [
         ("alps topc:/imu", 6, "did you mean 'topic'?"),
-        ("robot:anymal", 1, "write meta.robot:anymal for metadata"),
+        ("robot:anymal", 1, "write metadata as meta.robot:anymal"),
         ("http://x", 1, "text in quotes"),
         ("topic:", 1, "it has no value; write it like topic:/imu/*"),
         ("meta.robot:", 1, "it has no value"),
