@@ -76,7 +76,7 @@ def test_several_projects_and_missions_are_selected_everywhere(klein: Klein, pro
     for command in (("mission", "info"), ("upload", "x"), ("share", "create"), ("access", "list")):
         refused = klein(*command, "-p", north, "-p", south, "-m", "day", code=2)
         assert "--project was given 2 times; this command takes one" in refused.stderr
-    assert "this takes one" in klein("verify", "-p", north, "-m", "day", "-m", "night", KLEIN, code=2).stderr
+    assert "this command takes one" in klein("verify", "-p", north, "-m", "day", "-m", "night", KLEIN, code=2).stderr
 
 
 def test_metadata_is_merged_and_the_changes_are_printed(
