@@ -6,11 +6,10 @@ import uuid
 import pytest
 
 from kleinkram.contract.access import Scope, TokenKind
-from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.context import AppContext
 from kleinkram.server.events import hub as hubs
 from kleinkram.server.events.hub import MAX_STREAMS_PER_PERSON
-from kleinkram.server.runs.jobs import maintain_runs_once
+from kleinkram.server.maintenance import collect_garbage, maintain_runs
 from kleinkram.server.s3.storage import Storage
 from tests.integration import people
 from tests.integration.api_server import Api
@@ -189,7 +188,7 @@ def _blobs(lab: Api, run_id: str) -> list[uuid.UUID]:
 
 
 async def _collect_garbage(context: AppContext) -> None:
-    await maintain_runs_once(context)
+    await maintain_runs(context)
     await collect_garbage(context)
 
 

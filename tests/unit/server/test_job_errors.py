@@ -3,7 +3,7 @@
 import pytest
 
 from kleinkram.contract.errors import StoreUnavailable
-from kleinkram.server.jobs.attempts import error_sentence
+from kleinkram.server.jobs.execution import error_sentence
 
 
 @pytest.mark.parametrize(

@@ -67,7 +67,8 @@ async def send_heartbeats(
     runner_id: uuid.UUID, heartbeats: Heartbeats, db: Transaction, actor: CurrentActor
 ) -> HeartbeatReplies:
     """Report the states of all runs, and renew their leases."""
-    return await service.record_heartbeats(db, actor, runner_id=runner_id, heartbeats=heartbeats)
+    await service.record_seen(db, actor, runner_id)
+    return await assigned_runs.record_heartbeats(db, actor, heartbeats)
 
 
 @router.get("/runner/runs/{run_id}/context", operation_id="get_run_context")
