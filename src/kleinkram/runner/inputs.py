@@ -19,12 +19,10 @@ from kleinkram.contract.errors import FileUnavailable, InvalidRequest, Kleinkram
 from kleinkram.contract.names import check_file_path
 from kleinkram.contract.runners import AssignedInput, InputsRequest, RunAssignment
 from kleinkram.contract.runs import CONTEXT_FILE, EndReason, RunContext
-from kleinkram.runner.context import RunnerContext, StopSignal
 from kleinkram.runner.executors.base import CannotStart, Ending, Executor, PinnedImage, RunJob
 from kleinkram.runner.executors.port_forward import PortForward
-from kleinkram.runner.files import remove_tree
 from kleinkram.runner.input_cache import InputCache, InputDamaged, InputFile, NoSpace, PartialInput
-from kleinkram.runner.state_directory import Attempt
+from kleinkram.runner.state import Attempt, RunnerContext, StopSignal, remove_tree
 
 _OWN_DIRECTORY = ".kleinkram"
 _SCRIPT = f"{_OWN_DIRECTORY}/script.py"

@@ -32,11 +32,19 @@ from kleinkram.contract.runners import (
     RunnerRegistration,
 )
 from kleinkram.runner.active_run import ActiveRun
-from kleinkram.runner.context import LEASE_MARGIN_S, Lease, RunnerContext, StopRequest
 from kleinkram.runner.executors.base import CannotStart, Executor
 from kleinkram.runner.executors.limits import boot_time_s
-from kleinkram.runner.files import remove_tree
-from kleinkram.runner.state_directory import Attempt, StateDirectory, create_attempt, find_attempts
+from kleinkram.runner.state import (
+    LEASE_MARGIN_S,
+    Attempt,
+    Lease,
+    RunnerContext,
+    StateDirectory,
+    StopRequest,
+    create_attempt,
+    find_attempts,
+    remove_tree,
+)
 
 _log = logging.getLogger("kleinkram.runner")
 _HEARTBEAT_TIMEOUT_S = 10.0

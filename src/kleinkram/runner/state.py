@@ -1,4 +1,6 @@
-"""The state directory of a runner, which one process at a time uses. All state is written before it is acted upon.
+"""State of a runner: its directory, the attempts at runs in it, and their leases and stop requests.
+
+One process at a time uses the directory. All state is written before it is acted upon.
 
 id                    the permanent id of the runner
 last-heartbeat        when the server last answered a heartbeat
@@ -12,24 +14,32 @@ import contextlib
 import enum
 import fcntl
 import os
+import shutil
+import threading
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from kleinkram.client.errors import InvalidInput
+from kleinkram.client.runs import Runners
+from kleinkram.client.server import Service
+from kleinkram.client.transfer.store import StoreClient
 from kleinkram.contract.runners import RunAssignment
 from kleinkram.contract.runs import Usage
-from kleinkram.runner.executors.base import Ending
-from kleinkram.runner.executors.limits import LOG
-from kleinkram.runner.files import remove_tree, write_atomically, write_in_place
+from kleinkram.runner.durable_files import write_atomically, write_in_place
+from kleinkram.runner.executors.base import Ending, Executor
+from kleinkram.runner.executors.limits import LOG, boot_time_s
 
 LOG_UPLOAD = "log-upload.json"
 _STATE = "state.json"
 # What stays when an attempt is started again: its log may be stored already.
 _PRESERVED = {_STATE, LOG, LOG_UPLOAD}
 _LAST_HEARTBEAT = "last-heartbeat"
+# A run is stopped this long before its lease ends, so that two runners never run it at once.
+LEASE_MARGIN_S = 10.0
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
@@ -165,3 +175,114 @@ def _read_attempt(directory: Path) -> Attempt | Path:
         return Attempt(directory, AttemptState.model_validate_json((directory / _STATE).read_bytes()))
     except (FileNotFoundError, NotADirectoryError, ValidationError):
         return directory
+
+
+def remove_tree(directory: Path) -> None:
+    """Remove a directory and its content, including directories without permissions for their owner.
+
+    Raises:
+        OSError: something cannot be removed, such as files of another user.
+    """
+    try:
+        shutil.rmtree(directory)
+    except FileNotFoundError:
+        return
+    except PermissionError:
+        directory.chmod(0o700)
+        for parent, names, _ in os.walk(directory):
+            for name in names:
+                # A link to a directory is listed as one, and is only removed.
+                if not (Path(parent) / name).is_symlink():
+                    (Path(parent) / name).chmod(0o700)
+        shutil.rmtree(directory)
+
+
+@dataclass(frozen=True)
+class RunnerContext:
+    """Context shared by all runs of a runner. `on_change` is called when the state of a run changes."""
+
+    executor: Executor
+    runners: Runners
+    store: StoreClient
+    url: str
+    token: str
+    service: Service
+    default_image: str | None
+    on_change: Callable[[], None]
+
+
+class StopRequest(str, enum.Enum):
+    """Why a run is to stop; later members take precedence.
+
+    `cancel`: a person cancelled it; its end is reported. `abandon`: another runner has it; nothing is reported.
+    `detach`: this runner process ends, and the next one continues the run.
+    """
+
+    cancel = "cancel"
+    abandon = "abandon"
+    detach = "detach"
+
+
+_PRECEDENCE = [None, *StopRequest]
+
+
+@dataclass(eq=False)
+class StopRequested(Exception):
+    """Raised in the thread of a run that is to stop."""
+
+    request: StopRequest
+
+
+class StopSignal:
+    """The stop requests of one run."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Event()
+        self._request: StopRequest | None = None
+        self._is_acknowledged = False
+
+    @property
+    def request(self) -> StopRequest | None:
+        """The current request."""
+        return self._request
+
+    def send(self, request: StopRequest) -> None:
+        """Request a stop."""
+        if _PRECEDENCE.index(request) > _PRECEDENCE.index(self._request):
+            self._request = request
+            self._is_acknowledged = False
+            self._changed.set()
+
+    def acknowledge(self) -> None:
+        """Clear a request, so that what remains to be done is not interrupted by it."""
+        self._is_acknowledged = True
+        self._changed.clear()
+
+    def is_pending(self) -> bool:
+        """Whether there is a request that was not acknowledged."""
+        return self._request is not None and not self._is_acknowledged
+
+    def check(self) -> None:
+        """Raise `StopRequested` if a request is pending."""
+        if self._request is not None and not self._is_acknowledged:
+            raise StopRequested(self._request)
+
+    def wait(self, seconds: float) -> None:
+        """Wait, or raise `StopRequested` as soon as there is a request."""
+        self._changed.wait(seconds)
+        self.check()
+
+
+class Lease:
+    """Lease of a run, by the clock of `boot_time_s`."""
+
+    def __init__(self, until_s: float) -> None:
+        self.until_s = until_s
+
+    def renew(self, requested_s: float, lease_s: float) -> None:
+        """Extend it: the server renewed it by the reply to a request sent at `requested_s`."""
+        self.until_s = max(self.until_s, requested_s + lease_s - LEASE_MARGIN_S)
+
+    def is_over(self) -> bool:
+        """Whether another runner may soon have the run."""
+        return boot_time_s() > self.until_s
