@@ -15,7 +15,7 @@ from kleinkram.contract.runners import Heartbeat, HeartbeatReply, LeaseStatus, R
 from kleinkram.contract.runs import EndReason, RunState, UsageSample
 from kleinkram.runner.executors.base import CannotStart, Ending, RunJob, wait_for_end
 from kleinkram.runner.executors.limits import CANCELLED, boot_time_s
-from kleinkram.runner.inputs import Preparation, job_of
+from kleinkram.runner.inputs import job_of, prepare
 from kleinkram.runner.logs import LogUpload, Redactor
 from kleinkram.runner.results import ProgressReader, ResultUpload
 from kleinkram.runner.state import (
@@ -215,8 +215,7 @@ class ActiveRun:
         self._attempt.change(stage=Stage.preparing)
         self._executor.remove(self._job())
         self._attempt.clear()
-        preparation = Preparation(self._context, self.assignment, self.stop)
-        prepared = preparation.prepare(self._attempt.directory / "in")
+        prepared = prepare(self._context, self.assignment, self.stop, self._attempt.directory / "in")
         self._attempt.change(
             stage=Stage.running,
             starts=self._attempt.state.starts + 1,

@@ -58,6 +58,25 @@ class StateDirectory:
         except ValueError:
             raise InvalidInput(what=str(id_file), reason="it holds no id of a runner") from None
 
+    def create_attempt(self, assignment: RunAssignment) -> "Attempt":
+        """Create the directory of a new attempt."""
+        directory = self.runs / f"{assignment.run_id}-{assignment.attempt}"
+        directory.mkdir(mode=0o711, parents=True, exist_ok=True)
+        attempt = Attempt(directory, AttemptState(assignment=assignment))
+        attempt.change()
+        return attempt
+
+    def find_attempts(self) -> "list[Attempt | Path]":
+        """Return the attempts of an earlier process; only the directory of those without state."""
+        found: list[Attempt | Path] = []
+        for directory in sorted(self.runs.iterdir()):
+            try:
+                state = AttemptState.model_validate_json((directory / _STATE).read_bytes())
+                found.append(Attempt(directory, state))
+            except (FileNotFoundError, NotADirectoryError, ValidationError):  # noqa: PERF203  each by itself
+                found.append(directory)
+        return found
+
     def record_heartbeat(self, at_s: float) -> None:
         """Record that the server answered a heartbeat sent at `at_s`, by the clock of leases."""
         write_in_place(self.path / _LAST_HEARTBEAT, f"{_boot_id()} {at_s}")
@@ -154,27 +173,6 @@ class Attempt:
                 remove_tree(path)
             else:
                 path.unlink()
-
-
-def create_attempt(runs: Path, assignment: RunAssignment) -> Attempt:
-    """Create the directory of a new attempt."""
-    directory = runs / f"{assignment.run_id}-{assignment.attempt}"
-    directory.mkdir(mode=0o711, parents=True, exist_ok=True)
-    attempt = Attempt(directory, AttemptState(assignment=assignment))
-    attempt.change()
-    return attempt
-
-
-def find_attempts(runs: Path) -> list[Attempt | Path]:
-    """Return the attempts of an earlier process; only the directory of those without state."""
-    return [_read_attempt(directory) for directory in sorted(runs.iterdir())] if runs.is_dir() else []
-
-
-def _read_attempt(directory: Path) -> Attempt | Path:
-    try:
-        return Attempt(directory, AttemptState.model_validate_json((directory / _STATE).read_bytes()))
-    except (FileNotFoundError, NotADirectoryError, ValidationError):
-        return directory
 
 
 def remove_tree(directory: Path) -> None:

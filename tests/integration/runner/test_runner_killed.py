@@ -45,7 +45,7 @@ def test_a_runner_killed_before_it_recorded_the_pid_finds_the_job_again(
 
 
 @PROCESS_ONLY
-def test_a_supervisor_whose_job_was_removed_meanwhile_does_nothing(bench: Bench) -> None:
+def test_a_supervisor_without_its_job_does_nothing(bench: Bench) -> None:
     job = bench.job("print('once')")
     (job.directory / "supervisor").touch()
     lock = os.open(job.directory / "supervisor", os.O_RDWR)
