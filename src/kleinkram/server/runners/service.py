@@ -300,7 +300,7 @@ async def _create_token(db: Connection, row: AssignedRun) -> str:
         "secret_sha256": secret.sha256,
         "scopes": [scope.value for scope in _SCOPES[definition.right]],
         "run_id": row.id,
-        "most": definition.right.value,
+        "max_right": definition.right.value,
     }
     await db.execute(insert(token).values(id=token_id, is_limited=True, expires_at=func.now() + lasts, **values))
     await db.execute(insert(token_limit).values(id=uuid.uuid4(), token_id=token_id, mission_id=row.mission_id))

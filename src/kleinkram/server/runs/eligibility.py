@@ -44,7 +44,7 @@ class QueuedRuns(NamedTuple):
     """The number of queued runs with the same requirements."""
 
     needs: Needs
-    count: int
+    run_count: int
 
 
 class KnownRunner(NamedTuple):
@@ -134,7 +134,7 @@ class KnownRunners(NamedTuple):
 
     def runs_problem(self, queued: Collection[QueuedRuns]) -> str | None:
         """Return why queued runs, or any scripts, cannot start, and the remedy; None where they can."""
-        stuck = [(entry.count, self.reason_never_starts(entry.needs)) for entry in queued]
+        stuck = [(entry.run_count, self.reason_never_starts(entry.needs)) for entry in queued]
         reasons = [(count, reason) for count, reason in stuck if reason is not None]
         if reasons:
             count = sum(count for count, _ in reasons)
