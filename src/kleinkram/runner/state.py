@@ -68,14 +68,14 @@ class StateDirectory:
 
     def find_attempts(self) -> "list[Attempt | Path]":
         """Return the attempts of an earlier process; only the directory of those without state."""
-        found: list[Attempt | Path] = []
+        entries: list[Attempt | Path] = []
         for directory in sorted(self.runs.iterdir()):
             try:
                 state = AttemptState.model_validate_json((directory / _STATE).read_bytes())
-                found.append(Attempt(directory, state))
+                entries.append(Attempt(directory, state))
             except (FileNotFoundError, NotADirectoryError, ValidationError):  # noqa: PERF203  each by itself
-                found.append(directory)
-        return found
+                entries.append(directory)
+        return entries
 
     def record_heartbeat(self, at_s: float) -> None:
         """Record that the server answered a heartbeat sent at `at_s`, by the clock of leases."""

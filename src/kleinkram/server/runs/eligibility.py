@@ -170,8 +170,8 @@ def with_token_limits(stmt: Select[Any]) -> Select[Any]:
 
 async def find_runner(db: Connection, runner_id: uuid.UUID) -> KnownRunner:
     """Return one runner."""
-    (found,) = await _runners(db, runner.c.id == runner_id)
-    return found
+    (known_runner,) = await _runners(db, runner.c.id == runner_id)
+    return known_runner
 
 
 async def known_runners(db: Connection) -> KnownRunners:

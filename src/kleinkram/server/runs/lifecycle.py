@@ -35,18 +35,18 @@ async def cancel_run(db: Connection, actor: Actor, *, run_id: uuid.UUID) -> RunR
         Forbidden: another person launched it, and they do not have DELETE on its mission.
     """
     await db.execute(select(run.c.id).where(run.c.id == run_id).with_for_update(key_share=True))
-    found = await service.find_run(db, actor, run_id)
-    where, state = found.run.mission, found.run.state.value
+    visible = await service.find_run(db, actor, run_id)
+    where, state = visible.run.mission, visible.run.state.value
     await require_mission(db, actor, "cancel_run", where.id)
-    if found.started_by_id != actor.person_id and found.level < Right.delete.level:
+    if visible.started_by_id != actor.person_id and visible.level < Right.delete.level:
         raise Forbidden(noun="mission", operation="cancel another person's run", needs=Right.delete.value)
     if state == RunState.queued.value:
         await end_run(db, run_id, EndReason.cancelled, f"Cancelled by {actor.name} before it started.")
-    elif state in ASSIGNED and found.run.cancel_requested_at is None:
+    elif state in ASSIGNED and visible.run.cancel_requested_at is None:
         await db.execute(update(run).where(run.c.id == run_id).values(cancel_requested_at=func.now()))
     else:
         return await service.get_run(db, actor, run_id)
-    event = Event("run.cancel", "run", run_id, found.run.action.name, where.project.id, mission_id=where.id)
+    event = Event("run.cancel", "run", run_id, visible.run.action.name, where.project.id, mission_id=where.id)
     await record(db, actor, event)
     return await service.get_run(db, actor, run_id)
 

@@ -199,8 +199,8 @@ async def link_artifacts(
         FileUnavailable: the store's copy of one is lost or corrupt.
     """
     async with context.database.begin() as db:
-        found = await find_run(db, actor, run_id)
-        stmt = queries.artifacts_of(actor, found.results_id).where(among(run_artifact.c.id, artifact_ids))
+        visible = await find_run(db, actor, run_id)
+        stmt = queries.artifacts_of(actor, visible.results_id).where(among(run_artifact.c.id, artifact_ids))
         rows_by_id = {row.id: row for row in await db.execute(stmt)}
         for entry in artifact_ids:
             if entry not in rows_by_id:
@@ -208,7 +208,7 @@ async def link_artifacts(
             if rows_by_id[entry].state in _UNREADABLE:
                 raise FileUnavailable(path=rows_by_id[entry].path, state=rows_by_id[entry].state)
         after: Metadata = {"files": len(rows_by_id)}
-        name, where = found.run.action.name, found.run.mission
+        name, where = visible.run.action.name, visible.run.mission
         event = Event("run.download", "run", run_id, name, where.project.id, after=after, mission_id=where.id)
         await record(db, actor, event)
     expires_s = context.settings.download_url_s
