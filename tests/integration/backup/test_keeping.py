@@ -25,7 +25,7 @@ from kleinkram.server.backup.objects import ObjectIndex
 from kleinkram.server.backup.operations import Messages
 from kleinkram.server.backup.rclone import Rclone
 from kleinkram.server.backup.repository import open_repository
-from kleinkram.server.blobs.jobs import collect_garbage
+from kleinkram.server.maintenance import collect_garbage
 from kleinkram.server.settings import plain_dsn
 from tests.integration.api_server import Api
 from tests.integration.backup.conftest import LARGE
