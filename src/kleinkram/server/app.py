@@ -11,7 +11,7 @@ import kleinkram
 from kleinkram.server.access.operations import OPEN_PAGES, OPERATIONS
 from kleinkram.server.actions.routes import router as actions
 from kleinkram.server.admin.routes import router as admin
-from kleinkram.server.audit.admin_access import AdminReads
+from kleinkram.server.audit.requests import AdminReads, Refusals
 from kleinkram.server.audit.routes import router as audit
 from kleinkram.server.auth.bootstrap import let_owner_in, log_bootstrap_code
 from kleinkram.server.auth.local_accounts import PasswordHasher
@@ -140,7 +140,7 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.state.settings = settings
     app.state.queue = queue
-    app.state.admin_reads = AdminReads()
+    app.state.admin_reads, app.state.refusals = AdminReads(), Refusals()
     app.add_middleware(RequestMiddleware, settings=settings)
     install_error_handlers(app)
     for router in ROUTERS:

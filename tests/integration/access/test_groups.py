@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from kleinkram.contract.access import GroupKind, Right
-from kleinkram.server.access.groups import ADMINS_ID, join_email_groups
+from kleinkram.server.access.builtin_groups import ADMINS_ID, join_email_groups
 from kleinkram.server.db import open_database
 from kleinkram.server.groups.affiliations import AffiliationUnusable, ensure_affiliations
 from kleinkram.server.settings import Affiliation

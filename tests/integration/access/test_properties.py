@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from kleinkram.contract.access import Right
-from kleinkram.server.access.groups import ADMINS_ID, OWNER_ID
+from kleinkram.server.access.builtin_groups import ADMINS_ID, OWNER_ID
 from tests.integration.access.rights_model import (
     ADMINS,
     CREATE,

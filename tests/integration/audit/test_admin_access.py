@@ -98,12 +98,12 @@ def test_a_token_without_the_power_uses_none(api: Api, admin: Person, sample: Sa
     assert _marks(api, admin) == [("project.update", False), ("access.denied", False)]
 
 
-@pytest.mark.parametrize(("creators", "by_power"), [("everybody", False), ("affiliated", False), ("admins", True)])
+@pytest.mark.parametrize(("creators", "needs_admin"), [("everybody", False), ("affiliated", False), ("admins", True)])
 def test_making_a_project_takes_power_where_the_setting_leaves_it_to_admins(
-    start_api: StartApi, creators: str, by_power: bool
+    start_api: StartApi, creators: str, needs_admin: bool
 ) -> None:
     api = start_api(creators=creators)
     admin = people.person(api, admin=True)
     api.as_(admin.token).project()
     api.as_(admin.token).post("/groups", {"name": "field team"}).ok(201)
-    assert _marks(api, admin) == [("project.create", by_power), ("group.create", by_power)]
+    assert _marks(api, admin) == [("project.create", needs_admin), ("group.create", needs_admin)]

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from kleinkram.contract.access import Right, Scope
-from kleinkram.server.audit import admin_access
+from kleinkram.server.audit import requests
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
@@ -31,7 +31,7 @@ def test_one_look_an_hour_is_noted_for_each_mission_and_project(own: Api) -> Non
     admin = people.person(own, admin=True)
     requested = own.as_(admin.token)
     for _ in range(2):
-        own.app.state.admin_reads = admin_access.AdminReads()  # as in another process
+        own.app.state.admin_reads = requests.AdminReads()  # as in another process
         requested.get(f"/files/{file_id}").ok()
         requested.get(f"/missions/{mission}/recordings").ok()
         requested.get("/files", {"mission_id": mission}).ok()
@@ -41,7 +41,7 @@ def test_one_look_an_hour_is_noted_for_each_mission_and_project(own: Api) -> Non
     (event,) = own.all("/audit", {"operation": "admin.look", "mission_id": mission})
     assert (event["as_admin"], event["project_id"], event["after"]) == (True, project, {"operation": "get_file"})
     own.sql("UPDATE audit_event SET at = at - interval '61 minutes' WHERE operation = 'admin.look'")
-    own.app.state.admin_reads = admin_access.AdminReads()
+    own.app.state.admin_reads = requests.AdminReads()
     requested.get(f"/missions/{mission}").ok()
     assert _looks(own, admin)[3:] == [("mission", mission)]
 

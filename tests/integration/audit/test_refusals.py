@@ -8,8 +8,8 @@ import pytest
 
 from kleinkram.contract.access import Right
 from kleinkram.contract.errors import Forbidden
-from kleinkram.server.audit import refusals
-from kleinkram.server.audit.refusals import Refusals
+from kleinkram.server.audit import requests
+from kleinkram.server.audit.requests import Refusals
 from kleinkram.server.auth.bootstrap import ensure_owner
 from kleinkram.server.context import AppContext
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
@@ -55,7 +55,7 @@ def test_a_denial_is_recorded_although_the_transaction_is_rolled_back(start_api:
 def test_a_flood_of_refusals_is_noted_in_part_and_touches_the_database_no_more(
     start_api: StartApi, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(refusals, "PER_MINUTE", 5)
+    monkeypatch.setattr(requests, "PER_MINUTE", 5)
     api = start_api()
     with api.statements() as statements, ThreadPoolExecutor(4) as pool:
         calls = [pool.submit(api.call, "GET", "/projects", headers={"Authorization": "x"}) for _ in range(30)]
@@ -66,8 +66,8 @@ def test_a_flood_of_refusals_is_noted_in_part_and_touches_the_database_no_more(
 def test_the_noise_of_strangers_hides_nobody_s_denial_and_is_one_row_a_minute(
     start_api: StartApi, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(refusals, "PER_MINUTE", 3)
-    monkeypatch.setattr(refusals, "MINUTE_S", 2.0)
+    monkeypatch.setattr(requests, "PER_MINUTE", 3)
+    monkeypatch.setattr(requests, "MINUTE_S", 2.0)
     api = start_api()
     ada, project = people.person(api), api.project()["id"]
     people.grant(api, ada, Right.read, project_id=project)
@@ -88,7 +88,7 @@ def test_the_noise_of_strangers_hides_nobody_s_denial_and_is_one_row_a_minute(
 
 
 def test_each_who_is_known_has_a_share_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(refusals, "PER_MINUTE", 2)
+    monkeypatch.setattr(requests, "PER_MINUTE", 2)
     noted, ada = Refusals(), uuid.uuid4()
     requested = [
         (None, 1000),

@@ -11,7 +11,7 @@ from kleinkram import connect
 from kleinkram.cli.main import app
 from kleinkram.contract.access import Scope
 from kleinkram.contract.errors import LastSignInMethod, NotFound
-from kleinkram.server.access.groups import OWNER_ID
+from kleinkram.server.access.builtin_groups import OWNER_ID
 from kleinkram.server.settings import Affiliation
 from tests.integration import people
 from tests.integration.auth.accounts import PASSWORD, account, any_email, sign_in, signed_in

@@ -14,7 +14,7 @@ from kleinkram.contract.errors import CodeGone, FieldProblem, Forbidden, Invalid
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.tokens import SecretKind
 from kleinkram.server.access.actor import Actor, new_secret, secret_hash, secret_prefix, unexpired
-from kleinkram.server.access.groups import (
+from kleinkram.server.access.builtin_groups import (
     ADMINS_ID,
     OWNER_ID,
     OWNER_TOKEN_NAME,
@@ -22,7 +22,7 @@ from kleinkram.server.access.groups import (
     add_verified_address,
     make_admin,
 )
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.auth.local_accounts import refuse_obvious_password, set_password
 from kleinkram.server.auth.one_time_codes import CodeRequest, create_code, use_code
 from kleinkram.server.db import Connection
@@ -77,7 +77,7 @@ async def bootstrap_admin(
         await set_password(db, person_id, password_hash)
     await make_admin(db, person_id)
     event = Event("server.bootstrap", "person", person_id, name, None, after={"email": request.email})
-    await record(db, actor, event)
+    await audit(db, actor, event)
     return person_id
 
 
@@ -87,7 +87,7 @@ async def create_owner_link(db: Connection, actor: Actor, *, settings: Settings)
         raise Forbidden(noun="server", operation="sign in as its owner", needs="the owner's token")
     code = await create_code(db, CodeRequest(CodePurpose.owner, settings.owner_link_s, person_id=OWNER_ID))
     after: Metadata = {"expires_at": code.expires_at.isoformat()}
-    await record(db, actor, Event("link.create", "person", OWNER_ID, actor.name, None, after=after))
+    await audit(db, actor, Event("link.create", "person", OWNER_ID, actor.name, None, after=after))
     return code.link(settings, CodePurpose.owner)
 
 
@@ -132,7 +132,7 @@ async def ensure_owner(db: Connection, secret_token: str) -> bool:
     values |= {"prefix": secret_prefix(secret_token)}
     await db.execute(insert(token).values(scopes=[Scope.admin.value], **values))
     events = [Event("token.revoke", "token", token_id, OWNER_TOKEN_NAME, None) for token_id in revoked.scalars()]
-    await record(db, None, *events, Event("token.create", "token", made, OWNER_TOKEN_NAME, None))
+    await audit(db, None, *events, Event("token.create", "token", made, OWNER_TOKEN_NAME, None))
     return True
 
 

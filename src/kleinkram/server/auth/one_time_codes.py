@@ -14,7 +14,7 @@ from sqlalchemy import ColumnElement, exists, func, insert, select, update
 from kleinkram.contract.accounts import CodeRead, OneTimeLink
 from kleinkram.contract.errors import CodeGone
 from kleinkram.server.access.actor import secret_hash, unexpired
-from kleinkram.server.access.groups import ADMINS_ID
+from kleinkram.server.access.builtin_groups import ADMINS_ID
 from kleinkram.server.db import Connection
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import membership, one_time_code, person

@@ -14,12 +14,12 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from kleinkram.contract.errors import KleinkramError, NotFound, SignInRefused
 from kleinkram.server.auth import provider_accounts
+from kleinkram.server.auth.dependencies import CurrentSignIn, SignInContext
 from kleinkram.server.auth.provider_accounts import bound_browser, take_request
-from kleinkram.server.auth.sign_in import CurrentSignIn, SignInContext
 from kleinkram.server.http.dependencies import CurrentSettings
-from kleinkram.server.http.errors import record_refusal
+from kleinkram.server.http.errors import audit_refusal
 from kleinkram.server.http.headers import PAGE_POLICY
-from kleinkram.server.http.pages import PAGE_HEAD, brand
+from kleinkram.server.http.web_app import PAGE_HEAD, brand
 from kleinkram.server.settings import Settings
 
 # Pages for people, not part of the API.
@@ -163,7 +163,7 @@ async def end_provider_sign_in(
     try:
         return await _finish_sign_in(context, provider, query)
     except KleinkramError as error:
-        await record_refusal(request, error)
+        await audit_refusal(request, error)
         return error_page(context.settings, error)
 
 

@@ -32,7 +32,7 @@ from kleinkram.contract.runs import MAX_SAMPLES, ActionRef, EndReason, RunState
 from kleinkram.contract.tokens import SecretKind
 from kleinkram.server.access.actor import Actor, find_person, new_secret, unexpired
 from kleinkram.server.access.visible import level_on_mission, visible_missions
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
@@ -86,7 +86,7 @@ async def register_runner(db: Connection, actor: Actor, *, registration: RunnerR
             None,
             after={"labels": list(registration.labels)},
         )
-        await record(db, actor, event)
+        await audit(db, actor, event)
     await publish(db, [ChangeEvent("runner", ChangeKind.changed, registration.id)])
     row = (await db.execute(queries.runner_rows().where(runner.c.id == registration.id))).one()
     return queries.to_runner(row, (await db.execute(queries.projects_of([row.token_id]))).all())
@@ -115,7 +115,7 @@ async def _bind(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
         raise Forbidden(noun="server", operation="be this runner", needs=needs)
     name = (await db.execute(select(token.c.name).where(token.c.id == actor.token_id))).scalar_one()
     after: Metadata = {"runner_id": str(runner_id)}
-    await record(db, actor, Event("token.bind", "token", actor.token_id, name, None, after=after))
+    await audit(db, actor, Event("token.bind", "token", actor.token_id, name, None, after=after))
 
 
 async def _check_labels(db: Connection, actor: Actor, registration: RunnerRegistration) -> None:

@@ -37,7 +37,7 @@ from kleinkram.contract.runs import (
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import level_on_mission, visible_files, visible_missions
 from kleinkram.server.actions import service as actions
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection
 from kleinkram.server.filters.files import filter_files
 from kleinkram.server.runners.eligibility import (
@@ -156,7 +156,7 @@ async def create_run(
     ]
     await db.execute(insert(run_input), rows)
     name, after = task.definition.name, _audit_details(task, inputs, earlier)
-    await record(
+    await audit(
         db, actor, Event("run.create", "run", run_id, name, place.project_id, after=after, mission_id=mission_id)
     )
     return await service.get_run(db, actor, run_id)

@@ -29,7 +29,7 @@ from kleinkram.contract.runs import (
 )
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.pagination import PageRequest, fetch_page
@@ -166,7 +166,7 @@ async def link_artifacts(
         after: Metadata = {"files": len(rows_by_id)}
         name, project_id = run_row.action_name, run_row.project_id
         fetched = Event("run.download", "run", run_id, name, project_id, after=after, mission_id=run_row.mission_id)
-        await record(db, actor, fetched)
+        await audit(db, actor, fetched)
     expires_s = context.settings.download_url_s
     expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s)
     return [
