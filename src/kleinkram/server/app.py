@@ -87,7 +87,7 @@ ROUTERS = (
 
 # Any operation may fail with any code of the closed list in the schema; clients branch on it (RFC 9457).
 _PROBLEM = {
-    "description": "A failure as a problem document (RFC 9457); `code` says which.",
+    "description": "A failure as a problem document (RFC 9457), identified by `code`.",
     "content": {"application/problem+json": {"schema": {"$ref": "#/components/schemas/ProblemDocument"}}},
 }
 
@@ -157,4 +157,4 @@ def require_guards(routers: Sequence[APIRouter]) -> None:
         is_guarded = isinstance(route, APIRoute) and requires_actor(route) and route.operation_id in OPERATIONS
         path = getattr(route, "path", str(route))
         if not is_guarded and path not in OPEN_PAGES:
-            raise RuntimeError(f"{path} has no row in access/operations.py, or does not ask who comes")
+            raise RuntimeError(f"{path} has no row in access/operations.py, or does not authenticate")

@@ -6,6 +6,7 @@ from typing import Any
 from sqlalchemy import Select, exists, func, select, text
 
 import kleinkram
+from kleinkram.checks import CheckSeverity, find_problems
 from kleinkram.contract import admin
 from kleinkram.contract.errors import NotAuthenticated, NotFound
 from kleinkram.contract.metadata import Metadata
@@ -16,7 +17,7 @@ from kleinkram.server.blobs import scrub
 from kleinkram.server.blobs.scrub import ScrubRow
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
-from kleinkram.server.health.readiness import find_workers, readiness
+from kleinkram.server.health.readiness import check_service, find_workers
 from kleinkram.server.home.service import is_low, store_use
 from kleinkram.server.migrations import HEAD
 from kleinkram.server.runners.eligibility import (
@@ -146,7 +147,7 @@ async def begin_scrub(db: Connection, actor: Actor, settings: Settings, *, accep
 
 async def get_health(context: AppContext, *, takes_pages: bool) -> admin.AdminHealth:
     """Return the state of the server; asks the store without holding a connection."""
-    ready = await readiness(context.database, context.storage)
+    results = await check_service(context.database, context.storage)
     live = (mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None), run.c.state == RunState.queued.value)
     needs = [mission.c.project_id, *(run.c[name] for name in Needs._fields if name != "project_id")]
     queued = select(*needs, _NUMBER).join_from(run, mission).join(project).where(*live).group_by(*needs)
@@ -157,8 +158,10 @@ async def get_health(context: AppContext, *, takes_pages: bool) -> admin.AdminHe
         known, alone = await known_runners(db), await has_single_person(db)
         queued_runs = (await db.execute(queued.order_by(_NUMBER.desc()).limit(200))).all()
     return admin.AdminHealth(
-        not_ready=ready.missing,
-        warnings=list(ready.warnings),
+        not_ready=next((result.message for result in find_problems(results)), None),
+        warnings=[
+            f"{result.message} {result.remedy}" for result in results if result.severity is CheckSeverity.warning
+        ],
         version=kleinkram.__version__,
         schema_version=HEAD,
         database_version=server.version,

@@ -45,7 +45,7 @@ class Event:
     needs_admin: bool = False
 
 
-class _Place(NamedTuple):
+class _EventPlace(NamedTuple):
     """Where something happened, and the level of right that it required there."""
 
     project_id: uuid.UUID | None
@@ -65,7 +65,7 @@ async def audit(db: Connection, actor: Actor | None, *events: Event) -> None:
     if actor is None or not actor.is_admin:
         await db.execute(insert_rows(audit_event, rows))
     else:
-        places = [_Place(event.project_id, event.mission_id, _needed_level(actor, event)) for event in events]
+        places = [_EventPlace(event.project_id, event.mission_id, _needed_level(actor, event)) for event in events]
         numbers = {place: number for number, place in enumerate(dict.fromkeys(places), start=1)}
         numbered = [{**row, "place": numbers[place]} for row, place in zip(rows, places, strict=True)]
         columns = [audit_event.c[key] for key in rows[0]]
@@ -102,7 +102,7 @@ def _needed_level(actor: Actor, event: Event) -> int:
     return 0 if permission.right is None else permission.right.level
 
 
-def _lacks_own_right(admin: Actor, places: list[_Place]) -> sa.ScalarSelect[list[bool]]:
+def _lacks_own_right(admin: Actor, places: list[_EventPlace]) -> sa.ScalarSelect[list[bool]]:
     """Return, as an array in order, whether `admin` would have been refused at each place without admin rights."""
     own = admin.without_admin()
     columns = [sa.column("number", sa.Integer), sa.column("project_id", sa.Uuid), sa.column("mission_id", sa.Uuid)]

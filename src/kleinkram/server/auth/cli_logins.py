@@ -1,4 +1,4 @@
-"""Logins of programs: a signed-in person approves the program in their browser, and the program gets a token.
+"""`klein login` and other programs: a person approves the program in their browser, and it gets a token.
 
 Loopback (RFC 8252 with PKCE): the browser delivers the code to 127.0.0.1. Device (RFC 8628): the person types a short
 code that the program shows. Codes expire within minutes and are valid once. The token is created when the program

@@ -1,4 +1,4 @@
-"""What routes that sign browsers in share: attempt limits, password hashing, and the session cookie.
+"""Dependencies of sign-in routes: limits on attempts, password hashing, and the session cookie.
 
 With TLS, cookies have the prefix `__Host-`, so that neither other hosts nor connections without TLS can set them.
 """

@@ -7,7 +7,7 @@ cannot count, the request fails. The table is unlogged: after a crash of the dat
 import datetime
 import hashlib
 import ipaddress
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -37,6 +37,7 @@ INSERT INTO rate_count (key, window_start, count)
   ON CONFLICT (key, window_start) DO UPDATE SET count = rate_count.count + 1
   RETURNING key, count, ceil(extract(epoch FROM window_start + CAST(:window AS interval) - now())) AS seconds_left
 """)
+# The kind of an expensive operation; `<kind>_per_minute` is the setting of its limit.
 _OPERATION_KINDS = {
     "search": "searches",
     "get_facets": "searches",
@@ -50,13 +51,6 @@ _OPERATION_KINDS = {
     "export_audit_events": "exports",
 }
 _LIST_OPERATIONS = frozenset({"list_projects", "list_missions", "list_files"})
-_LIMITS: Mapping[str, Callable[[Settings], int]] = {
-    "searches": lambda settings: settings.searches_per_minute,
-    "downloads": lambda settings: settings.downloads_per_minute,
-    "uploads": lambda settings: settings.uploads_per_minute,
-    "verifications": lambda settings: settings.verifications_per_minute,
-    "exports": lambda settings: settings.exports_per_minute,
-}
 
 
 class _Counted(NamedTuple):
@@ -135,7 +129,8 @@ async def limit_expensive(database: Database, settings: Settings, actor: Actor, 
     if kind is None and has_text and actor.operation in _LIST_OPERATIONS:
         kind = "searches"
     if kind is not None:
-        await enforce_limits(database, *counts_of(actor, kind, _LIMITS[kind](settings)))
+        limit: int = getattr(settings, f"{kind}_per_minute")
+        await enforce_limits(database, *counts_of(actor, kind, limit))
 
 
 def subscriber_network(address: str) -> str:

@@ -1,7 +1,7 @@
-"""Blobs (bytes in a store, with what is known of them), uploads, and comparisons of the store with the database.
+"""Tables of blobs (bytes in the store and their summary), uploads, and scrubs, which compare store and database.
 
-Topics and content belong to the blob, so that linking costs nothing. The store is asked for the parts of an upload: a
-list here could only disagree.
+Topics and content belong to the blob, so that linking a duplicate copies nothing. The parts of an upload are listed by
+the store only: a second list could disagree.
 """
 
 import sqlalchemy as sa
@@ -18,19 +18,19 @@ blob = sa.Table(
     sa.Column("store_id", sa.Text, nullable=False, server_default="main"),
     sa.Column("key", sa.Text, nullable=False),
     sa.Column("size_bytes", sa.BigInteger, nullable=False),
-    # What the store itself verified; null where it can only verify parts.
+    # The checksum that the store verified; null if it can only verify parts.
     sa.Column("crc64nvme", sa.LargeBinary),
-    # The uploader's word until the blob is verified.
+    # As claimed by the uploader until the blob is verified.
     sa.Column("sha256", sa.LargeBinary, nullable=False),
     sa.Column("md5", sa.LargeBinary),
     sa.Column("state", sa.Text, nullable=False, server_default=BlobState.stored.value),
     sa.Column("state_reason", sa.Text),
     sa.Column("verified_at", sa.DateTime(timezone=True)),
-    # Since when it is lost or corrupt.
+    # When it was found lost or corrupt.
     sa.Column("damaged_at", sa.DateTime(timezone=True)),
     sa.Column("uploaded_by_id", sa.Uuid, sa.ForeignKey("person.id"), nullable=False),
     created_at_column(),
-    # Set when nothing refers to it any more: from then on it can no longer be linked, and its object goes next.
+    # Set when nothing refers to it any more: it can no longer be linked, and its object is deleted next.
     sa.Column("marked_for_deletion_at", sa.DateTime(timezone=True)),
     sa.Column("content", sa.Text, nullable=False, server_default=ContentState.pending.value),
     sa.Column("content_reason", sa.Text),
@@ -54,28 +54,28 @@ blob = sa.Table(
     sa.CheckConstraint("octet_length(crc64nvme) = 8", name="crc64nvme"),
     sa.CheckConstraint("state <> 'verified' OR (md5 IS NOT NULL AND verified_at IS NOT NULL)", name="verified"),
     sa.CheckConstraint("start_ns <= end_ns", name="span"),
-    # Finding a twin: by size before the hash is known, by hash after.
+    # To find duplicates: by size before the hash is known, by hash afterwards.
     sa.Index("ix_blob_size_sha256", "size_bytes", "sha256", postgresql_where=sa.text("marked_for_deletion_at IS NULL")),
     sa.Index(
         "ix_blob_unverified",
         "created_at",
         postgresql_where=sa.text("state = 'stored' AND marked_for_deletion_at IS NULL"),
     ),
-    # As a store lists them.
+    # In the order in which a store lists objects.
     sa.Index("ix_blob_key", "store_id", "key", postgresql_ops={"key": "text_pattern_ops"}),
-    # Finds the blobs that were verified longest ago.
+    # To find the blobs that were verified longest ago.
     sa.Index(
         "ix_blob_verified_at",
         "verified_at",
         postgresql_where=sa.text("state = 'verified' AND marked_for_deletion_at IS NULL"),
     ),
-    # What home lists of all files that somebody sees.
+    # For the damaged files on the home page.
     sa.Index(
         "ix_blob_ailing",
         "id",
         postgresql_where=sa.text("state IN ('corrupt', 'lost') OR content IN ('broken', 'recovered', 'error')"),
     ),
-    # How long the longest lasts bounds where one begins that was under way at some time.
+    # The longest duration limits how early a recording that overlaps a time can start.
     sa.Index("ix_blob_duration", sa.text("(end_ns::numeric - start_ns::numeric)")),
     sa.Index(
         "ix_blob_marked_for_deletion",
@@ -103,14 +103,14 @@ topic = sa.Table(
     sa.Column("tail_gap_ns", sa.BigInteger),
     sa.Column("out_of_order_count", sa.BigInteger),
     sa.Column("stored_bytes", sa.BigInteger),
-    # As `recordings.density.pack` writes it; null where it was read before densities were kept.
+    # As written by `recordings.message_density.pack`; null if it was read before densities were stored.
     sa.Column("density", sa.LargeBinary),
     sa.UniqueConstraint("blob_id", "name", "message_type", postgresql_nulls_not_distinct=True),
     sa.Index("ix_topic_name", "name", "blob_id"),
     sa.Index("ix_topic_message_type", "message_type", "blob_id"),
 )
 
-# The names of all topics there were, each once: in which of them a word stands is soon known. A trigger keeps it.
+# All topic names, each once, to find the names that contain a word. A trigger maintains it.
 topic_name = sa.Table(
     "topic_name",
     metadata,
@@ -119,7 +119,7 @@ topic_name = sa.Table(
 )
 
 
-# The states in which an upload holds its name, and the room for its bytes.
+# The states in which an upload reserves its name and counts toward the quota.
 UNDER_WAY = (UploadState.open.value, UploadState.completing.value)
 
 upload = sa.Table(
@@ -128,7 +128,7 @@ upload = sa.Table(
     id_column(),
     sa.Column("mission_id", sa.Uuid, sa.ForeignKey("mission.id"), nullable=False),
     sa.Column("person_id", sa.Uuid, sa.ForeignKey("person.id"), nullable=False),
-    # Of a run's artifact, whose path is one among those of the run; null where it becomes a file of the mission.
+    # For a run's artifact, whose path is unique in the run; null for a future file of the mission.
     sa.Column("run_id", sa.Uuid, sa.ForeignKey("run.id"), index=True),
     sorted_text("path"),
     sorted_text("path_key"),
@@ -137,22 +137,22 @@ upload = sa.Table(
     sa.Column("checksum", sa.Text, nullable=False),
     sa.Column("store_id", sa.Text, nullable=False, server_default="main"),
     sa.Column("key", sa.Text, nullable=False, unique=True),
-    # The store's name for a multipart upload; null for a file of one part, which is one plain PUT.
+    # The store's id of a multipart upload; null for a file of one part, which is a plain PUT.
     sa.Column("multipart_id", sa.Text),
-    # For a file of one part: the only checksum its address was ever signed for, so what arrived is what was named.
+    # For a file of one part: the only checksum for which its URL was signed, so the object has this checksum.
     sa.Column("signed_checksum", sa.Text),
     sa.Column("state", sa.Text, nullable=False, server_default=UploadState.open.value),
     sa.Column("sha256", sa.LargeBinary),
     sa.Column("crc64nvme", sa.LargeBinary),
     sa.Column("file_id", sa.Uuid, sa.ForeignKey("file.id", ondelete="SET NULL")),
-    # Why an upload ended other than well: the problem document its client is owed.
+    # Why an upload failed: the problem document for its client.
     sa.Column("failure", sa.Text),
     created_at_column(),
-    # Who holds the name: renewed whenever parts are signed.
+    # Until when it reserves the name; renewed whenever parts are signed.
     sa.Column("lease_ends_at", sa.DateTime(timezone=True), nullable=False),
     sa.Column("expires_at", sa.DateTime(timezone=True), nullable=False),
     sa.Column("completing_since", sa.DateTime(timezone=True)),
-    # Set once the store has been rid of whatever this upload left there.
+    # When everything that this upload left in the store was deleted.
     sa.Column("cleaned_at", sa.DateTime(timezone=True)),
     one_of("state", UploadState),
     one_of("checksum", ChecksumKind),
@@ -161,7 +161,7 @@ upload = sa.Table(
         "state <> 'completing' OR (sha256 IS NOT NULL AND crc64nvme IS NOT NULL AND completing_since IS NOT NULL)",
         name="completing",
     ),
-    # One upload at a time holds a name; uniqueness of the file itself is decided at complete.
+    # One upload at a time reserves a name; whether the file's name is free is decided at completion.
     sa.Index(
         "uq_upload_path_key_active",
         "mission_id",
@@ -177,7 +177,7 @@ upload = sa.Table(
         postgresql_where=sa.text("state IN ('open', 'completing') AND run_id IS NOT NULL"),
     ),
     sa.Index("ix_upload_expires_at", "expires_at", postgresql_where=sa.text("state IN ('open', 'completing')")),
-    # For deleting a file or a mission: the rows that refer to it are found without reading all.
+    # To find the rows that refer to a file or mission that is deleted.
     sa.Index("ix_upload_file_id", "file_id", postgresql_where=sa.text("file_id IS NOT NULL")),
     sa.Index("ix_upload_mission_id", "mission_id"),
     sa.Index("ix_upload_uncleaned", "created_at", postgresql_where=sa.text("cleaned_at IS NULL")),
@@ -193,16 +193,16 @@ scrub = sa.Table(
     metadata,
     id_column(),
     sa.Column("store_id", sa.Text, nullable=False),
-    # Null where it was due by itself.
+    # Null if it was scheduled.
     sa.Column("requested_by_id", sa.Uuid, sa.ForeignKey("person.id")),
-    # Whoever asked has looked, and says that so many objects are gone indeed.
+    # The person who requested it confirmed that this many objects are missing.
     sa.Column("accept_losses", sa.Boolean, nullable=False, server_default=sa.false()),
     created_at_column(),
     sa.Column("started_at", sa.DateTime(timezone=True)),
-    # When it was last at work: who finds it long ago takes it up again.
+    # Heartbeat: another worker resumes the scrub if this is old.
     sa.Column("seen_at", sa.DateTime(timezone=True), nullable=False, server_default=sa.func.now()),
     sa.Column("ended_at", sa.DateTime(timezone=True)),
-    # Why it stopped and marked nothing; null where it went through.
+    # Why it stopped and marked nothing; null if it was completed.
     sa.Column("aborted_reason", sa.Text),
     _count("compared"),
     _count("compared_bytes"),

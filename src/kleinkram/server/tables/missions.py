@@ -1,6 +1,6 @@
-"""Projects, missions with their topics, files and recordings.
+"""Tables of projects, missions with their topics, files and recordings.
 
-A name is unique among the rows that are not in the trash. Spans, numbers, topics and problems of missions are derived.
+Names are unique among rows outside the trash. Spans, sums, topics and problems of missions are derived.
 """
 
 import sqlalchemy as sa
@@ -16,13 +16,13 @@ project = sa.Table(
     sorted_text("name"),
     sorted_text("name_key"),
     sa.Column("description", sa.Text, nullable=False, server_default=""),
-    # The contract's MetadataFields: what missions of this project must say of themselves.
+    # MetadataFields of the contract: the metadata that missions of this project must have.
     sa.Column("metadata_fields", JSONB, nullable=False),
-    # Anybody may read a public project, with or without an account.
+    # Everybody may read a public project, with or without an account.
     sa.Column("is_public", sa.Boolean, nullable=False, server_default=sa.text("false")),
     sa.Column("licence", sa.Text, nullable=False, server_default=""),
     sa.Column("citation", sa.Text, nullable=False, server_default=""),
-    # Null where nothing bounds it.
+    # Null for no quota.
     sa.Column("quota_bytes", sa.BigInteger),
     sa.Column("quota_files", sa.BigInteger),
     created_at_column(),
@@ -35,7 +35,7 @@ project = sa.Table(
     sa.Index("ix_project_public", "id", postgresql_where=sa.text("is_public")),
     sa.Index("uq_project_name_key_live", "name_key", unique=True, postgresql_where=sa.text("deleted_at IS NULL")),
     sa.Index("ix_project_created_at", "created_at", "id"),
-    # Lists by path begin with the first project.
+    # For lists in the order of paths, which start with the project.
     sa.Index("ix_project_name", "name"),
 )
 
@@ -48,22 +48,22 @@ mission = sa.Table(
     sorted_text("name"),
     sorted_text("name_key"),
     sa.Column("metadata", JSONB, nullable=False),
-    # The submitted document to the letter, comments included.
+    # The submitted document, unchanged, with comments.
     sa.Column("metadata_yaml", sa.Text),
     sa.Column("metadata_problems", JSONB, nullable=False, server_default="[]"),
     sa.Column("notes", sa.Text, nullable=False, server_default=""),
     sa.Column("completed_at", sa.DateTime(timezone=True)),
     sa.Column("start_ns", sa.BigInteger),
     sa.Column("end_ns", sa.BigInteger),
-    # How often the set of files or what is known of them changed, and the count up to which recordings were derived.
+    # Number of changes of the files or their content, and the number up to which recordings were derived.
     sa.Column("files_revision", sa.BigInteger, nullable=False, server_default="0"),
     sa.Column("derived_revision", sa.BigInteger, nullable=False, server_default="0"),
-    # What its files and recordings amount to, as of `derived_revision`; where files changed since, a trigger has made
-    # their number null.
+    # Sums over its files and recordings as of `derived_revision`. When files change, a trigger sets `file_count` to
+    # null.
     sa.Column("file_count", sa.Integer),
     sa.Column("size_bytes", sa.Numeric),
     sa.Column("message_count", sa.Numeric),
-    # Files that were not read yet, or whose recording the verification will read.
+    # Files that are not read yet, or whose recording will be read by the verification.
     sa.Column("unread_count", sa.Integer),
     sa.Column("duration_ns", sa.Numeric),
     created_at_column(),
@@ -74,7 +74,7 @@ mission = sa.Table(
     sa.CheckConstraint("jsonb_typeof(metadata) = 'object'", name="metadata"),
     sa.CheckConstraint("(start_ns IS NULL) = (end_ns IS NULL) AND start_ns <= end_ns", name="span"),
     sa.CheckConstraint("(deleted_at IS NULL) = (deleted_by_id IS NULL)", name="deleted"),
-    # With their ids, so that who may see which are counted by it alone.
+    # With ids, for index-only scans when visible missions are counted.
     sa.Index(
         "uq_mission_name_key_live",
         "project_id",
@@ -83,7 +83,7 @@ mission = sa.Table(
         postgresql_where=sa.text("deleted_at IS NULL"),
         postgresql_include=["id"],
     ),
-    # For sums over all missions that somebody sees, of which the rows themselves need not be read.
+    # For index-only scans when the visible missions are summed up.
     sa.Index(
         "ix_mission_amounts",
         "project_id",
@@ -92,7 +92,7 @@ mission = sa.Table(
     ),
     sa.Index("ix_mission_name", "name", "id"),
     sa.Index("ix_mission_created_at", "created_at", "id"),
-    # The order in which searches show missions: the latest first, those without a time last.
+    # The order of missions in search results: latest first, missions without a time last.
     sa.Index("ix_mission_begun", sa.text("coalesce(start_ns, '-9223372036854775808'::bigint)"), "id"),
     sa.Index("ix_mission_start_ns", "start_ns", "id"),
     sa.Index("ix_mission_metadata", "metadata", postgresql_using="gin", postgresql_ops={"metadata": "jsonb_path_ops"}),
@@ -101,7 +101,7 @@ mission = sa.Table(
     sa.Index("ix_mission_note_words", "notes", postgresql_using="gin", postgresql_ops={"notes": "gin_trgm_ops"}),
 )
 
-# As text it holds its keys too: what is found by it is looked at once more.
+# The text contains the keys too, so matches are checked again.
 sa.Index(
     "ix_mission_metadata_words",
     sa.cast(mission.c.metadata, sa.Text).label("said"),
@@ -117,11 +117,11 @@ mission_topics = sa.Table(
     "mission_topics",
     metadata,
     sa.Column("mission_id", sa.Uuid, sa.ForeignKey("mission.id", ondelete="CASCADE"), primary_key=True),
-    # The mission's `files_revision` that they follow from.
+    # The mission's `files_revision` from which they were derived.
     sa.Column("revision", sa.BigInteger, nullable=False),
-    # The recordings that topics count by place, in the order of time.
+    # The recordings in order of time; topics refer to them by index.
     sa.Column("recording_ids", sa.ARRAY(sa.Uuid), nullable=False),
-    # Of the widest bins.
+    # Width of the widest bins.
     sa.Column("bin_ns", sa.BigInteger, nullable=False),
 )
 
@@ -135,14 +135,14 @@ mission_topic = sa.Table(
     sa.Column("count", sa.BigInteger),
     sa.Column("file_count", sa.Integer, nullable=False),
     sa.Column("recording_count", sa.Integer, nullable=False),
-    # First and last places of ranges of `recording_ids`, both inclusive, one range after the other.
+    # Ranges of indexes into `recording_ids`, as pairs of first and last, both inclusive.
     sa.Column("places", sa.ARRAY(sa.Integer), nullable=False),
     sa.Column("first_ns", sa.BigInteger),
     sa.Column("last_ns", sa.BigInteger),
     sa.Column("rate_hz", sa.Double),
     sa.Column("longest_gap_ns", sa.BigInteger),
     sa.Column("stored_bytes", sa.BigInteger),
-    # As `recordings.density.pack` writes it.
+    # As written by `recordings.message_density.pack`.
     sa.Column("density", sa.LargeBinary),
     sa.UniqueConstraint("mission_id", "name", "message_type", postgresql_nulls_not_distinct=True),
 )
@@ -175,10 +175,10 @@ file = sa.Table(
     metadata,
     id_column(),
     sa.Column("mission_id", sa.Uuid, sa.ForeignKey("mission.id"), nullable=False),
-    # A recording is derived from its files; dropping it never takes one with it.
+    # A recording is derived from its files; deleting it never deletes a file.
     sa.Column("recording_id", sa.Uuid, sa.ForeignKey("recording.id", ondelete="SET NULL"), index=True),
     sa.Column("blob_id", sa.Uuid, sa.ForeignKey("blob.id"), nullable=False, index=True),
-    # That of its blob. Triggers keep it.
+    # Copied from its blob by triggers.
     sa.Column("start_ns", sa.BigInteger),
     sorted_text("path"),
     sorted_text("path_key"),
@@ -196,8 +196,8 @@ file = sa.Table(
     ),
     sa.Index("ix_file_path", "mission_id", "path", "id"),
     sa.Index("ix_file_created_at", "created_at", "id"),
-    # The order in which searches show files: the latest first, those without a time last. What decides whether a file
-    # is shown stands in it too.
+    # The order of files in search results: latest first, files without a time last. Includes the columns that decide
+    # whether a file is shown.
     sa.Index(
         "ix_file_begun",
         sa.text("coalesce(start_ns, '-9223372036854775808'::bigint)"),
@@ -207,7 +207,7 @@ file = sa.Table(
     ),
     sa.Index("ix_file_deleted_at", "deleted_at", postgresql_where=sa.text("deleted_at IS NOT NULL")),
     sa.Index("ix_file_labels", "labels", postgresql_using="gin"),
-    # For words of searches: two, so that one alone tells whether a word is in any path of a file that has a time.
+    # For words of searches. Two indexes: one suffices to know whether any path of a file with a time has a word.
     sa.Index(
         "ix_file_words_timed",
         "path_key",

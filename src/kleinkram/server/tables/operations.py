@@ -1,7 +1,7 @@
-"""The audit log, the last errors of jobs, and the worker processes.
+"""Tables of the audit log, the last errors of jobs, and the worker processes.
 
-The serving role of the database may add to the audit log and read it, nothing else. A row of `job_error` goes with
-its job, by a foreign key that only the migration names.
+The serving role can only add to the audit log and read it. A row of `job_error` is deleted with its job, by a foreign
+key that only the migration declares.
 """
 
 import sqlalchemy as sa
@@ -17,14 +17,14 @@ audit_event = sa.Table(
     sa.Column("actor_id", sa.Uuid, sa.ForeignKey("person.id")),
     sa.Column("token_id", sa.Uuid, sa.ForeignKey("token.id")),
     sa.Column("session_id", sa.Uuid, sa.ForeignKey("session.id")),
-    # The link by which somebody without an account came; kept when the link is gone.
+    # The share link of a guest; kept when the link is deleted.
     sa.Column("share_id", sa.Uuid),
     sa.Column("address", sa.Text),
-    # Whether it took the power of an admin: without it, it would have been refused.
+    # Whether it required admin rights: without them, it would have been refused.
     sa.Column("as_admin", sa.Boolean, nullable=False, server_default=sa.text("false")),
     sa.Column("operation", sa.Text, nullable=False),
     sa.Column("noun", sa.Text, nullable=False),
-    # No foreign keys: the record outlives what it speaks of.
+    # No foreign keys: entries outlive the objects.
     sa.Column("noun_id", sa.Uuid),
     sa.Column("noun_name", sa.Text, nullable=False),
     sa.Column("project_id", sa.Uuid),

@@ -1,7 +1,6 @@
-"""People, their addresses, sessions and tokens; groups and what these are granted; links for people without an account.
+"""Tables of people, e-mail addresses, sessions, tokens, groups, grants, and share links.
 
-Every right is a grant to a group. Of a secret only its SHA-256 is stored: it has 256 random bits, so nothing slower is
-needed.
+Every right is a grant to a group. Only the SHA-256 of a secret is stored, which suffices for 256 random bits.
 """
 
 import sqlalchemy as sa
@@ -15,11 +14,11 @@ person = sa.Table(
     id_column(),
     sa.Column("name", sa.Text, nullable=False),
     created_at_column(),
-    # Whoever left: no session, token or sign-in is theirs any more; their name stays in the record.
+    # A deactivated person has no valid session or token and cannot sign in; their name stays in the audit log.
     sa.Column("deactivated_at", sa.DateTime(timezone=True)),
 )
 
-# `verified_by` says whose word it is that the address is theirs: an issuer's URL, or the admin's who invited them.
+# `verified_by`: what verified the address, such as the URL of an issuer, or an invitation.
 person_email = sa.Table(
     "person_email",
     metadata,
@@ -37,7 +36,7 @@ session = sa.Table(
     id_column(),
     sa.Column("person_id", sa.Uuid, sa.ForeignKey("person.id"), nullable=False, index=True),
     sa.Column("secret_sha256", sa.LargeBinary, nullable=False, unique=True),
-    # How they signed in: `password`, `link`, or the issuer's URL.
+    # How the person signed in: `password`, `link`, `bootstrap`, or the issuer's URL.
     sa.Column("method", sa.Text, nullable=False),
     sa.Column("address", sa.Text),
     sa.Column("user_agent", sa.Text),
@@ -45,7 +44,7 @@ session = sa.Table(
     sa.Column("last_used_at", sa.DateTime(timezone=True), nullable=False, server_default=sa.text("now()")),
     sa.Column("expires_at", sa.DateTime(timezone=True), nullable=False),
     sa.Column("revoked_at", sa.DateTime(timezone=True)),
-    # When its person last proved who they are, by password or provider; what is sensitive asks for it again.
+    # When the person last authenticated, by password or provider; sensitive operations require that to be recent.
     sa.Column("authenticated_at", sa.DateTime(timezone=True), nullable=False, server_default=sa.text("now()")),
     sa.CheckConstraint("octet_length(secret_sha256) = 32", name="secret_sha256"),
 )
@@ -57,23 +56,23 @@ token = sa.Table(
     sa.Column("person_id", sa.Uuid, sa.ForeignKey("person.id"), nullable=False, index=True),
     sa.Column("kind", sa.Text, nullable=False, server_default=TokenKind.personal.value),
     sa.Column("name", sa.Text, nullable=False),
-    # The beginning of the secret, by which people recognise it.
+    # The beginning of the secret, to recognise the token in lists.
     sa.Column("prefix", sa.Text, nullable=False, server_default=""),
     sa.Column("secret_sha256", sa.LargeBinary, nullable=False, unique=True),
     sa.Column("scopes", sa.ARRAY(sa.Text), nullable=False),
-    # Whether `token_limit` says all there is for it: without, it reaches whatever its person reaches.
+    # Whether the token is limited to the rows of `token_limit`; otherwise it has all rights of its person.
     sa.Column("is_limited", sa.Boolean, nullable=False, server_default=sa.text("false")),
     created_at_column(),
     sa.Column("expires_at", sa.DateTime(timezone=True)),
     sa.Column("last_used_at", sa.DateTime(timezone=True)),
     sa.Column("revoked_at", sa.DateTime(timezone=True)),
-    # With which token it was made: it ends with that one. None where somebody was signed in by a browser.
+    # The token that created it, whose revocation revokes it too; null if a browser session created it.
     sa.Column("made_by_token_id", sa.Uuid, sa.ForeignKey("token.id"), index=True),
-    # A token of a run is valid while the run lasts, for at most `max_right`; the audit log may name it afterwards.
+    # The token of a run is valid during the run, for at most `max_right`. The row stays for the audit log.
     sa.Column("run_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="SET NULL"), index=True),
     sa.Column("max_right", sa.Text),
-    # A runner's: the one runner that may use it, null until the first one does. With `runner_labels`, that runner gets
-    # only runs that ask for one of them.
+    # For tokens of runners: the only runner that may use it; null before its first use. With `runner_labels`, that
+    # runner gets only runs that require one of them.
     sa.Column("runner_id", sa.Uuid),
     sa.Column("runner_labels", sa.ARRAY(sa.Text)),
     sa.CheckConstraint("kind = 'runner' OR (runner_id IS NULL AND runner_labels IS NULL)", name="runner"),
@@ -88,7 +87,7 @@ token = sa.Table(
     one_of("kind", TokenKind),
 )
 
-# Rows go with what they name, and the token stays limited.
+# Rows are deleted with their project or mission; the token stays limited.
 token_limit = sa.Table(
     "token_limit",
     metadata,
@@ -106,7 +105,7 @@ access_group = sa.Table(
     metadata,
     id_column(),
     sa.Column("kind", sa.Text, nullable=False),
-    # Of a person's own group this is their name once more, of an e-mail's the address.
+    # The name of the person for their own group, the address for the group of an address.
     sorted_text("name"),
     sorted_text("name_key"),
     sa.Column("person_id", sa.Uuid, sa.ForeignKey("person.id"), unique=True),
@@ -136,8 +135,8 @@ membership = sa.Table(
     sa.Index("ix_membership_person_id", "person_id", "group_id"),
 )
 
-# What the settings say of an affiliation group: what it gets on each new project, and who is in it. Members come and go
-# with the exact domains of verified addresses; a group without a row here is one that the settings name no longer.
+# Affiliation groups in the settings, with their right on new projects and their domains. Their members have a verified
+# address in exactly one of the domains. An affiliation group without a row has left the settings.
 affiliation = sa.Table(
     "affiliation",
     metadata,
@@ -161,18 +160,18 @@ access_grant = sa.Table(
     sa.Column("group_id", sa.Uuid, sa.ForeignKey("access_group.id", ondelete="CASCADE"), nullable=False),
     sa.Column("project_id", sa.Uuid, sa.ForeignKey("project.id", ondelete="CASCADE")),
     sa.Column("mission_id", sa.Uuid, sa.ForeignKey("mission.id", ondelete="CASCADE")),
-    # The level of the contract's `Right`.
+    # Level of `Right` in the contract.
     sa.Column("level", sa.SmallInteger, nullable=False),
     sa.Column("expires_at", sa.DateTime(timezone=True)),
     created_at_column(),
     sa.Column("granted_by_id", sa.Uuid, sa.ForeignKey("person.id")),
     sa.CheckConstraint("num_nonnulls(project_id, mission_id) = 1", name="place"),
     sa.CheckConstraint("level BETWEEN 1 AND 4", name="level"),
-    # Rights are asked for with every list: all of a grant that decides stands in the index itself.
+    # Every list checks rights: with all columns that decide, index-only scans suffice.
     sa.Index("uq_access_grant_project", "project_id", "group_id", unique=True, postgresql_include=_DECIDING),
     sa.Index("uq_access_grant_mission", "mission_id", "group_id", unique=True, postgresql_include=_DECIDING),
     sa.Index("ix_access_grant_group_id", "group_id", postgresql_include=["project_id", "mission_id", *_DECIDING]),
-    # Those on projects are few, and those on missions may be thousands: neither are read for the other.
+    # Separate, because grants on projects are few and grants on missions may be thousands.
     sa.Index(
         "ix_access_grant_projects",
         "group_id",
@@ -194,7 +193,7 @@ share = sa.Table(
     id_column(),
     sa.Column("mission_id", sa.Uuid, sa.ForeignKey("mission.id", ondelete="CASCADE"), nullable=False, index=True),
     sa.Column("name", sa.Text, nullable=False),
-    # Without, `share_file` says which files there are for it.
+    # If false, the files are those in `share_file`.
     sa.Column("is_whole_mission", sa.Boolean, nullable=False),
     sa.Column("prefix", sa.Text, nullable=False),
     sa.Column("secret_sha256", sa.LargeBinary, nullable=False, unique=True),

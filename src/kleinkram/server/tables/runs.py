@@ -1,7 +1,7 @@
-"""Actions and their versions, runners, and runs with their inputs, results and logs.
+"""Tables of actions and their versions, runners, and runs with their inputs, results and logs.
 
-A version never changes, but for the digest that its image was first resolved to. Lease and attempt say who executes a
-run.
+A version never changes, except that the digest of its image is added when it is first resolved. Lease and attempt
+identify the runner that executes a run.
 """
 
 import sqlalchemy as sa
@@ -16,7 +16,7 @@ action = sa.Table(
     "action",
     metadata,
     id_column(),
-    # Null: the whole lab's.
+    # Null for actions of the whole lab.
     sa.Column("project_id", sa.Uuid, sa.ForeignKey("project.id", ondelete="CASCADE")),
     sorted_text("name"),
     sorted_text("name_key"),
@@ -38,7 +38,7 @@ action_version = sa.Table(
     "action_version",
     metadata,
     id_column(),
-    # Null, with its number, where it was run without being published.
+    # Null, like the number, for a definition that was run without being published.
     sa.Column("action_id", sa.Uuid, sa.ForeignKey("action.id", ondelete="CASCADE")),
     sa.Column("number", sa.Integer),
     sa.Column("definition", JSONB, nullable=False),
@@ -62,7 +62,7 @@ runner = sa.Table(
     metadata,
     id_column(),
     sa.Column("person_id", sa.Uuid, sa.ForeignKey("person.id"), nullable=False, index=True),
-    # The token with which it last said hello. No foreign key: tokens of runs refer to runs, and these to runners.
+    # The token with which it last registered. No foreign key: tokens of runs refer to runs, and these to runners.
     sa.Column("token_id", sa.Uuid),
     sa.Column("name", sa.Text, nullable=False),
     sa.Column("labels", sa.ARRAY(sa.Text), nullable=False, server_default="{}"),
@@ -86,7 +86,7 @@ run = sa.Table(
     sa.Column("version_id", sa.Uuid, sa.ForeignKey("action_version.id"), nullable=False, index=True),
     sa.Column("parameters", JSONB, nullable=False),
     sa.Column("network", sa.Text, nullable=False),
-    # What a runner must have free, and be called, for this: out of the definition, so that a claim is one look.
+    # Resources and labels that a runner must have, copied from the definition so that a claim is one query.
     sa.Column("cores", sa.Double, nullable=False),
     sa.Column("memory_bytes", sa.BigInteger, nullable=False),
     sa.Column("disk_bytes", sa.BigInteger, nullable=False),
@@ -98,13 +98,13 @@ run = sa.Table(
     sa.Column("message", sa.Text, nullable=False, server_default=""),
     sa.Column("exit_code", sa.Integer),
     sa.Column("image_digest", sa.Text),
-    # The SHA-256 of all that decides about its results, but for the image.
+    # SHA-256 of everything that determines its results, except the image.
     sa.Column("inputs_fingerprint", sa.LargeBinary, nullable=False),
     sa.Column("reuses_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="SET NULL"), index=True),
     sa.Column("retry_of_id", sa.Uuid, sa.ForeignKey("run.id", ondelete="SET NULL"), index=True),
     sa.Column("started_by_id", sa.Uuid, sa.ForeignKey("person.id"), nullable=False, index=True),
     sa.Column("attempt", sa.Integer, nullable=False, server_default="0"),
-    # How often a runner was lost with it.
+    # How many times its runner was lost.
     sa.Column("lost_count", sa.Integer, nullable=False, server_default="0"),
     sa.Column("runner_id", sa.Uuid, sa.ForeignKey("runner.id"), index=True),
     sa.Column("lease_ends_at", sa.DateTime(timezone=True)),
@@ -148,7 +148,7 @@ run = sa.Table(
     sa.Index("ix_run_inputs", "inputs_fingerprint", postgresql_where=sa.text("state = 'done'")),
 )
 
-# The hash stays when the file, or its bytes, are gone; a blob is kept while a run that is not over names it here.
+# The hash stays after the file or its bytes are deleted. A blob is kept while an unfinished run refers to it here.
 run_input = sa.Table(
     "run_input",
     metadata,
@@ -161,7 +161,7 @@ run_input = sa.Table(
     sa.PrimaryKeyConstraint("run_id", "path"),
 )
 
-# `file_id` and `made_from` are there where it was put back into the mission; `made_from` empty: from all inputs.
+# `file_id` and `made_from` are set if it was put back into the mission; an empty `made_from` means all inputs.
 run_artifact = sa.Table(
     "run_artifact",
     metadata,
@@ -203,7 +203,7 @@ run_metric = sa.Table(
     sa.Index("ix_run_metric_name", "name", "id"),
 )
 
-# Pieces of logs in the store. Without a run they, and then their rows, are swept.
+# Chunks of logs in the store. Without a run, the objects and then the rows are deleted as garbage.
 log_chunk = sa.Table(
     "log_chunk",
     metadata,
@@ -213,7 +213,7 @@ log_chunk = sa.Table(
     sa.Column("attempt", sa.Integer, nullable=False),
     sa.Column("offset_bytes", sa.BigInteger, nullable=False),
     sa.Column("size_bytes", sa.BigInteger, nullable=False),
-    # Null until the runner said that it is there.
+    # Null until the runner confirmed the upload.
     sa.Column("kept_at", sa.DateTime(timezone=True)),
     created_at_column(),
     sa.Index("ix_log_chunk_run_id", "run_id", "attempt", "offset_bytes"),

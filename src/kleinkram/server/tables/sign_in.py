@@ -1,7 +1,7 @@
-"""Sign-in: identities at providers, passwords, one-time codes, and logins in progress.
+"""Tables of sign-in: identities at providers, passwords, second factors, one-time codes, and logins in progress.
 
-Random secrets are stored as SHA-256, passwords as argon2id. What a login in progress needs back (`nonce`,
-`code_verifier`) is useless without the browser or the program that began it, and deleted within minutes.
+Random secrets are stored as SHA-256, passwords as argon2id. `nonce` and `code_verifier` of a login in progress are
+stored in plain: they are useless without the browser or program that started it, and are deleted after some minutes.
 """
 
 import enum
@@ -27,8 +27,8 @@ class LoginKind(str, enum.Enum):
     device = "device"
 
 
-# One person = one account, under as many identities as providers vouch for them. `email` is as the provider told it.
-# One that was unlinked stays as such: else the provider's word on its address would link it again by itself.
+# A person has one account and any number of identities. `email` is the address that the provider sent. Unlinked
+# identities are kept: otherwise they would be linked again automatically by their address.
 identity = sa.Table(
     "identity",
     metadata,
@@ -52,8 +52,8 @@ password = sa.Table(
     sa.CheckConstraint("hash LIKE '$argon2id$%'", name="hash"),
 )
 
-# The second factor of local accounts (RFC 6238); in use once it is confirmed. `secret` is base32: to check a code takes
-# it as it is. `last_step` is the time step of the last code that was taken: none is taken twice.
+# The second factor of local accounts (RFC 6238), in use once it is confirmed. `secret` is base32 in plain, which
+# checking a code requires. `last_step` is the time step of the last accepted code, so that no code is valid twice.
 totp = sa.Table(
     "totp",
     metadata,
@@ -62,12 +62,12 @@ totp = sa.Table(
     created_at_column(),
     sa.Column("confirmed_at", sa.DateTime(timezone=True)),
     sa.Column("last_step", sa.BigInteger, nullable=False, server_default="0"),
-    # Wrong codes since the last right one: after some, codes are not looked at for a while.
+    # Wrong codes since the last correct one; too many cause a lockout.
     sa.Column("failed_count", sa.Integer, nullable=False, server_default="0"),
     sa.Column("failed_at", sa.DateTime(timezone=True)),
 )
 
-# What stands for a code where the device is lost; deleted by its use.
+# One-time replacements for TOTP codes; deleted when used.
 recovery_code = sa.Table(
     "recovery_code",
     metadata,
@@ -82,7 +82,7 @@ one_time_code = sa.Table(
     id_column(),
     sa.Column("purpose", sa.Text, nullable=False),
     sa.Column("secret_sha256", sa.LargeBinary, nullable=False, unique=True),
-    # Whose it is, where there is an account already; else who is invited.
+    # The person, or for an invitation the invited address and name.
     sa.Column("person_id", sa.Uuid, sa.ForeignKey("person.id"), index=True),
     sa.Column("email", sa.Text),
     sa.Column("name", sa.Text),
@@ -96,8 +96,8 @@ one_time_code = sa.Table(
     sa.CheckConstraint("(purpose = 'invitation') = (email IS NOT NULL)", name="email"),
 )
 
-# Between the way to a provider and the way back. `session_id`: of whom asks to link one more identity to themselves,
-# or, where it `renews`, to prove once more who they are.
+# Authorization requests to a provider. `session_id`: the signed-in person links an identity to their account, or with
+# `reauthenticates` signs in again.
 oidc_login = sa.Table(
     "oidc_login",
     metadata,
@@ -114,7 +114,7 @@ oidc_login = sa.Table(
     sa.CheckConstraint("octet_length(state_sha256) = 32 AND octet_length(browser_sha256) = 32", name="sha256"),
 )
 
-# A program that asks for a token. `secret_sha256` is of the code that it redeems.
+# Programs that request a token. `secret_sha256` is that of the code that they exchange.
 login_request = sa.Table(
     "login_request",
     metadata,
@@ -149,7 +149,7 @@ login_request = sa.Table(
     ),
 )
 
-# How often something was done under a key, by windows of time. Not logged: after a crash, counting begins anew.
+# Counters of rate limits by key and time window. Unlogged: after a crash, counting restarts.
 rate_count = sa.Table(
     "rate_count",
     metadata,
