@@ -168,12 +168,12 @@ class Stats(ApiResource):
         """
         return self._api.get("/stats", StatsRead, query_of(as_filter(matching, fields), by=by))
 
-    def overview(self, by: str = "month", *, project: Ref | None = None, most: int = 20) -> Overview:
-        """Return the totals of a project, or of all that one may see, in at most `most` buckets.
+    def overview(self, by: str = "month", *, project: Ref | None = None, max_buckets: int = 20) -> Overview:
+        """Return the totals of a project, or of all that one may see, in at most `max_buckets` buckets.
 
         `by` is `month`, of recording, or the name of a metadata field.
         """
         from kleinkram.client.missions import Projects  # imports this module
 
         path = "/overview" if project is None else f"/projects/{Projects(self._api).id_of(project)}/stats"
-        return self._api.get(path, Overview, query_of(None, by=by, most=most))
+        return self._api.get(path, Overview, query_of(None, by=by, max_buckets=max_buckets))

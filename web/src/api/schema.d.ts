@@ -9519,7 +9519,7 @@ export interface operations {
         parameters: {
             query?: {
                 by?: string;
-                most?: number;
+                max_buckets?: number;
                 project_id?: string | null;
             };
             header?: never;
@@ -10210,7 +10210,7 @@ export interface operations {
         parameters: {
             query?: {
                 by?: string;
-                most?: number;
+                max_buckets?: number;
             };
             header?: never;
             path: {

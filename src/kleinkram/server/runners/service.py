@@ -247,7 +247,7 @@ async def _run_token(db: Connection, row: Row[Any], definition: ActionDefinition
         "secret_sha256": secret.sha256,
         "scopes": [scope.value for scope in _SCOPES[definition.right]],
         "run_id": row.id,
-        "most": definition.right.value,
+        "max_right": definition.right.value,
     }
     await db.execute(insert(token).values(id=token_id, is_limited=True, expires_at=func.now() + lasts, **values))
     await db.execute(insert(token_limit).values(id=uuid.uuid4(), token_id=token_id, mission_id=row.mission_id))
