@@ -124,7 +124,7 @@ def test_linking_fails_after_the_session_has_ended(lab: Lab) -> None:
     lab.provider.sign_in_as("late")
     message = made.browser.post("/auth/providers/lab/link", {}).ok()
     made.browser.post("/auth/sign-out").ok(204)
-    assert "signed out meanwhile" in sentence(made.browser.get(lab.provider.authorize(message["url"])))
+    assert "you have signed out" in sentence(made.browser.get(lab.provider.authorize(message["url"])))
     assert lab.api.sql("SELECT count(*) FROM identity WHERE subject = 'late'") == [(0,)]
 
 

@@ -61,7 +61,7 @@ class Actor:
     is_admin: bool = False
     scopes: frozenset[Scope] = ALL_SCOPES
     limits: Limits | None = None
-    # For the token of a run: the highest right it has, whatever the rights of the person who started it.
+    # For the token of a run: its highest right, even if the person who started the run has higher ones.
     run_id: uuid.UUID | None = None
     max_right: Right | None = None
     # For the token of a runner: the runner it is bound to; None before its first use.

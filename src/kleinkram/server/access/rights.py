@@ -1,4 +1,4 @@
-"""Permission checks: what a credential is for, its holder's right on a place, and that every project keeps an owner.
+"""Permission checks: scopes of a credential, rights on a project or mission, and that every project has an owner.
 
 A permanent owner is an active person in a group without an end, which has DELETE on the project without an end. Grants
 to an address do not count: whether anybody has it is not revealed to the granter.
@@ -42,7 +42,7 @@ class OwnedProject(NamedTuple):
 
 
 def admit(actor: Actor, operation: str) -> None:
-    """Check that a credential may be used for an operation, whatever the rights of its holder.
+    """Check that a credential may be used for an operation, regardless of the rights of its holder.
 
     Raises NotAuthenticated, ScopeMissing or Forbidden.
     """
@@ -109,7 +109,7 @@ async def still_shares(db: Connection, guest: Actor) -> bool:
 async def ensure_active_person(db: Connection, person_id: uuid.UUID | None) -> None:
     """Check, before a credential is created, that a person is active, and keep them so until the transaction ends.
 
-    Otherwise the credential of a person who is deactivated meanwhile would be valid again once they are reactivated.
+    Otherwise the credential of a person who is deactivated concurrently would be valid again after reactivation.
     Raises NotAuthenticated.
     """
     active = select(person.c.id).where(person.c.id == person_id, person.c.deactivated_at.is_(None))
@@ -230,7 +230,7 @@ async def require_creator(db: Connection, actor: Actor, creators: Creators, *, n
 async def grant_first_rights(db: Connection, actor: Actor, project_id: uuid.UUID) -> dict[str, Right]:
     """Make the creator of a project its owner, and give affiliation groups their default rights; returns the latter.
 
-    Raises LastOwner if the creator was deactivated meanwhile.
+    Raises LastOwner if the creator was deactivated concurrently.
     """
     await lock_rights(db)
     await own_project(db, project_id=project_id, group_id=await own_group(db, actor.person_id))

@@ -1,7 +1,7 @@
-"""What an actor may see: the selects that all other selects narrow. Rights are decided here and nowhere else.
+"""Selects of what an actor may see, which all other selects narrow. Rights are decided here and nowhere else.
 
 A right is a grant to one of the actor's groups, on a project or on a mission; the highest one counts. Admins have all
-rights, and everybody may read what is public. A credential with limits reaches nothing outside of them.
+rights, and everybody may read public projects. A credential with limits has no rights outside them.
 """
 
 import datetime
@@ -42,30 +42,30 @@ _public = project.alias("public_project")
 
 def visible_projects(actor: Actor, right: Right = Right.read) -> sa.Select[Any]:
     """Return the projects on which `actor` has a right; a right on a mission does not include its project."""
-    return sa.select(project).where(project.c.deleted_at.is_(None), _reaches_project(actor, right))
+    return sa.select(project).where(project.c.deleted_at.is_(None), _has_right_on_project(actor, right))
 
 
 def visible_missions(actor: Actor, right: Right = Right.read) -> sa.Select[Any]:
     """Return the missions on which `actor` has a right, joined with their projects."""
     live = (mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
-    return joined_missions().where(*live, _reaches_mission(actor, right))
+    return joined_missions().where(*live, _has_right_on_mission(actor, right))
 
 
 def visible_files(actor: Actor, right: Right = Right.read) -> sa.Select[Any]:
     """Return the files on which `actor` has a right, joined with their missions, projects and blobs."""
     live = (file.c.deleted_at.is_(None), mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None))
-    return joined_files().where(*live, _reaches_mission(actor, right), shown_files(actor))
+    return joined_files().where(*live, _has_right_on_mission(actor, right), shown_files(actor))
 
 
 @functools.cache
 def joined_missions() -> sa.Select[Any]:
-    """Return all missions joined with their projects, whoever sees them."""
+    """Return all missions joined with their projects, without conditions on rights."""
     return sa.select(mission).join(project, project.c.id == mission.c.project_id)
 
 
 @functools.cache
 def joined_files() -> sa.Select[Any]:
-    """Return all files joined with their missions, projects and blobs, whoever sees them."""
+    """Return all files joined with their missions, projects and blobs, without conditions on rights."""
     # Every file has a blob. PostgreSQL drops an outer join if no column of it is used.
     return (
         sa.select(file)
@@ -76,13 +76,13 @@ def joined_files() -> sa.Select[Any]:
 
 
 def watchable_projects(actor: Actor) -> sa.Select[Any]:
-    """Return the projects of which `actor` may know that they changed, including those in the trash."""
-    return sa.select(project).where(_reaches_project(actor, Right.read))
+    """Return the projects whose changes `actor` may watch, including those in the trash."""
+    return sa.select(project).where(_has_right_on_project(actor, Right.read))
 
 
 def watchable_missions(actor: Actor) -> sa.Select[Any]:
-    """Return the missions of which `actor` may know that they changed, joined with their projects."""
-    return joined_missions().where(_reaches_mission(actor, Right.read))
+    """Return the missions whose changes `actor` may watch, joined with their projects."""
+    return joined_missions().where(_has_right_on_mission(actor, Right.read))
 
 
 def rights_hash(actor: Actor) -> sa.Select[Any]:
@@ -99,18 +99,18 @@ def rights_hash(actor: Actor) -> sa.Select[Any]:
 
 def trashed_projects(actor: Actor) -> sa.Select[Any]:
     """Return the projects in the trash that `actor` may restore."""
-    return sa.select(project).where(project.c.deleted_at.is_not(None), _reaches_project(actor, Right.delete))
+    return sa.select(project).where(project.c.deleted_at.is_not(None), _has_right_on_project(actor, Right.delete))
 
 
 def trashed_missions(actor: Actor) -> sa.Select[Any]:
     """Return the missions that were deleted by themselves and that `actor` may restore, joined with their projects."""
-    return joined_missions().where(mission.c.deleted_at.is_not(None), _reaches_mission(actor, Right.delete))
+    return joined_missions().where(mission.c.deleted_at.is_not(None), _has_right_on_mission(actor, Right.delete))
 
 
 def trashed_files(actor: Actor) -> sa.Select[Any]:
     """Return the files that were deleted by themselves and that `actor` may restore, joined as in `visible_files`."""
     return joined_files().where(
-        file.c.deleted_at.is_not(None), _reaches_mission(actor, Right.delete), shown_files(actor)
+        file.c.deleted_at.is_not(None), _has_right_on_mission(actor, Right.delete), shown_files(actor)
     )
 
 
@@ -128,7 +128,7 @@ def shown_files(actor: Actor) -> sa.ColumnElement[bool]:
     if actor.limits is not None and actor.limits.file_ids is not None:
         shown = among(file.c.id, actor.limits.file_ids)
     if Scope.read not in actor.scopes:
-        # The person's own uploads only, so that an upload can be answered.
+        # Only the person's own uploads, which responses to uploads contain.
         shown = sa.and_(shown, file.c.uploaded_by_id == actor.person_id)
     return shown
 
@@ -196,7 +196,8 @@ def lasting_level_on_mission(actor: Actor, until: datetime.datetime | None) -> s
 def visible_people(actor: Actor) -> sa.Select[Any]:
     """Return the active people who share a group, a project or a mission with `actor`; admins see everybody.
 
-    Grants to addresses do not count: nobody learns who has which address. Limited tokens show only their holder.
+    Grants to addresses do not count, because they would reveal who has which address. Limited tokens show only their
+    holder.
     """
     if actor.limits is not None:
         return sa.select(person).where(person.c.id == actor.person_id)
@@ -264,8 +265,8 @@ def _granted_where(actor: Actor) -> sa.Select[Any]:
     )
 
 
-def _reaches_project(actor: Actor, right: Right) -> sa.ColumnElement[bool]:
-    if actor.kind is ActorKind.share or _is_beyond(actor, right):
+def _has_right_on_project(actor: Actor, right: Right) -> sa.ColumnElement[bool]:
+    if actor.kind is ActorKind.share or _exceeds_max_right(actor, right):
         return sa.false()
     within = sa.true() if actor.limits is None else among(project.c.id, actor.limits.project_ids)
     if actor.is_admin:
@@ -273,12 +274,12 @@ def _reaches_project(actor: Actor, right: Right) -> sa.ColumnElement[bool]:
     return sa.and_(within, project.c.id.in_(_my_projects(actor.person_id, right)))
 
 
-def _is_beyond(actor: Actor, right: Right) -> bool:
+def _exceeds_max_right(actor: Actor, right: Right) -> bool:
     return actor.max_right is not None and right.level > actor.max_right.level
 
 
-def _reaches_mission(actor: Actor, right: Right) -> sa.ColumnElement[bool]:
-    if _is_beyond(actor, right):
+def _has_right_on_mission(actor: Actor, right: Right) -> sa.ColumnElement[bool]:
+    if _exceeds_max_right(actor, right):
         return sa.false()
     within: sa.ColumnElement[bool] = sa.true()
     if actor.limits is not None:

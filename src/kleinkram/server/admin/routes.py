@@ -1,4 +1,4 @@
-"""Routes for admins of the whole server."""
+"""Routes for admins of the server."""
 
 from typing import Annotated
 

@@ -1,4 +1,4 @@
-"""What admins see of the whole server: store, jobs, scrubs, health and settings."""
+"""The state of the server for admins: store, jobs, scrubs, health and settings."""
 
 import datetime
 from typing import Any

@@ -96,7 +96,7 @@ OWNER_NAME = "owner"
 
 
 async def let_owner_in(db: Connection, token_file: Path) -> None:
-    """Make the local owner exist, with the token in a file; one that was revoked is replaced there by a new one.
+    """Create the local owner with the token in a file; a revoked token is replaced by a new one in the file.
 
     Raises RuntimeError.
     """
@@ -113,13 +113,13 @@ async def let_owner_in(db: Connection, token_file: Path) -> None:
 
 
 async def ensure_owner(db: Connection, secret_token: str) -> bool:
-    """Make the local owner exist, with exactly this token; an older one stops working. What changed is recorded.
+    """Create the local owner with exactly this token, revoke an older one, and audit the changes.
 
-    Returns whether it is theirs: one that was revoked is not, and then nothing changes.
+    Returns False, without changes, if the token was revoked.
     """
     await add_person(db, name=OWNER_NAME, person_id=OWNER_ID)
     await make_admin(db, OWNER_ID)
-    # Processes that start together do this one after the other.
+    # Serializes processes that start at the same time.
     await db.execute(select(person.c.id).where(person.c.id == OWNER_ID).with_for_update(key_share=True))
     secret = secret_hash(secret_token)
     stored = (await db.execute(select(token.c.revoked_at).where(token.c.secret_sha256 == secret))).one_or_none()
@@ -137,7 +137,7 @@ async def ensure_owner(db: Connection, secret_token: str) -> bool:
 
 
 def _write_private(path: Path, text: str) -> None:
-    """Write a file of mode 0600 whole, or not at all."""
+    """Write a file of mode 0600 atomically."""
     unfinished = path.with_name(path.name + ".new")
     unfinished.unlink(missing_ok=True)
     descriptor = os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)

@@ -120,7 +120,7 @@ async def exchange_device_code(
     condition = (login_request.c.secret_sha256 == secret_hash(device_code)) & (
         login_request.c.kind == LoginKind.device.value
     )
-    async with database.begin() as db:  # the poll counts, whatever its result
+    async with database.begin() as db:  # of its own, so that every poll counts
         poll = await _record_poll(db, condition)
     if poll is None:
         raise SignInExpired

@@ -1,6 +1,6 @@
 """One-time codes: links for signing in, invitations, password resets, and the code of the first admin.
 
-A code that an admin created ends with their admin rights: who leaves must not come back with a link.
+A code that an admin created ends with their admin rights, so that former admins cannot return with a link.
 """
 
 import datetime

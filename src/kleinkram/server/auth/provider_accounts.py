@@ -49,14 +49,14 @@ _SECRET = re.compile(r"[A-Za-z0-9_-]{43}")
 
 @dataclass(frozen=True)
 class VerifiedIdentity:
-    """The person that a provider vouches for. `email_verified` is the provider's claim."""
+    """The person whom a provider identified. `email_verified` is the provider's claim."""
 
     issuer: str
     subject: str
     email: str | None
     email_verified: bool
     name: str | None
-    # When they last entered their password there, if the provider tells: seconds since 1970, by its clock.
+    # When they last entered their password there, if the provider sends it: seconds since 1970, by its clock.
     auth_time: int | None = None
 
 
@@ -64,8 +64,8 @@ class VerifiedIdentity:
 class AuthorizationRequest:
     """One request; `state` travels through the browser, the other secrets stay on the server.
 
-    With `session_id`, the signed-in person links an identity to their account or, with `reauthenticates`, proves who
-    they are once more.
+    With `session_id`, the signed-in person links an identity to their account or, with `reauthenticates`, signs in
+    again.
     """
 
     return_to: str

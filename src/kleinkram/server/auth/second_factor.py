@@ -127,7 +127,7 @@ async def reset_totp(db: Connection, admin: Actor, *, person_id: uuid.UUID) -> N
 async def require_second_factor(database: Database, person_id: uuid.UUID, code: str | None, actor: Actor) -> None:
     """Check the second factor of a person who entered their password, if the account has one.
 
-    In a transaction of its own: the code is used up, and a wrong one counts, whatever happens afterwards.
+    In a transaction of its own, so that the code is used up, or a wrong one counted, even if the request fails.
 
     Raises SecondFactorNeeded or SecondFactorWrong.
     """

@@ -1,7 +1,7 @@
-"""Rate limits, counted in the database so that they hold over all processes.
+"""Rate limits, counted in the database for all processes together.
 
 Windows are fixed, so twice as many requests may pass around a boundary. Clients are stored as hashes. If the database
-cannot count, the request fails. The table is unlogged: after a crash of the database all counts start at zero.
+cannot count, the request fails. The table is unlogged: after a crash of the database, counts start at zero.
 """
 
 import datetime
@@ -61,7 +61,7 @@ class _Counted(NamedTuple):
 
 @dataclass(frozen=True)
 class Count:
-    """One more request of a kind (`what`, in words such as "sign-ins") by a client; `limit` 0 is no limit."""
+    """One more request of a kind (`what`, such as "sign-ins") by a client; `limit` 0 is no limit."""
 
     what: str
     client: str
@@ -89,8 +89,8 @@ async def enforce_limits(database: Database, *counts: Count) -> None:
 async def reserve_slot(database: Database, count: Count) -> float:
     """Add one to a count and return how many seconds the request must wait: 0 up to the limit.
 
-    Beyond the limit, requests reserve slots, whoever sends them: an attacker slows the owner of an account down, but
-    does not lock them out. Raises RateLimited.
+    Beyond the limit, all requests reserve slots: an attacker delays the owner of an account, but cannot lock them out.
+    Raises RateLimited.
     """
     counted = await _increment(database, [count.key] if count.limit > 0 else [])
     if all(row.requests <= count.limit for row in counted):

@@ -104,7 +104,7 @@ class OpenConnections:
     """The connections of a process by peer address; an IPv6 peer counts as its /64 network.
 
     At the limit, a new connection replaces the oldest one that waits for a request: a client that opens idle
-    connections locks nobody out, not even others behind its own address.
+    connections does not lock out others, even behind its own address.
     """
 
     def __init__(self, *, per_address: int, total: int, unlimited: Iterable[Network] = ()) -> None:

@@ -1,7 +1,7 @@
-"""People: lists, admin rights, deactivation. What takes admin rights or an account away begins with `lock_rights`.
+"""People: lists, admin rights, deactivation. Changes that remove admin rights or accounts begin with `lock_rights`.
 
-Deactivated people keep their name in the audit log, their memberships and grants, for when they are reactivated. Their
-sessions, tokens, one-time codes, and the links whose secret they know, end permanently.
+Deactivated people keep their name in the audit log, and their memberships and grants in case they are reactivated.
+Their sessions, tokens, one-time codes and share links end permanently.
 """
 
 import uuid
@@ -169,7 +169,7 @@ def _owned_projects(person_id: uuid.UUID) -> Select[tuple[uuid.UUID]]:
 
 
 async def _lock_active(db: Connection, person_id: uuid.UUID) -> str:
-    """Lock an active person, so that nothing is created for them meanwhile, and return their name."""
+    """Lock an active person, so that nothing is created for them concurrently, and return their name."""
     row = (await db.execute(select(person).where(person.c.id == person_id).with_for_update())).one_or_none()
     if row is None or row.deactivated_at is not None:
         raise NotFound(noun="active person", ref=str(person_id))

@@ -27,7 +27,7 @@ _TOKEN_ORDER = Order([token.c.created_at, token.c.id], descending=True)
 
 
 class DerivedTokens(str, enum.Enum):
-    """Treatment of tokens that were created with a revoked token."""
+    """What happens to tokens that were created with a revoked token."""
 
     ended = "ended"
     valid = "valid"
