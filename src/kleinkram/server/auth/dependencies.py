@@ -51,7 +51,7 @@ class SignInContext:
     async def count_attempt(self, account: str | None = None) -> None:
         """Count an attempt for the client's address and for the account, whether it exists or not.
 
-        Too many attempts from an address are refused; too many on an account only wait, so that attackers cannot lock it.
+        Too many attempts from an address are refused; too many on an account only wait, so that it cannot be locked.
 
         Raises RateLimited.
         """

@@ -51,7 +51,7 @@ def client_address(peer: str, forwarded_for: Sequence[str], trusted_proxies: Seq
     """Return the nearest address that is not one of our own proxies.
 
     `forwarded_for` is X-Forwarded-For, nearest last. Each proxy appends the address of its peer, so entries left of an
-    untrusted proxy's may be forged: the list is read from the right while entries are trusted, until an invalid address.
+    untrusted proxy's may be forged: the list is read from the right, while proxies are trusted and addresses valid.
     """
     address = parse_address(peer)
     if address is None:
