@@ -33,7 +33,6 @@ from kleinkram.server.home.routes import router as home_summary
 from kleinkram.server.http.dependencies import requires_actor
 from kleinkram.server.http.errors import install_error_handlers
 from kleinkram.server.http.middleware import RequestMiddleware
-from kleinkram.server.jobs.queue import queue
 from kleinkram.server.missions.routes import router as missions
 from kleinkram.server.overviews.routes import router as overviews
 from kleinkram.server.people.routes import router as people
@@ -139,7 +138,6 @@ def create_app(settings: Settings) -> FastAPI:
         responses={"default": _PROBLEM},
     )
     app.state.settings = settings
-    app.state.queue = queue
     app.state.admin_reads, app.state.refusals = AdminReads(), Refusals()
     app.add_middleware(RequestMiddleware, settings=settings)
     install_error_handlers(app)
