@@ -175,7 +175,7 @@ def test_two_owners_cannot_remove_each_other_at_the_same_time(api: Api, ada: Per
     assert len(api.all(path)) == 1
 
 
-def test_two_owners_leaving_at_once_cannot_leave_a_project_unowned(
+def test_two_owners_who_leave_at_once_cannot_leave_a_project_unowned(
     api: Api, ada: Person, bob: Person, project: Any
 ) -> None:
     path = f"/projects/{project['id']}/grants"

@@ -155,7 +155,7 @@ def test_projects_of_a_group_always_have_an_owner(api: Api, ada: Person, bob: Pe
     assert hers.get(path).ok()["member_count"] == 2
 
 
-def test_two_members_leaving_at_once_cannot_leave_an_owning_group_empty(api: Api, ada: Person, bob: Person) -> None:
+def test_two_members_who_leave_at_once_cannot_empty_an_owning_group(api: Api, ada: Person, bob: Person) -> None:
     made, project = made_by(api, ada), api.as_(ada.token).project()
     grants, path, hers = f"/projects/{project['id']}/grants", f"/groups/{made['id']}", api.as_(ada.token)
     hers.call("PUT", f"{path}/members/{bob.id}", {}).ok()
