@@ -9,12 +9,11 @@ from typing_extensions import TypedDict, Unpack
 from kleinkram.client._http import query_of
 from kleinkram.client._nouns import ApiResource, Ref, Time, as_datetime, checked, known_id, refs_of
 from kleinkram.client.errors import InvalidInput
-from kleinkram.contract.amounts import read_size
 from kleinkram.contract.files import FileFilter, FileSort
 from kleinkram.contract.missions import MissionFilter
-from kleinkram.contract.overviews import Overview, StatsRead
-from kleinkram.contract.query import parse, whole
-from kleinkram.contract.search import FacetsRead, FileQuery, SearchRead
+from kleinkram.contract.query import combined_filter, parse
+from kleinkram.contract.search import FacetsRead, FileQuery, Overview, SearchRead, StatsRead
+from kleinkram.contract.units import read_size
 
 # What lists of files take: a filter, the text of a query, or None for everything.
 Condition = FileFilter | str | None
@@ -83,7 +82,7 @@ def as_filter(condition: Condition, fields: FileFields = _NO_FIELDS) -> FileFilt
     if isinstance(condition, FileFilter):
         values = {**condition.model_dump(exclude_defaults=True), **values}
     query = {"query": condition} if isinstance(condition, str) else {}
-    return whole(checked(FileQuery, "The filter", **values, **query))
+    return combined_filter(checked(FileQuery, "The filter", **values, **query))
 
 
 def as_mission_filter(condition: MissionFilter | None, fields: MissionFields) -> MissionFilter | None:

@@ -28,7 +28,7 @@ from kleinkram.client.transfer.upload import Uploader
 from kleinkram.contract import errors, reports
 from kleinkram.contract.metadata import check_values
 from kleinkram.contract.names import check_file_path
-from kleinkram.contract.problems import in_plain_words
+from kleinkram.contract.problems import first_message
 from kleinkram.contract.runners import LOG_PATH, RunAssignment, RunFinish
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import Ending, RunJob
@@ -274,7 +274,7 @@ def _merged(events: list[reports.ReportEvent], report: reports.Report, problems:
 
 def _first(error: ValidationError) -> str:
     where = ".".join(map(str, error.errors(include_url=False, include_input=False)[0]["loc"]))
-    return json.dumps(where) + ": " + in_plain_words(error) if where else in_plain_words(error)
+    return json.dumps(where) + ": " + first_message(error) if where else first_message(error)
 
 
 def _open_beneath(directory: Path, relative: str) -> IO[bytes] | None:

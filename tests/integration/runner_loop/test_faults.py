@@ -124,7 +124,7 @@ def test_results_are_uploaded_once_the_store_is_available(server: FakeServer, ru
 @pytest.mark.parametrize(
     ("store_says", "waits_for"),
     [
-        (b"", "is away or full (the store answered 503)"),  # as a proxy does in its place
+        (b"", "is unreachable or full (the store answered 503)"),  # as a proxy does in its place
         (b"<Error><Code>InternalError</Code></Error>", "for minutes, the store answered 503 InternalError"),
     ],
 )
