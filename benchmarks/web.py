@@ -12,7 +12,7 @@ from typing import Any
 from benchmarks import web_places
 from kleinkram.client import Client, connect
 from kleinkram.recordings.sample import generate_bag, generate_mcap
-from kleinkram.server.http.pages import BUILT
+from kleinkram.server.http.web_app import BUILT
 
 _WEB = Path(__file__).parent.parent / "web"
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")

@@ -3178,7 +3178,7 @@ export interface components {
         };
         /**
          * DerivedTokens
-         * @description Treatment of tokens that were created with a revoked token.
+         * @description What happens to tokens that were created with a revoked token.
          * @enum {string}
          */
         DerivedTokens: "ended" | "valid";
@@ -6741,7 +6741,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_ActionRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -6774,7 +6774,7 @@ export interface operations {
                     "application/json": components["schemas"]["ActionRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -6805,7 +6805,7 @@ export interface operations {
                     "application/json": components["schemas"]["ActionRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -6843,7 +6843,7 @@ export interface operations {
                     "application/json": components["schemas"]["ActionRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -6877,7 +6877,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_ActionVersionRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -6915,7 +6915,7 @@ export interface operations {
                     "application/json": components["schemas"]["ActionRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -6944,7 +6944,7 @@ export interface operations {
                     "application/json": components["schemas"]["AdminHealth"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -6973,7 +6973,7 @@ export interface operations {
                     "application/json": components["schemas"]["AdminJobs"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7002,7 +7002,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7031,7 +7031,7 @@ export interface operations {
                     "application/json": components["schemas"]["RetriedJobs"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7060,7 +7060,7 @@ export interface operations {
                     "application/json": components["schemas"]["ScrubState"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7093,7 +7093,7 @@ export interface operations {
                     "application/json": components["schemas"]["ScrubRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7122,7 +7122,7 @@ export interface operations {
                     "application/json": components["schemas"]["AdminSettings"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7151,7 +7151,7 @@ export interface operations {
                     "application/json": components["schemas"]["AdminStorage"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7198,7 +7198,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_AuditRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7243,7 +7243,7 @@ export interface operations {
                     "application/jsonl": string;
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7276,7 +7276,7 @@ export interface operations {
                     "application/json": components["schemas"]["BrowserSignedIn"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7309,7 +7309,7 @@ export interface operations {
                     "application/json": components["schemas"]["LoopbackApproved"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7342,7 +7342,7 @@ export interface operations {
                     "application/json": components["schemas"]["SignedIn"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7375,7 +7375,7 @@ export interface operations {
                     "application/json": components["schemas"]["CodeRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7408,7 +7408,7 @@ export interface operations {
                     "application/json": components["schemas"]["DeviceCode"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7441,7 +7441,7 @@ export interface operations {
                     "application/json": components["schemas"]["DeviceRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7474,7 +7474,7 @@ export interface operations {
                     "application/json": components["schemas"]["DeviceRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7507,7 +7507,7 @@ export interface operations {
                     "application/json": components["schemas"]["DeviceRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7540,7 +7540,7 @@ export interface operations {
                     "application/json": components["schemas"]["SignedIn"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7573,7 +7573,7 @@ export interface operations {
                     "application/json": components["schemas"]["BrowserSignedIn"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7606,7 +7606,7 @@ export interface operations {
                     "application/json": components["schemas"]["BrowserSignedIn"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7635,7 +7635,7 @@ export interface operations {
                     "application/json": components["schemas"]["SignInMethods"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7664,7 +7664,7 @@ export interface operations {
                     "application/json": components["schemas"]["OneTimeLink"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7697,7 +7697,7 @@ export interface operations {
                     "application/json": components["schemas"]["BrowserSignedIn"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7728,7 +7728,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7759,7 +7759,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7794,7 +7794,7 @@ export interface operations {
                     "application/json": components["schemas"]["ProviderBegun"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7829,7 +7829,7 @@ export interface operations {
                     "application/json": components["schemas"]["ProviderBegun"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7864,7 +7864,7 @@ export interface operations {
                     "application/json": components["schemas"]["ProviderBegun"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7897,7 +7897,7 @@ export interface operations {
                     "application/json": components["schemas"]["BrowserSignedIn"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7924,7 +7924,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7960,7 +7960,7 @@ export interface operations {
                     "text/event-stream": unknown;
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8020,7 +8020,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_FileRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8051,7 +8051,7 @@ export interface operations {
                     "application/json": components["schemas"]["FileRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8084,7 +8084,7 @@ export interface operations {
                     "application/json": components["schemas"]["Deleted"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8122,7 +8122,7 @@ export interface operations {
                     "application/json": components["schemas"]["FileRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8153,7 +8153,7 @@ export interface operations {
                     "application/json": components["schemas"]["LineageRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8187,7 +8187,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_TopicRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8218,7 +8218,7 @@ export interface operations {
                     "application/json": components["schemas"]["FileRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8251,7 +8251,7 @@ export interface operations {
                     "application/json": components["schemas"]["DownloadLinks"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8284,7 +8284,7 @@ export interface operations {
                     "application/json": components["schemas"]["FilesLabelled"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8324,7 +8324,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_FindingRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8358,7 +8358,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_GroupRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8391,7 +8391,7 @@ export interface operations {
                     "application/json": components["schemas"]["GroupRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8422,7 +8422,7 @@ export interface operations {
                     "application/json": components["schemas"]["GroupRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8451,7 +8451,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8489,7 +8489,7 @@ export interface operations {
                     "application/json": components["schemas"]["GroupRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8524,7 +8524,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_MemberRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8563,7 +8563,7 @@ export interface operations {
                     "application/json": components["schemas"]["MemberRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8593,7 +8593,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8622,7 +8622,7 @@ export interface operations {
                     "application/json": components["schemas"]["HomeRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8651,7 +8651,7 @@ export interface operations {
                     "application/json": components["schemas"]["HomeStorage"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8680,7 +8680,7 @@ export interface operations {
                     "application/json": components["schemas"]["MeRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8709,7 +8709,7 @@ export interface operations {
                     "application/json": components["schemas"]["AccountRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8738,7 +8738,7 @@ export interface operations {
                     "application/json": components["schemas"]["IdentityRead"][];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8767,7 +8767,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8799,7 +8799,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_SessionRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8826,7 +8826,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8855,7 +8855,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8884,7 +8884,7 @@ export interface operations {
                     "application/json": components["schemas"]["TotpEnrolment"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8911,7 +8911,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8944,7 +8944,7 @@ export interface operations {
                     "application/json": components["schemas"]["RecoveryCodes"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8973,7 +8973,7 @@ export interface operations {
                     "application/json": components["schemas"]["RecoveryCodes"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9021,7 +9021,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_MissionRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9052,7 +9052,7 @@ export interface operations {
                     "application/json": components["schemas"]["MissionRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9085,7 +9085,7 @@ export interface operations {
                     "application/json": components["schemas"]["Deleted"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9123,7 +9123,7 @@ export interface operations {
                     "application/json": components["schemas"]["MissionRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9157,7 +9157,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_AccessRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9191,7 +9191,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_GrantRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9226,7 +9226,7 @@ export interface operations {
                     "application/json": components["schemas"]["GrantRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9256,7 +9256,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9292,7 +9292,7 @@ export interface operations {
                     "application/json": components["schemas"]["GrantRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9326,7 +9326,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_RecordingRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9361,7 +9361,7 @@ export interface operations {
                     "application/json": components["schemas"]["ShareMade"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9395,7 +9395,7 @@ export interface operations {
                     "application/json": components["schemas"]["MissionTimeline"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9430,7 +9430,7 @@ export interface operations {
                     "application/json": components["schemas"]["MissionTopics"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9464,7 +9464,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_UploadRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9499,7 +9499,7 @@ export interface operations {
                     "application/json": components["schemas"]["UploadDecisions"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9532,7 +9532,7 @@ export interface operations {
                     "application/json": components["schemas"]["Overview"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9567,7 +9567,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_PersonRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9598,7 +9598,7 @@ export interface operations {
                     "application/json": components["schemas"]["PersonRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9629,7 +9629,7 @@ export interface operations {
                     "application/json": components["schemas"]["PersonRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9660,7 +9660,7 @@ export interface operations {
                     "application/json": components["schemas"]["PersonRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9691,7 +9691,7 @@ export interface operations {
                     "application/json": components["schemas"]["Departure"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9722,7 +9722,7 @@ export interface operations {
                     "application/json": components["schemas"]["PersonRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9753,7 +9753,7 @@ export interface operations {
                     "application/json": components["schemas"]["OneTimeLink"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9782,7 +9782,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9815,7 +9815,7 @@ export interface operations {
                     "application/json": components["schemas"]["OneTimeLink"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9851,7 +9851,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_ProjectRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9884,7 +9884,7 @@ export interface operations {
                     "application/json": components["schemas"]["ProjectRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9915,7 +9915,7 @@ export interface operations {
                     "application/json": components["schemas"]["ProjectRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9948,7 +9948,7 @@ export interface operations {
                     "application/json": components["schemas"]["Deleted"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9986,7 +9986,7 @@ export interface operations {
                     "application/json": components["schemas"]["ProjectRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10020,7 +10020,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_AccessRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10054,7 +10054,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_GrantRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10089,7 +10089,7 @@ export interface operations {
                     "application/json": components["schemas"]["GrantRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10119,7 +10119,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10155,7 +10155,7 @@ export interface operations {
                     "application/json": components["schemas"]["GrantRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10190,7 +10190,7 @@ export interface operations {
                     "application/json": components["schemas"]["MissionRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10224,7 +10224,7 @@ export interface operations {
                     "application/json": components["schemas"]["Overview"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10255,7 +10255,7 @@ export interface operations {
                     "application/json": components["schemas"]["MissionTemplate"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10286,7 +10286,7 @@ export interface operations {
                     "application/json": components["schemas"]["RecordingRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10326,7 +10326,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_MetricRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10359,7 +10359,7 @@ export interface operations {
                     "application/json": components["schemas"]["RunContext"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10394,7 +10394,7 @@ export interface operations {
                     "application/json": components["schemas"]["RunFinished"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10429,7 +10429,7 @@ export interface operations {
                     "application/json": components["schemas"]["InputUrls"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10464,7 +10464,7 @@ export interface operations {
                     "application/json": components["schemas"]["LogChunkUpload"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10497,7 +10497,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10532,7 +10532,7 @@ export interface operations {
                     "application/json": components["schemas"]["UploadDecisions"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10564,7 +10564,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_RunnerRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10597,7 +10597,7 @@ export interface operations {
                     "application/json": components["schemas"]["RunnerRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10632,7 +10632,7 @@ export interface operations {
                     "application/json": components["schemas"]["ClaimReply"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10667,7 +10667,7 @@ export interface operations {
                     "application/json": components["schemas"]["HeartbeatReplies"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10709,7 +10709,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_RunRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10742,7 +10742,7 @@ export interface operations {
                     "application/json": components["schemas"]["RunsCreated"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10773,7 +10773,7 @@ export interface operations {
                     "application/json": components["schemas"]["RunDetail"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10807,7 +10807,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_ArtifactRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10842,7 +10842,7 @@ export interface operations {
                     "application/json": components["schemas"]["ArtifactUrls"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10873,7 +10873,7 @@ export interface operations {
                     "application/json": components["schemas"]["RunRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10907,7 +10907,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_RunInput_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10941,7 +10941,7 @@ export interface operations {
                     "application/json": components["schemas"]["LogChunkRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10974,7 +10974,7 @@ export interface operations {
                     "application/json": components["schemas"]["RunRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11007,7 +11007,7 @@ export interface operations {
                     "application/json": components["schemas"]["SearchRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11038,7 +11038,7 @@ export interface operations {
                     "application/json": components["schemas"]["FacetsRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11067,7 +11067,7 @@ export interface operations {
                     "application/json": components["schemas"]["ServiceRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11096,7 +11096,7 @@ export interface operations {
                     "application/json": components["schemas"]["SharedRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11130,7 +11130,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_ShareRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11159,7 +11159,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11216,7 +11216,7 @@ export interface operations {
                     "application/json": components["schemas"]["StatsRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11251,7 +11251,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_TokenRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11284,7 +11284,7 @@ export interface operations {
                     "application/json": components["schemas"]["TokenMade"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11315,7 +11315,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11374,7 +11374,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_TopicRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11407,7 +11407,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_TrashRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11437,7 +11437,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11468,7 +11468,7 @@ export interface operations {
                     "application/json": components["schemas"]["UploadRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11497,7 +11497,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11530,7 +11530,7 @@ export interface operations {
                     "application/json": components["schemas"]["UploadOutcomes"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11563,7 +11563,7 @@ export interface operations {
                     "application/json": components["schemas"]["SignedParts"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;

@@ -31,7 +31,7 @@ from kleinkram.contract.uploads import (
     UploadState,
 )
 from kleinkram.server.access.actor import Actor, find_person
-from kleinkram.server.audit.service import Event, record_all
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.blobs.service import examine_blobs
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
@@ -221,7 +221,7 @@ async def _create_or_repair(
         )
         for row in (placement.upload for placement in placements)
     ]
-    await record_all(db, actor, events)
+    await audit(db, actor, *events)
     await examine_blobs(db, list(blob_ids.values()))
     await regroup(db, mission_id)
     return file_ids
@@ -321,6 +321,6 @@ async def _finish_stale_upload(context: AppContext, row: UploadRow) -> None:
             await publish(db, [_removed(row.id, row.mission_id)])
             return
     try:
-        await finish_uploads(context, actor.asking("complete_uploads", request_id=None, address=None), [row])
+        await finish_uploads(context, actor.for_request("complete_uploads", request_id=None, address=None), [row])
     except KleinkramError as error:  # the other uploads must not wait for it
         _log.warning("upload not finished", extra={"fields": {"upload_id": str(row.id), "reason": str(error)}})
