@@ -10,7 +10,7 @@ import uuid
 from collections.abc import Mapping, Sequence
 
 from procrastinate import JobContext
-from sqlalchemy import ColumnElement, case, func, select, update
+from sqlalchemy import ColumnElement, case, delete, func, select, update
 
 from kleinkram.contract.access import Scope
 from kleinkram.contract.audit import ChangeKind
@@ -33,14 +33,14 @@ from kleinkram.contract.uploads import (
     UploadState,
 )
 from kleinkram.server.access.actor import Actor, find_person
-from kleinkram.server.audit.service import Event, record_all
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.blobs.service import examine_blobs
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among, insert_rows, unnest_rows
 from kleinkram.server.files import service as files
 from kleinkram.server.files.paths import path_conflicts
-from kleinkram.server.jobs.attempts import app_context
+from kleinkram.server.jobs.execution import app_context
 from kleinkram.server.jobs.queue import Job, queue
 from kleinkram.server.missions import service as missions
 from kleinkram.server.quotas import project_of
@@ -55,6 +55,7 @@ from kleinkram.server.uploads.rules import Placement, blob_columns, conflicts_am
 _log = logging.getLogger("kleinkram.uploads")
 _STALE_AFTER_S = 30
 _BATCH = 500
+_RETENTION = datetime.timedelta(days=30)
 _ENDED_STATES = (UploadState.aborted.value, UploadState.expired.value, UploadState.done.value)
 
 
@@ -227,7 +228,7 @@ async def _create_or_repair(
         )
         for row in (placement.upload for placement in placements)
     ]
-    await record_all(db, actor, events)
+    await audit(db, actor, *events)
     await examine_blobs(db, list(blob_ids.values()))
     await regroup(db, mission_id)
     return file_ids
@@ -341,7 +342,7 @@ async def _finish_stale(context: AppContext, row: UploadRow) -> None:
             await publish(db, [_removed(row.id, row.mission_id)])
             return
     try:
-        await finish_uploads(context, actor.asking("complete_uploads", request_id=None, address=None), [row])
+        await finish_uploads(context, actor.for_request("complete_uploads", request_id=None, address=None), [row])
     except KleinkramError as error:  # the other uploads must not wait for it
         _log.warning("upload not finished", extra={"fields": {"upload_id": str(row.id), "reason": str(error)}})
 
@@ -355,3 +356,8 @@ async def _clean_up(context: AppContext, row: UploadRow) -> None:
         # A part that was being sent when the upload ended can still arrive until its URL expires.
         urls_expired = upload.c.lease_ends_at < func.now() - datetime.timedelta(seconds=context.settings.part_url_s)
         await db.execute(update(upload).where(upload.c.id == row.id, urls_expired).values(cleaned_at=func.now()))
+
+
+async def delete_cleaned_uploads(db: Connection) -> None:
+    """Delete ended uploads a month after their objects."""
+    await db.execute(delete(upload).where(upload.c.cleaned_at < func.now() - _RETENTION))

@@ -22,7 +22,7 @@ from kleinkram.contract.problems import to_problem
 from kleinkram.contract.uploads import ChecksumKind, UploadRead, UploadState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
-from kleinkram.server.audit.service import Event, record, record_all
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among, upsert_rows
@@ -258,7 +258,7 @@ async def _link_duplicates(
         for decision in linked
         if decision.requested.path in file_ids
     ]
-    await record_all(db, actor, events)
+    await audit(db, actor, *events)
     await regroup(db, mission_id)
     # A file that was damaged may have been verified since; then it has the same bytes as its duplicate.
     healed = [name_key(d.requested.path) for d in linked if d.requested.path not in file_ids]
@@ -359,7 +359,7 @@ async def abort_upload(context: AppContext, actor: Actor, *, upload_id: uuid.UUI
         await db.execute(update(upload).where(upload.c.id == upload_id).values(state=UploadState.aborted.value))
         project_id = await project_of(db, row.mission_id)
         event = Event("upload.abort", "upload", row.id, row.path, project_id, mission_id=row.mission_id)
-        await record(db, actor, event)
+        await audit(db, actor, event)
 
 
 async def get_upload(context: AppContext, actor: Actor, *, upload_id: uuid.UUID) -> UploadRead:
