@@ -5,8 +5,8 @@ from collections import Counter
 from pathlib import Path
 
 from benchmarks.side import Facts, main
-from kleinkram.recordings import CountingSource, summarise
-from kleinkram.recordings.sources import FileReader
+from kleinkram.recordings import summarise
+from kleinkram.recordings.sources import CountingSource, FileReader
 from kleinkram.recordings.summary import scan
 
 _CHUNK_BYTES = 4 * 2**20

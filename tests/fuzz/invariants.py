@@ -14,12 +14,11 @@ from kleinkram.recordings import (
     Recording,
     RecordingSummary,
     TooDisordered,
-    from_dict,
     summarise,
-    to_dict,
 )
 from kleinkram.recordings.decoding import image, points
 from kleinkram.recordings.decoding.types import DecodeError
+from kleinkram.recordings.isolation import from_dict, to_dict
 from kleinkram.recordings.sources import FileReader
 from kleinkram.recordings.summary import scan
 from tests.fuzz.seeds import Seed

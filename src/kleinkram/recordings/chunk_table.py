@@ -1,4 +1,4 @@
-"""Compact tables of chunks: 8 bytes a cell, for millions of chunks."""
+"""Tables of the chunks of a file, by its index or by a scan: 8 bytes a cell, for millions of chunks."""
 
 from __future__ import annotations
 
@@ -9,12 +9,16 @@ from itertools import pairwise
 from operator import le
 from typing import Generic, NamedTuple, TypeVar
 
+from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.limits import MAX_CHUNKS
-from kleinkram.recordings.message_counts import ReadableRanges
+from kleinkram.recordings.limits import MAX_CHUNKS, WINDOW
 from kleinkram.recordings.messages import Selection
+from kleinkram.recordings.scanned_messages import ROW, Batch, MessagePlace, PlaceKind, ReadableRanges
 
 MAX_SET_BYTES = 16 * 2**20
+_MAX_MESSAGES_OF_ROW = 8192
+_MAX_RANGES = 200_000
+_NO_TIME = (2**64 - 1, 0)
 
 ANY_CHANNEL = 0  # the set of a chunk of which is not known who is in it
 UNKNOWN = 2**64 - 1  # a number that the index of this format does not state
@@ -189,3 +193,74 @@ class ChunkTable:
         if any(firsts[after] < firsts[before] for before, after in pairwise(numbers)):
             numbers = array("Q", sorted(numbers, key=firsts.__getitem__))
         return numbers
+
+
+class ChunkTableBuilder:
+    """Makes a table of chunks from the places of messages that a scan finds, and counts messages by channel."""
+
+    def __init__(self, problem_log: ProblemLog) -> None:
+        self.counts: dict[int, int] = {}
+        self.problem_log = problem_log
+        self.table = ChunkTable()
+        self._place: MessagePlace | None = None
+        self._channels: set[int] = set()
+        self._first_ns, self._last_ns = _NO_TIME
+        self._messages = 0
+        self._counts_here: dict[int, int] = {}
+        self._range_count = 0
+
+    def on_messages(self, place: MessagePlace, batch: Batch) -> None:
+        """Note messages at a place. May be called several times for one place."""
+        if not any(batch.values()):
+            return
+        if self._place is None or not self._joins(place):
+            self.close()
+            self._place = place
+        elif place.kind == PlaceKind.records:
+            length = self._place.length + place.length
+            self._place = self._place._replace(length=length, uncompressed=length)
+        seen: set[int] = set()
+        for number, rows in batch.items():
+            stamps = rows[0::ROW]
+            if not stamps:
+                continue
+            self._channels.add(number)
+            if id(rows) in seen:  # channels of one topic share it
+                continue
+            seen.add(id(rows))
+            self._counts_here[number] = self._counts_here.get(number, 0) + len(stamps)
+            self._messages += len(stamps)
+            self._first_ns, self._last_ns = min(self._first_ns, min(stamps)), max(self._last_ns, max(stamps))
+
+    def close(self) -> None:
+        """End the current row, if there is one."""
+        place = self._place
+        if place is not None and self._remembers(place):
+            kind, start, length, uncompressed, readable_ranges = place
+            members = self.table.sets.number(self._channels)
+            times = self._first_ns, self._last_ns
+            self.table.rows.append(Row(start, length, start + length, *times, kind, members, uncompressed))
+            if readable_ranges is not None:
+                self.table.readable_ranges[start] = readable_ranges
+        for number, count in self._counts_here.items():
+            self.counts[number] = self.counts.get(number, 0) + count
+        self._place, self._messages = None, 0
+        self._channels, self._counts_here = set(), {}
+        self._first_ns, self._last_ns = _NO_TIME
+
+    def _joins(self, place: MessagePlace) -> bool:
+        known = self._place
+        if known is None or known.kind != place.kind:
+            return False
+        if place.kind != PlaceKind.records:
+            return known.start == place.start
+        fits = known.length + place.length <= WINDOW and self._messages < _MAX_MESSAGES_OF_ROW
+        return fits and known.start + known.length == place.start
+
+    def _remembers(self, place: MessagePlace) -> bool:
+        """Return whether there is room for another place. Bounds the memory for files full of damage."""
+        self._range_count += len(place.readable_ranges or ())
+        if self._range_count <= _MAX_RANGES and len(self.table.rows) < MAX_CHUNKS:
+            return True
+        self.problem_log.add("too-damaged", f"byte {place.start}", "left out: the file has too many places to remember")
+        return False

@@ -30,10 +30,10 @@ _Place = tuple[str, str, "int | None"]
 
 
 class HttpConnections:
-    """At most `most` idle connections. Safe to share between threads."""
+    """At most `max_idle` idle connections. Safe to share between threads."""
 
-    def __init__(self, most: int) -> None:
-        self._most = most
+    def __init__(self, max_idle: int) -> None:
+        self._max_idle = max_idle
         self._idle: list[tuple[_Place, http.client.HTTPConnection]] = []
         self._lock = threading.Lock()
         self._tls: ssl.SSLContext | None = None
@@ -83,7 +83,7 @@ class HttpConnections:
 
     def _keep(self, place: _Place, connection: http.client.HTTPConnection) -> None:
         with self._lock:
-            if len(self._idle) < self._most:
+            if len(self._idle) < self._max_idle:
                 self._idle.append((place, connection))
                 return
         connection.close()

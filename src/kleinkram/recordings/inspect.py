@@ -1,4 +1,4 @@
-"""Summaries of local files and folders: the content of `klein inspect`."""
+"""Summarises local files and folders, for `klein inspect`."""
 
 from __future__ import annotations
 
@@ -10,17 +10,12 @@ from enum import Enum
 from pathlib import Path
 from typing import Protocol
 
+from kleinkram.recordings import recording_groups
 from kleinkram.recordings.combine_summaries import combine, combine_folder
 from kleinkram.recordings.errors import SourceError
 from kleinkram.recordings.formats.rosbag2.metadata import METADATA_NAME
 from kleinkram.recordings.model import Content, Depth, RecordingFormat, RecordingSummary
-from kleinkram.recordings.recording_groups import (
-    FolderRecordings,
-    RecordingGroup,
-    RecordingGroupKind,
-    read_folder,
-    recording_of_metadata,
-)
+from kleinkram.recordings.recording_groups import FolderRecordings, RecordingGroup, RecordingGroupKind
 from kleinkram.recordings.sources import FileReader, FileSource
 from kleinkram.recordings.summary import scan, summarise
 
@@ -152,13 +147,13 @@ class _FileInspector:
 
     def metadata(self, path: Path) -> Inspection:
         try:
-            own = recording_of_metadata(path)
+            own = recording_groups.recording_of_metadata(path)
         except SourceError as error:
             return Inspection(str(path), InspectionKind.file, (str(path),), _unreadable(str(error)))
         return self.file(path) if own is None else self.group(path.parent, own[1], own[0])
 
     def folder(self, folder: Path) -> Iterator[Inspection]:
-        recordings = read_folder(folder)
+        recordings = recording_groups.read_folder(folder)
         for item in recordings.unreadable_folders:
             summary = _unreadable(f"{item.path}: cannot be read: {item.reason}")
             yield Inspection(str(item.path), InspectionKind.folder, (), summary)

@@ -5,21 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+from kleinkram.recordings.file_summary import bounded
 from kleinkram.recordings.formats.base import HEAD_BYTES, LONG_HEAD_BYTES, Format
 from kleinkram.recordings.formats.registry import format_of, format_of_head, misleading_extension
 from kleinkram.recordings.formats.rosbag2.database import is_database
 from kleinkram.recordings.formats.rosbag2.db3 import scan_copy, scan_db3
 from kleinkram.recordings.limits import MAX_DESCRIBED_BYTES, MAX_SCAN_BYTES
 from kleinkram.recordings.model import Content, Depth, RecordingFormat, RecordingSummary
-from kleinkram.recordings.sources import CountingSource, SequentialReader, Source, SourceReader, peek, source_reader
+from kleinkram.recordings.sources import CountingSource, SequentialReader, Source, SourceReader, peek
 from kleinkram.recordings.temporary_files import TooLarge, temporary_database
-from kleinkram.recordings.topic_statistics import bounded
 
 
-def summarise(source: Source, *, most_bytes: int | None = MAX_SCAN_BYTES) -> RecordingSummary:
+def summarise(source: Source, *, max_bytes: int | None = MAX_SCAN_BYTES) -> RecordingSummary:
     """Return what is in a file, by reading ranges: for an indexed MCAP or bag about its index bytes.
 
-    A file without the index that this needs is scanned, if it has at most `most_bytes` (None: of whatever size);
+    A file without the index that this needs is scanned, if it has at most `max_bytes` (None: of whatever size);
     else it stays `pending`, and `reason` says what a scan would cost. Otherwise `content` is `indexed` for a whole
     recording, `recovered` or `broken` where the file itself is at fault, with the place in `reason`, and `opaque` for
     anything that is not a recording.
@@ -29,13 +29,13 @@ def summarise(source: Source, *, most_bytes: int | None = MAX_SCAN_BYTES) -> Rec
     """
     counting = CountingSource(source)
     file_format = format_of(counting)
-    most = source.size_bytes if most_bytes is None else most_bytes
+    most = source.size_bytes if max_bytes is None else max_bytes
     if file_format.summarise is not None:
-        summary = file_format.summarise(counting, most_bytes=most)
+        summary = file_format.summarise(counting, max_bytes=most)
     elif file_format.scan is None:
         summary = RecordingSummary(file_format.kind, Content.opaque, file_format.description)
     elif source.size_bytes <= min(most, MAX_DESCRIBED_BYTES):
-        summary = file_format.scan(source_reader(counting))
+        summary = file_format.scan(SourceReader(counting))
     else:
         cost = f"it must be read whole ({source.size_bytes} bytes) to say more"
         summary = RecordingSummary(file_format.kind, Content.opaque, f"{file_format.description}; {cost}")
@@ -63,11 +63,13 @@ def scan(reader: SequentialReader) -> RecordingSummary:
 def scan_with_logs(source: Source, logs: Mapping[str, Source]) -> RecordingSummary:
     """Scan a rosbag2 database with its log and journal, by suffix, through temporary copies; other files without."""
     if not is_database(source.read(0, min(HEAD_BYTES, source.size_bytes))):
-        return scan(source_reader(source))
-    reads = {suffix: source_reader(log).read for suffix, log in logs.items()}
+        return scan(SourceReader(source))
+    reads = {suffix: SourceReader(log).read for suffix, log in logs.items()}
     try:
-        with temporary_database(source_reader(source).read, reads) as copy:
-            summary = scan_copy(copy, source.name, lambda: scan_db3(SourceReader(source)))
+        with temporary_database(SourceReader(source).read, reads) as copy:
+            without_logs = SourceReader(source)
+            without_logs.path = None  # in place, it would be read with the logs beside it
+            summary = scan_copy(copy, source.name, lambda: scan_db3(without_logs))
     except TooLarge as error:
         return RecordingSummary(RecordingFormat.rosbag2_db3, Content.pending, str(error))
     return replace(summary, bytes_read=source.size_bytes + sum(log.size_bytes for log in logs.values()))

@@ -26,7 +26,8 @@ from pydantic import PostgresDsn, ValidationError
 from typing_extensions import LiteralString
 
 from kleinkram.contract.errors import StoreUnavailable
-from kleinkram.recordings import FileRequest, SummaryFailed, summarise_isolated
+from kleinkram.recordings import SummaryFailed
+from kleinkram.recordings.isolation import FileRequest, summarise_isolated
 from kleinkram.server.db import Database, open_database
 from kleinkram.server.environment import SettingsInvalid, load_settings
 from kleinkram.server.health.readiness import find_workers

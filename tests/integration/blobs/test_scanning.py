@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 import zstandard
 
-from kleinkram.recordings import CountingSource, FileSource, Lost
+from kleinkram.recordings import FileSource, Lost
 from kleinkram.recordings.formats.mcap.index import read_index
 from kleinkram.recordings.sample import generate_mcap
-from kleinkram.recordings.sources import FileReader
+from kleinkram.recordings.sources import CountingSource, FileReader
 from kleinkram.recordings.summary import scan
 from kleinkram.server.blobs import reader_processes
 from kleinkram.server.settings import Settings

@@ -7,8 +7,9 @@ from io import BytesIO
 
 import pytest
 
-from kleinkram.recordings import Content, CountingSource, summarise
+from kleinkram.recordings import Content, summarise
 from kleinkram.recordings.sample.writers import BagCompression, BagWriter, Compression, McapWriter
+from kleinkram.recordings.sources import CountingSource
 from tests.recording_files.memory_source import MemorySource, SparseFile
 from tests.recording_files.synthetic import MESSAGES_PER_CHUNK, SyntheticMcap
 

@@ -135,8 +135,8 @@ def test_a_chunk_that_was_never_finished_is_saved_as_far_as_it_goes(
     assert summary.content is Content.recovered
     assert "was begun here and never finished" in str(summary.reason)
     assert summary.message_count is not None
-    least = _MESSAGES if share == 1 else _MESSAGES * share * 0.6
-    assert least <= summary.message_count <= _MESSAGES
+    minimum = _MESSAGES if share == 1 else _MESSAGES * share * 0.6
+    assert minimum <= summary.message_count <= _MESSAGES
     assert (summary.topics[0].stored_bytes or 0) <= path.stat().st_size
     (accounts,) = accounts_of(tmp_path)
     assert disagreements(accounts) == []

@@ -20,18 +20,8 @@ from enum import Enum
 from functools import lru_cache
 from importlib.resources import files
 
-from kleinkram.recordings.decoding.types import (
-    MAX_TYPES,
-    PRIMITIVES,
-    ConstantValue,
-    Definition,
-    FieldText,
-    Primitive,
-    SchemaError,
-    Struct,
-    constants_of,
-    resolve,
-)
+from kleinkram.recordings.decoding import types
+from kleinkram.recordings.decoding.types import PRIMITIVES, Definition, FieldText, Primitive, SchemaError
 
 
 class Ros(Enum):
@@ -54,7 +44,7 @@ _OTHER_NAMES = {
 }
 
 
-def parse_msg(name: str, text: str, ros: Ros) -> Struct:
+def parse_msg(name: str, text: str, ros: Ros) -> types.Struct:
     """Return the type `name` that a text of definitions describes.
 
     A service's text, which has "---" between request and response, gives `..._Request`, `..._Response` and the
@@ -81,7 +71,7 @@ def parse_msg(name: str, text: str, ros: Ros) -> Struct:
     root = definitions.get(name) or by_short_name.get(short_name(name))
     if root is None:
         raise SchemaError(f"the schema's text does not define {name}")
-    return resolve(root, find)
+    return types.resolve(root, find)
 
 
 def _candidates(type_name: str, owner: str, ros: Ros) -> tuple[str, ...]:
@@ -114,8 +104,8 @@ def split_blocks(text: str, mark: str) -> list[tuple[str | None, str]]:
         else:
             is_head = is_head and not stripped
             blocks[-1][1].append(line)
-        if len(blocks) > MAX_TYPES:
-            raise SchemaError(f"more than {MAX_TYPES} types")
+        if len(blocks) > types.MAX_TYPES:
+            raise SchemaError(f"more than {types.MAX_TYPES} types")
     return [(name, "\n".join(lines)) for name, lines in blocks]
 
 
@@ -152,7 +142,7 @@ def _service(root: str, sections: list[str]) -> dict[str, Definition]:
 
 def _definition(name: str, text: str) -> Definition:
     fields: list[FieldText] = []
-    constants: dict[str, ConstantValue] = {}
+    constants: dict[str, types.ConstantValue] = {}
     for line in text.split("\n"):
         stripped = line.strip()
         if not stripped or stripped.startswith("#"):
@@ -170,10 +160,10 @@ def _definition(name: str, text: str) -> Definition:
             is_fixed = match["length"] and "<=" not in match["array"]
             lengths = (int(match["length"]) if is_fixed else None,)
         fields.append(FieldText(match["name"], match["type"], lengths))
-    return Definition(name, tuple(fields), constants_of(constants))
+    return Definition(name, tuple(fields), types.constants_of(constants))
 
 
-def _constant(type_name: str, text: str) -> ConstantValue | None:
+def _constant(type_name: str, text: str) -> types.ConstantValue | None:
     """Return a constant's value; None for what is not written as its type."""
     if type_name in ("string", "wstring"):
         quoted = len(text) > 1 and text[0] in "\"'" and text[-1] == text[0]

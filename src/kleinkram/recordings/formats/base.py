@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple, Protocol
 
-from kleinkram.recordings.chunk_reader import ChunkedFile, ChunkFormat, pieces_of
-from kleinkram.recordings.chunk_table import ChunkTable
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import SourceError, TooCostly
-from kleinkram.recordings.index_check import IndexCheck, contradicts_itself
-from kleinkram.recordings.merge import MessagePiece
+from kleinkram.recordings.merge_messages import MessagePiece
 from kleinkram.recordings.messages import Channel, Selection
 from kleinkram.recordings.model import RecordingFormat, RecordingSummary
 from kleinkram.recordings.sources import FileSource, SequentialReader, Source, SourceReader
@@ -32,9 +29,9 @@ class Head(NamedTuple):
 
 
 class Summarise(Protocol):
-    """Summarises a file; `pending` if it must be read whole and is larger than `most_bytes`."""
+    """Summarises a file; `pending` if it must be read whole and is larger than `max_bytes`."""
 
-    def __call__(self, source: Source, /, *, most_bytes: int) -> RecordingSummary:
+    def __call__(self, source: Source, /, *, max_bytes: int) -> RecordingSummary:
         """Raise `SourceError` where bytes cannot be read, and nothing else."""
 
 
@@ -63,21 +60,21 @@ class OpenContext:
 
     Attributes:
         stack: closes what is opened here, with the recording.
-        most_bytes: a file with more bytes is not read whole to open it; None: as `limit_of` says.
+        max_bytes: a file with more bytes is not read whole to open it; None: as `limit_of` says.
         message_compression: of each message by itself, by metadata.yaml.
         logs: logs and journals of databases, by their names.
     """
 
     problem_log: ProblemLog
     stack: ExitStack
-    most_bytes: int | None = None
+    max_bytes: int | None = None
     message_compression: str = ""
     logs: Mapping[str, Source] = field(default_factory=dict)
 
     def limit_of(self, source: Source) -> int | None:
         """Return how many bytes of a file may be read only to open it; None: all."""
-        if self.most_bytes is not None:
-            return self.most_bytes
+        if self.max_bytes is not None:
+            return self.max_bytes
         return None if isinstance(source, FileSource) else MAX_REMOTE_SCAN_BYTES
 
     def copy(self, read: Callable[[int], bytes], name: str, logs: Mapping[str, Source] | None = None) -> Path:
@@ -122,6 +119,14 @@ class MemberContents:
     start_ns: int | None
     end_ns: int | None
 
+    def select(self, selection: Selection) -> dict[int, Channel]:
+        """Return the channels of the selected topics."""
+        return {
+            number: channel
+            for number, channel in self.channels.items()
+            if selection.topics is None or channel.topic in selection.topics
+        }
+
 
 class Member(Protocol):
     """One file of a recording."""
@@ -138,52 +143,7 @@ class Member(Protocol):
         """Yield the parts that may hold selected messages, by first time."""
 
 
-class ChunkedMember:
-    """A file made of chunks. `summary`: if it was scanned to be opened.
-
-    `with_index_check`: the table comes from the file's own index, which may be wrong. `claimed_span`: by the
-    statistics.
-    """
-
-    def __init__(
-        self,
-        source: Source,
-        chunk_format: ChunkFormat,
-        table: ChunkTable,
-        contents: MemberContents,
-        problem_log: ProblemLog,
-        *,
-        summary: RecordingSummary | None = None,
-        with_index_check: bool = False,
-        claimed_span: tuple[int | None, int | None] = (None, None),
-    ) -> None:
-        check = IndexCheck(source, table, problem_log, chunk_format.read_message_index) if with_index_check else None
-        if check is not None and contradicts_itself(table, claimed_span):
-            check.doubt()
-            check.settle()
-        self._contents = contents
-        self._file = ChunkedFile(source, chunk_format, table, contents.channels, problem_log, check=check)
-        self.summary = summary
-
-    @property
-    def contents(self) -> MemberContents:
-        """The content by the index; if that is wrong, with the span by its message indexes."""
-        check = self._file.check
-        if check is None or check.span is None:
-            return self._contents
-        return replace(self._contents, start_ns=check.span[0], end_ns=check.span[1])
-
-    def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[MessagePiece]:
-        """Yield the chunks that may hold selected messages, by first time."""
-        return pieces_of(self._file, selection, order)
-
-    def doubt_index(self) -> None:
-        """Note that the file's index is wrong."""
-        if self._file.check is not None:
-            self._file.check.doubt()
-
-
-def check_cost(source: Source, most_bytes: int | None, why: str) -> None:
-    """Raise `TooCostly` if a file with more than `most_bytes` (None: any) would be read whole."""
-    if most_bytes is not None and source.size_bytes > most_bytes:
+def check_cost(source: Source, max_bytes: int | None, why: str) -> None:
+    """Raise `TooCostly` if a file with more than `max_bytes` (None: any) would be read whole."""
+    if max_bytes is not None and source.size_bytes > max_bytes:
         raise TooCostly(source.name, source.size_bytes, why)

@@ -64,11 +64,6 @@ def format_of_head(data: bytes, *, path: Path | None = None) -> Format:
     return next(one for one in FORMATS if one.matches(head))
 
 
-def sniff(source: Source) -> RecordingFormat:
-    """Return the format of a file by its content."""
-    return format_of(source).kind
-
-
 def misleading_extension(name: str, file_format: Format) -> Problem | None:
     """Return a problem if the extension promises another format than the content has."""
     extension = PurePosixPath(name).suffix.lower()

@@ -18,26 +18,19 @@ from enum import IntEnum
 from functools import lru_cache, partial
 from typing import NamedTuple
 
-from kleinkram.recordings.chunk_reader import ChunkFormat, ChunkTableBuilder, FileGap, JoinedGaps, SalvagedMessages
-from kleinkram.recordings.chunk_table import ChunkHead, ChunkTable
+from kleinkram.recordings.chunk_reader import ChunkedMember, ChunkFormat, FileGap, JoinedGaps, SalvagedMessages
+from kleinkram.recordings.chunk_table import ChunkHead, ChunkTable, ChunkTableBuilder
 from kleinkram.recordings.compression import Buffer
 from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Cut, Malformed
-from kleinkram.recordings.formats.base import (
-    ChunkedMember,
-    Format,
-    MemberContents,
-    OpenContext,
-    RecordingFile,
-    check_cost,
-)
+from kleinkram.recordings.file_summary import TopicType, build_summary, pending
+from kleinkram.recordings.formats.base import Format, MemberContents, OpenContext, RecordingFile, check_cost
 from kleinkram.recordings.limits import MAX_DEFINITIONS, MAX_NAME, MAX_TOPICS, WINDOW
-from kleinkram.recordings.message_counts import Batch, MessageCounter, MessageObserver, MessagePlace, PlaceKind
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.model import Content, Depth, Fact, Problem, RecordingFormat, RecordingSummary, counted
-from kleinkram.recordings.sources import SequentialReader, Source, SourceReader, source_reader
+from kleinkram.recordings.scanned_messages import Batch, MessageCounter, MessageObserver, MessagePlace, PlaceKind
+from kleinkram.recordings.sources import SequentialReader, Source, SourceReader
 from kleinkram.recordings.streams import ByteStream, LookaheadStream
-from kleinkram.recordings.topic_statistics import TopicType, measure, pending
 
 MAGIC = b"ULog\x01\x12\x35"
 SYNC_MAGIC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
@@ -339,11 +332,11 @@ def scan_ulog(reader: SequentialReader) -> RecordingSummary:
     return summarise_scan(_UlogScanner(reader, None).run())
 
 
-def summarise_ulog(source: Source, *, most_bytes: int) -> RecordingSummary:
-    """Scan a log of at most `most_bytes`; a larger one stays pending."""
-    if source.size_bytes > most_bytes:
+def summarise_ulog(source: Source, *, max_bytes: int) -> RecordingSummary:
+    """Scan a log of at most `max_bytes`; a larger one stays pending."""
+    if source.size_bytes > max_bytes:
         return pending(RecordingFormat.ulog, source.size_bytes, "a flight log (ULog) has no index")
-    return scan_ulog(source_reader(source))
+    return scan_ulog(SourceReader(source))
 
 
 def summarise_scan(scan: UlogScan) -> RecordingSummary:
@@ -352,7 +345,7 @@ def summarise_scan(scan: UlogScan) -> RecordingSummary:
     timeline = scan.counter.timeline
     for name in [name for name, times in timeline.topics.items() if not times.count]:
         del timeline.topics[name]  # the autopilot announces all topics: those count that have messages
-    summary = measure(RecordingFormat.ulog, timeline, types, [*scan.losses.problems(), *_problems(scan)])
+    summary = build_summary(RecordingFormat.ulog, timeline, types, [*scan.losses.problems(), *_problems(scan)])
     reason, content = scan.refused or None, Content.opaque if scan.refused else Content.indexed
     if scan.losses.damage and not scan.refused:
         first = scan.losses.damage[0]
@@ -398,7 +391,7 @@ def open_ulog(file: RecordingFile, context: OpenContext) -> ChunkedMember:
     """Open a flight log, by one pass over it; `TooCostly` if it has more bytes than may be read."""
     source, problem_log = file.source, context.problem_log
     check_cost(source, context.limit_of(source), "a flight log (ULog) has no index")
-    builder = ChunkTableBuilder(ChunkTable(), problem_log)
+    builder = ChunkTableBuilder(problem_log)
     scan = _UlogScanner(SourceReader(source), builder).run()
     builder.close()
     channels = {number: one for number, one in scan.channels().items() if number in builder.counts}

@@ -16,12 +16,12 @@ import zstandard
 
 from kleinkram.recordings.compression import open_decompressed
 from kleinkram.recordings.errors import Cut, Malformed, NotARecording
+from kleinkram.recordings.file_summary import pending
 from kleinkram.recordings.formats.base import LONG_HEAD_BYTES, Format, Member, OpenContext, RecordingFile, check_cost
 from kleinkram.recordings.limits import FREE_UNPACKED, MAX_EXPANSION, MAX_ZSTD_WINDOW
 from kleinkram.recordings.model import Content, Depth, Lost, RecordingFormat, RecordingSummary
-from kleinkram.recordings.sources import FileSource, SequentialReader, Source, SourceReader, source_reader
+from kleinkram.recordings.sources import FileSource, SequentialReader, Source, SourceReader
 from kleinkram.recordings.temporary_files import MAX_SPOOL_BYTES, TooLarge, temporary_copy
-from kleinkram.recordings.topic_statistics import pending
 
 FILE_ZSTD = "file-zstd"  # what `compression` says of a file that is compressed as a whole
 
@@ -63,24 +63,24 @@ class _Unpacked:
         return data
 
 
-def scan_zstd_file(reader: SequentialReader, scan: Scan, *, most_bytes: int = MAX_SPOOL_BYTES) -> RecordingSummary:
+def scan_zstd_file(reader: SequentialReader, scan: Scan, *, max_bytes: int = MAX_SPOOL_BYTES) -> RecordingSummary:
     """Read a compressed file; `scan` reads what is inside, under its name without `.zstd`.
 
     A file whose compressed data is damaged is `recovered` as far as it unpacks; one that unpacks to more than
-    `most_bytes`, or than any recording does, is `pending`.
+    `max_bytes`, or than any recording does, is `pending`.
     """
     from kleinkram.recordings.formats import registry  # which imports this module
 
     unpacked = _Unpacked(reader)
-    most_bytes = min(most_bytes, FREE_UNPACKED + MAX_EXPANSION * reader.size_bytes)
+    max_bytes = min(max_bytes, FREE_UNPACKED + MAX_EXPANSION * reader.size_bytes)
     inside = registry.format_of_head(unpacked.peek(LONG_HEAD_BYTES))
     if not is_recording(inside):
         if unpacked.fault and inside.kind in (RecordingFormat.unknown, RecordingFormat.empty):
             return RecordingSummary(RecordingFormat.zstd, Content.broken, unpacked.fault, depth=Depth.scan)
         return replace(_not_a_recording(inside.kind), depth=Depth.scan)
     try:
-        with temporary_copy(unpacked.read, most_bytes=most_bytes) as path, FileSource(path) as source:
-            inner = SourceReader(source, path=path)
+        with temporary_copy(unpacked.read, max_bytes=max_bytes) as path, FileSource(path) as source:
+            inner = SourceReader(source)
             inner.name = PurePosixPath(reader.name).stem
             summary = scan(inner)
     except TooLarge as error:
@@ -109,11 +109,11 @@ def _scan(reader: SequentialReader) -> RecordingSummary:
     return scan_zstd_file(reader, scan)
 
 
-def _summarise(source: Source, *, most_bytes: int) -> RecordingSummary:
+def _summarise(source: Source, *, max_bytes: int) -> RecordingSummary:
     from kleinkram.recordings.formats import registry  # which imports this module
 
-    if source.size_bytes <= most_bytes:
-        return _scan(source_reader(source))
+    if source.size_bytes <= max_bytes:
+        return _scan(SourceReader(source))
     decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_ZSTD_WINDOW)
     try:
         with decompressor.stream_reader(source.read(0, min(LONG_HEAD_BYTES, source.size_bytes))) as reader:

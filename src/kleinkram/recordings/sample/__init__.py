@@ -1,4 +1,4 @@
-"""Sample missions: realistic recordings of a small vehicle, of any size, with a truth to compare with.
+"""Sample missions: realistic recordings of a small vehicle, of any size, with known contents.
 
 For demonstrations, tests and benchmarks. Never imported by the server.
 """
@@ -13,11 +13,9 @@ from kleinkram.recordings.sample.mission import (
     generate_mcap,
     generate_mission,
 )
-from kleinkram.recordings.sample.vehicle import BlackCamera, ClockJump, Faults, TopicGap
+from kleinkram.recordings.sample.vehicle import Faults, TopicGap
 
 __all__ = [
-    "BlackCamera",
-    "ClockJump",
     "Faults",
     "FileTruth",
     "MissionTruth",

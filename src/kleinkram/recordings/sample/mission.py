@@ -1,26 +1,27 @@
-"""Makes sample missions: one drive, recorded as MCAP, ROS 1 bag and rosbag2 db3, of any size, with a known truth.
+"""Makes sample missions: one drive, recorded as MCAP, ROS 1 bag and rosbag2 db3, of any size, with known contents.
 
-Memory is that of one chunk and of the truth (8 bytes a message), whatever the size.
+Memory is that of one chunk and 8 bytes a message, whatever the size.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection
+from collections.abc import Collection
+from contextlib import ExitStack
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 from itertools import accumulate, pairwise
 from pathlib import Path
-from typing import NamedTuple
 
-from kleinkram.recordings.sample.messages import Encoding, ros1_definition, ros1_md5, ros2_definition, ros2_name
+from kleinkram.recordings.sample import messages
 from kleinkram.recordings.sample.vehicle import Faults, Vehicle
 from kleinkram.recordings.sample.writers import BagWriter, Db3Writer, McapWriter
 
 DEFAULT_DURATION_S = 10.0
 _CAMERA_BYTES, _LIDAR_POINTS = 80_000, 30_000
-_LEAST_CAMERA_BYTES, _LEAST_LIDAR_POINTS = 4_000, 64
-_POINT_BYTES, _BULK_HZ = 16, 10
+_MIN_CAMERA_BYTES, _MIN_LIDAR_POINTS = 4_000, 64
+_POINT_BYTES, _SENSOR_HZ = 16, 10
 _SMALL_BYTES_PER_S = 125_000
 _NO_FAULTS = Faults()
 
@@ -48,7 +49,7 @@ class TopicTruth:
 
 @dataclass(frozen=True)
 class FileTruth:
-    """One recording file, counted while it was made, by other code than that which reads recordings.
+    """The contents of one recording file, counted while it was written.
 
     Attributes:
         truncated: its end was cut off, so that it holds less than `topics` say.
@@ -72,22 +73,56 @@ class MissionTruth:
     files: tuple[FileTruth, ...]
 
 
-class _Plan(NamedTuple):
-    """Amount of bulk data, and the limit by time or size."""
+def generate_file(
+    path: str | os.PathLike[str],
+    *,
+    kind: SampleFormat,
+    size_bytes: int | None = None,
+    duration_s: float | None = None,
+    seed: int = 1,
+    faults: Faults = _NO_FAULTS,
+) -> FileTruth:
+    """Make one recording as `generate_mission` does; `path`: of a file, for db3 of a folder."""
+    vehicle = _vehicle(size_bytes, duration_s, seed, kind, faults)
+    limit_s = duration_s if duration_s is not None or size_bytes is not None else DEFAULT_DURATION_S
+    limit_bytes = size_bytes if duration_s is None else None
+    path = Path(path)
+    stamps: dict[str, list[int]] = {stream.topic: [] for stream in vehicle.streams}
+    with ExitStack() as stack:
+        writer: McapWriter | BagWriter | Db3Writer
+        if kind is SampleFormat.db3:
+            writer = Db3Writer(path)
+            path = writer.path
+        else:
+            file = stack.enter_context(path.open("xb"))
+            writer = McapWriter(file, profile="ros2") if kind is SampleFormat.mcap else BagWriter(file)
+        numbers = {stream.topic: _add_topic(writer, stream.topic, stream.message_type) for stream in vehicle.streams}
+        for message in vehicle.drive(limit_s):
+            writer.add_message(numbers[message.topic], message.log_time_ns, message.payload)
+            stamps[message.topic].append(message.log_time_ns)
+            if limit_bytes is not None and writer.bytes_written >= limit_bytes:
+                break
+        writer.finish()
+    if faults.truncate_to is not None:
+        os.truncate(path, int(path.stat().st_size * faults.truncate_to))
+    types = {stream.topic: stream.message_type for stream in vehicle.streams}
+    if kind is not SampleFormat.bag:
+        types = {topic: messages.ros2_name(message_type) for topic, message_type in types.items()}
+    topics = tuple(_topic_truth(name, types[name], stamps[name]) for name in sorted(stamps))
+    return FileTruth(
+        path=path,
+        size_bytes=path.stat().st_size,
+        truncated=faults.truncate_to is not None,
+        message_count=sum(topic.count for topic in topics),
+        start_ns=min(topic.first_ns for topic in topics),
+        end_ns=max(topic.last_ns for topic in topics),
+        topics=topics,
+    )
 
-    camera_bytes: int
-    lidar_points: int
-    duration_s: float | None
-    size_bytes: int | None
 
-
-@dataclass(frozen=True)
-class _Recorder:
-    """An open recording; `add_topic` returns the name of a type in the format, and the topic's number for `write`."""
-
-    add_topic: Callable[[str, str], tuple[str, int]]
-    write: Callable[[int, int, bytes], None]
-    writer: McapWriter | BagWriter | Db3Writer
+generate_mcap = partial(generate_file, kind=SampleFormat.mcap)  # profile ros2, CDR, zstd
+generate_bag = partial(generate_file, kind=SampleFormat.bag)  # lz4
+generate_db3 = partial(generate_file, kind=SampleFormat.db3)  # a rosbag2 folder; the contents are those of its database
 
 
 def generate_mission(
@@ -99,7 +134,7 @@ def generate_mission(
     formats: Collection[SampleFormat] = tuple(SampleFormat),
     faults: Faults = _NO_FAULTS,
 ) -> MissionTruth:
-    """Make `drive.mcap` (zstd), `drive.bag` (lz4) and `drive_rosbag2/` (db3) in a directory; return what is in them.
+    """Make `drive.mcap` (zstd), `drive.bag` (lz4) and `drive_rosbag2/` (db3) in a directory; return their contents.
 
     With `size_bytes`, all data files together have about that size (to a few percent; below 1 MB a file, less); with
     `duration_s`, the drive lasts that long; with both, pictures and scans are scaled. The same arguments give the
@@ -114,138 +149,49 @@ def generate_mission(
     if not formats:
         raise ValueError("a sample mission needs at least one format")
     share = None if size_bytes is None else size_bytes // len(formats)
-    paths = {
-        SampleFormat.mcap: folder / "drive.mcap",
-        SampleFormat.bag: folder / "drive.bag",
-        SampleFormat.db3: folder / "drive_rosbag2",
-    }
-    makers = {SampleFormat.mcap: generate_mcap, SampleFormat.bag: generate_bag, SampleFormat.db3: generate_db3}
+    names = {SampleFormat.mcap: "drive.mcap", SampleFormat.bag: "drive.bag", SampleFormat.db3: "drive_rosbag2"}
     files = tuple(
-        makers[kind](paths[kind], size_bytes=share, duration_s=duration_s, seed=seed, faults=faults)
-        for kind in SampleFormat
+        generate_file(folder / name, kind=kind, size_bytes=share, duration_s=duration_s, seed=seed, faults=faults)
+        for kind, name in names.items()
         if kind in formats
     )
     return MissionTruth(folder, files)
 
 
-def generate_mcap(
-    path: str | os.PathLike[str],
-    *,
-    size_bytes: int | None = None,
-    duration_s: float | None = None,
-    seed: int = 1,
-    faults: Faults = _NO_FAULTS,
-) -> FileTruth:
-    """Make one MCAP (profile ros2, CDR, zstd) as `generate_mission` does."""
-    plan = _plan(size_bytes, duration_s)
-    schemas: dict[str, int] = {}
-    with Path(path).open("xb") as file:
-        writer = McapWriter(file, profile="ros2")
-
-        def add_topic(topic: str, message_type: str) -> tuple[str, int]:
-            name = ros2_name(message_type)
-            if name not in schemas:
-                schemas[name] = writer.add_schema(name, "ros2msg", ros2_definition(message_type).encode())
-            return name, writer.add_channel(topic, schemas[name], "cdr")
-
-        def write(channel: int, log_time_ns: int, payload: bytes) -> None:
-            writer.add_message(channel, log_time_ns, payload, publish_time_ns=log_time_ns)
-
-        topics = _record(plan, seed, Encoding.cdr, faults, _Recorder(add_topic, write, writer))
-    return _truth(Path(path), topics, faults)
-
-
-def generate_bag(
-    path: str | os.PathLike[str],
-    *,
-    size_bytes: int | None = None,
-    duration_s: float | None = None,
-    seed: int = 1,
-    faults: Faults = _NO_FAULTS,
-) -> FileTruth:
-    """Make one ROS 1 bag (lz4) as `generate_mission` does."""
-    plan = _plan(size_bytes, duration_s)
-    with Path(path).open("xb") as file:
-        writer = BagWriter(file)
-
-        def add_topic(topic: str, message_type: str) -> tuple[str, int]:
-            md5sum, definition = ros1_md5(message_type), ros1_definition(message_type)
-            return message_type, writer.add_connection(topic, message_type, md5sum=md5sum, definition=definition)
-
-        topics = _record(plan, seed, Encoding.ros1, faults, _Recorder(add_topic, writer.add_message, writer))
-    return _truth(Path(path), topics, faults)
-
-
-def generate_db3(
-    folder: str | os.PathLike[str],
-    *,
-    size_bytes: int | None = None,
-    duration_s: float | None = None,
-    seed: int = 1,
-    faults: Faults = _NO_FAULTS,
-) -> FileTruth:
-    """Make one rosbag2 folder (SQLite storage) as `generate_mission` does; the truth is that of its database."""
-    plan = _plan(size_bytes, duration_s)
-    writer = Db3Writer(Path(folder))
-
-    def add_topic(topic: str, message_type: str) -> tuple[str, int]:
-        return ros2_name(message_type), writer.add_topic(topic, ros2_name(message_type))
-
-    topics = _record(plan, seed, Encoding.cdr, faults, _Recorder(add_topic, writer.add_message, writer))
-    return _truth(writer.path, topics, faults)
-
-
-def _plan(size_bytes: int | None, duration_s: float | None) -> _Plan:
-    """Choose the bulk: full size where the size allows for 10 seconds or more, else less of it."""
+def _vehicle(
+    size_bytes: int | None, duration_s: float | None, seed: int, kind: SampleFormat, faults: Faults
+) -> Vehicle:
+    """Return a vehicle with pictures and scans of full size where the size allows for 10 seconds, else smaller ones."""
     if (size_bytes is not None and size_bytes <= 0) or (duration_s is not None and duration_s <= 0):
         raise ValueError("size and duration of a sample must be positive")
-    seconds = duration_s or DEFAULT_DURATION_S
-    if size_bytes is None:
-        return _Plan(_CAMERA_BYTES, _LIDAR_POINTS, seconds, None)
-    full = _CAMERA_BYTES + _LIDAR_POINTS * _POINT_BYTES
-    bulk = (size_bytes / seconds - _SMALL_BYTES_PER_S) / _BULK_HZ
-    scale = max(0.0, bulk / full) if duration_s else min(1.0, max(0.0, bulk / full))
-    return _Plan(
-        camera_bytes=max(_LEAST_CAMERA_BYTES, round(_CAMERA_BYTES * scale)),
-        lidar_points=max(_LEAST_LIDAR_POINTS, round(_LIDAR_POINTS * scale)),
-        duration_s=duration_s,
-        size_bytes=None if duration_s else size_bytes,
+    scale = 1.0
+    if size_bytes is not None:
+        full = _CAMERA_BYTES + _LIDAR_POINTS * _POINT_BYTES
+        bytes_per_tick = (size_bytes / (duration_s or DEFAULT_DURATION_S) - _SMALL_BYTES_PER_S) / _SENSOR_HZ
+        scale = max(0.0, bytes_per_tick / full) if duration_s else min(1.0, max(0.0, bytes_per_tick / full))
+    return Vehicle(
+        seed=seed,
+        encoding=messages.Encoding.ros1 if kind is SampleFormat.bag else messages.Encoding.cdr,
+        camera_bytes=max(_MIN_CAMERA_BYTES, round(_CAMERA_BYTES * scale)),
+        lidar_points=max(_MIN_LIDAR_POINTS, round(_LIDAR_POINTS * scale)),
+        faults=faults,
     )
 
 
-def _record(plan: _Plan, seed: int, encoding: Encoding, faults: Faults, recorder: _Recorder) -> tuple[TopicTruth, ...]:
-    vehicle = Vehicle(
-        seed=seed, encoding=encoding, camera_bytes=plan.camera_bytes, lidar_points=plan.lidar_points, faults=faults
-    )
-    types: dict[str, tuple[str, int]] = {}
-    stamps: dict[str, list[int]] = {stream.topic: [] for stream in vehicle.streams}
-    for stream in vehicle.streams:
-        types[stream.topic] = recorder.add_topic(stream.topic, stream.message_type)
-    for message in vehicle.drive(plan.duration_s):
-        recorder.write(types[message.topic][1], message.log_time_ns, message.payload)
-        stamps[message.topic].append(message.log_time_ns)
-        if plan.size_bytes is not None and recorder.writer.bytes_written >= plan.size_bytes:
-            break
-    recorder.writer.finish()
-    topics = []
-    for name in sorted(stamps):
-        in_file, in_time = stamps[name], sorted(stamps[name])
-        gap = max((after - before for before, after in pairwise(in_time)), default=0)
-        out_of_order = sum(stamp < highest for stamp, highest in zip(in_file, accumulate(in_file, max), strict=True))
-        topics.append(TopicTruth(name, types[name][0], len(in_file), in_time[0], in_time[-1], gap, out_of_order))
-    return tuple(topics)
+def _add_topic(writer: McapWriter | BagWriter | Db3Writer, topic: str, message_type: str) -> int:
+    """Define a topic; return its number in the file."""
+    if isinstance(writer, BagWriter):
+        md5sum, definition = messages.ros1_md5(message_type), messages.ros1_definition(message_type)
+        return writer.add_connection(topic, message_type, md5sum=md5sum, definition=definition)
+    name = messages.ros2_name(message_type)
+    if isinstance(writer, Db3Writer):
+        return writer.add_topic(topic, name)
+    schema_id = writer.add_schema(name, "ros2msg", messages.ros2_definition(message_type).encode())
+    return writer.add_channel(topic, schema_id, "cdr")
 
 
-def _truth(path: Path, topics: tuple[TopicTruth, ...], faults: Faults) -> FileTruth:
-    """Cut the finished file if `faults` ask for it; return what is in it."""
-    if faults.truncate_to is not None:
-        os.truncate(path, int(path.stat().st_size * faults.truncate_to))
-    return FileTruth(
-        path=path,
-        size_bytes=path.stat().st_size,
-        truncated=faults.truncate_to is not None,
-        message_count=sum(topic.count for topic in topics),
-        start_ns=min(topic.first_ns for topic in topics),
-        end_ns=max(topic.last_ns for topic in topics),
-        topics=topics,
-    )
+def _topic_truth(name: str, message_type: str, in_file: list[int]) -> TopicTruth:
+    in_time = sorted(in_file)
+    gap = max((after - before for before, after in pairwise(in_time)), default=0)
+    out_of_order = sum(stamp < highest for stamp, highest in zip(in_file, accumulate(in_file, max), strict=True))
+    return TopicTruth(name, message_type, len(in_file), in_time[0], in_time[-1], gap, out_of_order)

@@ -123,17 +123,19 @@ class McapWriter(_ChunkedWriter):
         self._compression = _text(compression.value)
         self._crc = 0
         self._counts: dict[int, int] = {}
-        self._schemas = 0
+        self._schemas: dict[tuple[str, str, bytes], int] = {}
         self._span = (2**64 - 1, 0)
         self._put(mcap.MAGIC)
         self._put(_mcap_record(Opcode.HEADER, _text(profile) + _text(library)))
 
     def add_schema(self, name: str, encoding: str, text: bytes) -> int:
         """Define a message type; returns its id, to be used for channels."""
-        self._schemas += 1
-        body = struct.pack("<H", self._schemas) + _text(name) + _text(encoding) + _counted(text)
-        self._define(_mcap_record(Opcode.SCHEMA, body))
-        return self._schemas
+        schema = name, encoding, text
+        if schema not in self._schemas:
+            self._schemas[schema] = len(self._schemas) + 1
+            body = struct.pack("<H", self._schemas[schema]) + _text(name) + _text(encoding) + _counted(text)
+            self._define(_mcap_record(Opcode.SCHEMA, body))
+        return self._schemas[schema]
 
     def add_channel(self, topic: str, schema_id: int, message_encoding: str) -> int:
         """Define a topic; returns its id, to be used for messages."""
@@ -143,12 +145,15 @@ class McapWriter(_ChunkedWriter):
         self._counts[channel_id] = 0
         return channel_id
 
-    def add_message(self, channel_id: int, log_time_ns: int, payload: bytes, *, publish_time_ns: int) -> None:
-        """Add a message; messages are in the file in the order in which they are added."""
+    def add_message(
+        self, channel_id: int, log_time_ns: int, payload: bytes, *, publish_time_ns: int | None = None
+    ) -> None:
+        """Add a message; messages are in the file in the order in which they are added. Published at the log time."""
         sequence = self._counts[channel_id]
         self._counts[channel_id] = sequence + 1
         length = _MESSAGE.size - mcap.RECORD_HEAD.size + len(payload)
-        head = _MESSAGE.pack(Opcode.MESSAGE, length, channel_id, sequence & 0xFFFFFFFF, log_time_ns, publish_time_ns)
+        times = log_time_ns, log_time_ns if publish_time_ns is None else publish_time_ns
+        head = _MESSAGE.pack(Opcode.MESSAGE, length, channel_id, sequence & 0xFFFFFFFF, *times)
         self._add(channel_id, (log_time_ns, self._size), log_time_ns, head, payload)
 
     def finish(self) -> None:
@@ -159,7 +164,13 @@ class McapWriter(_ChunkedWriter):
         counts = b"".join(struct.pack("<HQ", *item) for item in self._counts.items())
         total = sum(self._counts.values())
         statistics = mcap.STATISTICS_BODY.pack(
-            total, self._schemas, len(self._counts), 0, 0, len(self._chunk_indexes), *(self._span if total else (0, 0))
+            total,
+            len(self._schemas),
+            len(self._counts),
+            0,
+            0,
+            len(self._chunk_indexes),
+            *(self._span if total else (0, 0)),
         )
         records = *self._definitions, _mcap_record(Opcode.STATISTICS, statistics + _counted(counts))
         for record in (*records, *self._chunk_indexes):

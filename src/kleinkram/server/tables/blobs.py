@@ -120,7 +120,7 @@ topic = Table(
     Column("tail_gap_ns", BigInteger),
     Column("out_of_order_count", BigInteger),
     Column("stored_bytes", BigInteger),
-    # As `recordings.density.pack` writes it; null where it was read before densities were kept.
+    # As `recordings.message_density.pack` writes it; null where it was read before densities were kept.
     Column("density", LargeBinary),
     UniqueConstraint("blob_id", "name", "message_type", postgresql_nulls_not_distinct=True),
     Index("ix_topic_name", "name", "blob_id"),

@@ -163,7 +163,7 @@ mission_topic = Table(
     Column("rate_hz", Double),
     Column("longest_gap_ns", BigInteger),
     Column("stored_bytes", BigInteger),
-    # As `recordings.density.pack` writes it.
+    # As `recordings.message_density.pack` writes it.
     Column("density", LargeBinary),
     UniqueConstraint("mission_id", "name", "message_type", postgresql_nulls_not_distinct=True),
 )

@@ -7,19 +7,14 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from kleinkram.recordings.chunk_reader import ChunkFormat, ChunkTableBuilder, FileGap, SalvagedMessages
-from kleinkram.recordings.chunk_table import ChunkTable
+from kleinkram.recordings import file_summary
+from kleinkram.recordings.chunk_reader import ChunkedMember, ChunkFormat, FileGap, SalvagedMessages
+from kleinkram.recordings.chunk_scanner import open_by_scan, salvage_by_scan
+from kleinkram.recordings.chunk_table import ChunkTableBuilder
 from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import NotIndexed
-from kleinkram.recordings.formats.base import (
-    ChunkedMember,
-    Format,
-    MemberContents,
-    OpenContext,
-    RecordingFile,
-    check_cost,
-)
-from kleinkram.recordings.formats.chunked import open_by_scan, salvage_by_scan
+from kleinkram.recordings.file_summary import TopicType
+from kleinkram.recordings.formats.base import Format, MemberContents, OpenContext, RecordingFile, check_cost
 from kleinkram.recordings.formats.mcap import chunks
 from kleinkram.recordings.formats.mcap.index import read_index
 from kleinkram.recordings.formats.mcap.records import MAGIC, ChannelRecord, McapFacts
@@ -27,32 +22,21 @@ from kleinkram.recordings.formats.mcap.scan import McapScan, scan_records
 from kleinkram.recordings.index_check import wrong_times
 from kleinkram.recordings.messages import Channel
 from kleinkram.recordings.model import Depth, Fact, Problem, RecordingFormat, RecordingSummary, counted
-from kleinkram.recordings.sources import SequentialReader, Source, SourceReader, source_reader
+from kleinkram.recordings.sources import SequentialReader, Source, SourceReader
 from kleinkram.recordings.timeline import Timeline
-from kleinkram.recordings.topic_statistics import (
-    TopicType,
-    describe_damage,
-    describe_readable,
-    duplicate_channel_problems,
-    measure,
-    merge_similar,
-    pending,
-    publish_time_problems,
-    types_by_topic,
-)
 
 
-def summarise_mcap(source: Source, *, most_bytes: int) -> RecordingSummary:
-    """Summarise by the index, or else by a scan of at most `most_bytes`."""
+def summarise_mcap(source: Source, *, max_bytes: int) -> RecordingSummary:
+    """Summarise by the index, or else by a scan of at most `max_bytes`."""
     timeline, losses = Timeline(), DamageReport()
     try:
         facts = read_index(source, (timeline, losses))
     except NotIndexed as refusal:
         why, code = str(refusal), refusal.code
         problems = [Problem(code, source.name, why)] if refusal.is_problem else []
-        if source.size_bytes > most_bytes:
-            return pending(RecordingFormat.mcap, source.size_bytes, why, problems)
-        return scan_mcap(source_reader(source), problems)
+        if source.size_bytes > max_bytes:
+            return file_summary.pending(RecordingFormat.mcap, source.size_bytes, why, problems)
+        return scan_mcap(SourceReader(source), problems)
     damage = facts.header_damage
     problems = [Problem("header-damaged", damage.where, damage.message)] if damage is not None else []
     problems += [*losses.problems(), *facts.index_faults.problems()]
@@ -78,7 +62,7 @@ def summarise_scan(scan: McapScan, name: str, problems: Sequence[Problem] = ()) 
         all_problems += _wrong_statistics(scan.facts, timeline)
     all_problems += scan.facts.index_faults.problems()
     all_problems = all_problems or [*problems]  # a scan describes a wrong index more exactly
-    all_problems += publish_time_problems(scan.counter.lateness)
+    all_problems += file_summary.publish_time_problems(scan.counter.lateness)
     summary = _summary(scan.facts, timeline, scan.losses, all_problems, closed=scan.closed)
     return replace(summary, depth=Depth.scan)
 
@@ -102,21 +86,23 @@ def _wrong_statistics(facts: McapFacts, timeline: Timeline) -> list[Problem]:
         if actual != count:
             message = f"the statistics say {counted(count, 'message')}, there are {actual}"
             problems.append(Problem("counts-disagree", topic, message))
-    return merge_similar(problems)
+    return file_summary.merge_similar(problems)
 
 
 def _summary(
     facts: McapFacts, timeline: Timeline, losses: DamageReport, problems: Sequence[Problem], *, closed: bool
 ) -> RecordingSummary:
     kinds: list[tuple[str, TopicType]] = []
+    publishers: list[tuple[str, str, str]] = []
     for channel in facts.channels.values():
         timeline.topic(channel.topic)
         schema = facts.schema_of(channel)
         kinds.append((channel.topic, TopicType(schema.name, schema.encoding, channel.message_encoding)))
-    named = [(one.topic, facts.schema_of(one).name, one.publisher) for one in facts.channels.values()]
-    all_problems = [*problems, *duplicate_channel_problems(named)]
+        publishers.append((channel.topic, schema.name, channel.publisher))
+    all_problems = [*problems, *file_summary.duplicate_channel_problems(publishers)]
+    types = file_summary.types_by_topic(kinds)
     summary = replace(
-        measure(RecordingFormat.mcap, timeline, types_by_topic(kinds), all_problems),
+        file_summary.build_summary(RecordingFormat.mcap, timeline, types, all_problems),
         compression=tuple(sorted(facts.compression)),
         library=facts.library,
         profile=facts.profile,
@@ -126,18 +112,9 @@ def _summary(
     )
     if closed and not losses.damage:
         return summary
-    messages = summary.message_count or 0
-    content = losses.content(holds_anything=bool(messages or facts.attachments or facts.metadata_records))
-    stated = facts.statistics.messages if facts.statistics is not None and not losses.index_faults else None
-    lost = losses.total(claimed=stated, readable=messages)
+    claimed = facts.statistics.messages if facts.statistics is not None and not losses.index_faults else None
     reasons = [] if closed else ["it has no footer, so it was cut or never closed"]
-    if losses.damage:
-        reasons.append(f"{'it is damaged' if closed else 'damaged'} {describe_damage(losses.damage)}")
-        if losses.unverified:
-            saved = counted(losses.unverified, "message was", "messages were")
-            reasons.append(f"{saved} saved from the beginning of a cut chunk, without its checksum")
-    reasons.append(describe_readable(messages, lost))
-    return replace(summary, content=content, reason="; ".join(reasons), lost=lost)
+    return losses.describe(summary, claimed=claimed, reasons=reasons, checksum_note=", without its checksum")
 
 
 def open_mcap(file: RecordingFile, context: OpenContext) -> ChunkedMember:
@@ -147,11 +124,9 @@ def open_mcap(file: RecordingFile, context: OpenContext) -> ChunkedMember:
         facts = read_index(source)
     except NotIndexed as refusal:
         check_cost(source, context.limit_of(source), str(refusal))
-        if refusal.code == "no-footer":
-            problem_log.add("no-footer", source.name, str(refusal))
-        elif refusal.is_problem:
+        if refusal.code == "no-footer" or refusal.is_problem:
             problem_log.add(refusal.code, source.name, str(refusal))
-        builder = ChunkTableBuilder(ChunkTable(), problem_log)
+        builder = ChunkTableBuilder(problem_log)
         scan = scan_records(SourceReader(source), builder)
         channels, summary = scan.facts.resolve_channels(message_compression), summarise_scan(scan, source.name)
         return open_by_scan(source, builder, MCAP_CHUNKS, channels, summary)
@@ -204,16 +179,12 @@ def as_svo2(summary: RecordingSummary) -> RecordingSummary:
     return replace(summary, format=RecordingFormat.svo2, facts=(*facts, *summary.facts))
 
 
-def _summarise(source: Source, *, most_bytes: int) -> RecordingSummary:
-    return as_svo2(summarise_mcap(source, most_bytes=most_bytes))
-
-
 SVO2 = Format(
     RecordingFormat.svo2,
     lambda head: head.data.startswith(MAGIC) and _LIBRARY_WORD in head.data[len(MAGIC) :][:_MCAP_HEADER_BYTES],
     "a recording of a ZED camera (SVO2)",
     extensions=(".svo2", ".mcap"),
     scan=lambda reader: as_svo2(scan_mcap(reader)),
-    summarise=_summarise,
+    summarise=lambda source, *, max_bytes: as_svo2(summarise_mcap(source, max_bytes=max_bytes)),
     refusal="it is a SVO2 of a ZED camera, and reading that format is not supported",
 )

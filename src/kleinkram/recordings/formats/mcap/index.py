@@ -12,11 +12,11 @@ from array import array
 from collections.abc import Iterator
 from itertools import chain
 
+from kleinkram.recordings.chunk_scanner import ChunkIndex, count_by_index
 from kleinkram.recordings.chunk_table import ANY_CHANNEL, ChunkHead, Row
 from kleinkram.recordings.compression import is_known_compression
 from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Malformed, NotIndexed
-from kleinkram.recordings.formats.chunked import ChunkIndex, count_by_index
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.chunks import open_chunk
 from kleinkram.recordings.formats.mcap.records import McapFacts, Opcode

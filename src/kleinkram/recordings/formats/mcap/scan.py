@@ -7,16 +7,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
+from kleinkram.recordings.chunk_scanner import LOOK, ChunkContents, ChunkScan, ChunkScanner
 from kleinkram.recordings.chunk_table import UNKNOWN, ChunkHead
 from kleinkram.recordings.errors import Cut, Malformed
-from kleinkram.recordings.formats.chunked import LOOK, ChunkContents, ChunkScan, ChunkScanner
 from kleinkram.recordings.formats.mcap import chunks, records, resync
 from kleinkram.recordings.formats.mcap.chunks import MESSAGE_FIXED, MESSAGE_HEAD, walk_messages
 from kleinkram.recordings.formats.mcap.records import RECORD_HEAD, ChannelRecord, McapFacts, Opcode
 from kleinkram.recordings.index_check import ChunkClaim, compare_with_scan, new_table, wrong_compression
 from kleinkram.recordings.limits import MAX_TAKE, WINDOW
-from kleinkram.recordings.message_counts import Batch, MessageCounter, MessageObserver, MessagePlace, PlaceKind
 from kleinkram.recordings.model import counted
+from kleinkram.recordings.scanned_messages import Batch, MessageCounter, MessageObserver, MessagePlace, PlaceKind
 from kleinkram.recordings.sources import SequentialReader
 from kleinkram.recordings.streams import LookaheadStream, open_bytes
 

@@ -5,54 +5,37 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from kleinkram.recordings.chunk_reader import ChunkFormat, ChunkTableBuilder, FileGap, SalvagedMessages
-from kleinkram.recordings.chunk_table import ChunkTable
-from kleinkram.recordings.damage_report import DamageReport
+from kleinkram.recordings import file_summary
+from kleinkram.recordings.chunk_reader import ChunkedMember, ChunkFormat, FileGap, SalvagedMessages
+from kleinkram.recordings.chunk_scanner import open_by_scan, salvage_by_scan
+from kleinkram.recordings.chunk_table import ChunkTableBuilder
+from kleinkram.recordings.damage_report import DamageReport, describe_readable
 from kleinkram.recordings.errors import Malformed
-from kleinkram.recordings.formats.base import (
-    ChunkedMember,
-    Format,
-    MemberContents,
-    OpenContext,
-    RecordingFile,
-    check_cost,
-)
-from kleinkram.recordings.formats.chunked import open_by_scan, salvage_by_scan
+from kleinkram.recordings.file_summary import TopicType
+from kleinkram.recordings.formats.base import Format, MemberContents, OpenContext, RecordingFile, check_cost
 from kleinkram.recordings.formats.rosbag1 import chunks, records
 from kleinkram.recordings.formats.rosbag1.chunks import BagFacts
 from kleinkram.recordings.formats.rosbag1.index import read_index
 from kleinkram.recordings.formats.rosbag1.scan import BagScan, scan_bag_records
 from kleinkram.recordings.messages import Channel
 from kleinkram.recordings.model import Content, Depth, Problem, RecordingFormat, RecordingSummary, counted
-from kleinkram.recordings.sources import SequentialReader, Source, SourceReader, source_reader
+from kleinkram.recordings.sources import SequentialReader, Source, SourceReader
 from kleinkram.recordings.timeline import Timeline
-from kleinkram.recordings.topic_statistics import (
-    TopicType,
-    describe_damage,
-    describe_readable,
-    duplicate_channel_problems,
-    measure,
-    pending,
-    types_by_topic,
-)
 
 
-def summarise_bag(source: Source, *, most_bytes: int) -> RecordingSummary:
-    """Summarise by the index; scan where that is impossible, if the bag has at most `most_bytes`."""
+def summarise_bag(source: Source, *, max_bytes: int) -> RecordingSummary:
+    """Summarise by the index; scan where that is impossible, if the bag has at most `max_bytes`."""
     timeline, losses = Timeline(), DamageReport()
     try:
         facts = read_index(source, (timeline, losses))
     except Malformed as error:
-        if source.size_bytes > most_bytes:
-            return pending(RecordingFormat.rosbag1, source.size_bytes, f"{error.message}, at {error.where}")
-        return scan_bag(source_reader(source), [Problem("index-damaged", error.where, error.message)])
+        if source.size_bytes > max_bytes:
+            return file_summary.pending(
+                RecordingFormat.rosbag1, source.size_bytes, f"{error.message}, at {error.where}"
+            )
+        return scan_bag(SourceReader(source), [Problem("index-damaged", error.where, error.message)])
     summary = _summary(facts, timeline, [*losses.problems(), *facts.index_faults.problems()])
-    if not losses.damage:
-        return summary
-    messages = summary.message_count or 0
-    lost = losses.total(claimed=sum(facts.counts.values()), readable=messages)
-    reason = f"it is damaged {describe_damage(losses.damage)}; {describe_readable(messages, lost)}"
-    return replace(summary, content=losses.content(holds_anything=bool(messages)), reason=reason, lost=lost)
+    return losses.describe(summary, claimed=sum(facts.counts.values())) if losses.damage else summary
 
 
 def scan_bag(reader: SequentialReader, problems: Sequence[Problem] = ()) -> RecordingSummary:
@@ -67,37 +50,32 @@ def summarise_scan(scan: BagScan, name: str, problems: Sequence[Problem] = ()) -
     if scan.listed is not None and scan.listed != messages and not all_problems:
         message = f"the index says {counted(scan.listed, 'message')}, the file holds {messages}"
         all_problems.append(Problem("counts-disagree", name, message))
-    is_whole = bool(scan.index_start) and not losses.damage and scan.refused is None
-    if is_whole:
+    is_complete = bool(scan.index_start) and not losses.damage and scan.refused is None
+    if is_complete:
         all_problems = all_problems or [*problems]
     summary = replace(_summary(scan.facts, scan.counter.timeline, all_problems), depth=Depth.scan)
-    if is_whole:
+    if is_complete:
         return summary
     if scan.refused is not None:
         reason = f"{scan.refused.message}, at {scan.refused.where}; {describe_readable(messages, None)}"
         return replace(summary, content=Content.opaque, reason=reason)
-    lost = losses.total(claimed=scan.listed, readable=messages)
-    parts = []
+    reasons = []
     if scan.index_start == 0:
-        parts.append("it was not closed by its recorder, so it has no index (index_pos is 0)")
-    if losses.damage:
-        parts.append(f"it is damaged {describe_damage(losses.damage)}")
-    if scan.index_start is None:
-        parts.append("it has no bag header")
-    if losses.unverified:
-        saved = counted(losses.unverified, "message was", "messages were")
-        parts.append(f"{saved} saved from the beginning of a cut chunk")
-    parts.append(describe_readable(messages, lost))
-    return replace(summary, content=losses.content(holds_anything=bool(messages)), reason="; ".join(parts), lost=lost)
+        reasons.append("it was not closed by its recorder, so it has no index (index_pos is 0)")
+    elif scan.index_start is None:
+        reasons.append("it has no bag header")
+    return losses.describe(summary, claimed=scan.listed, reasons=reasons)
 
 
 def _summary(facts: BagFacts, timeline: Timeline, problems: Sequence[Problem]) -> RecordingSummary:
     connections = facts.channels.values()
     for connection in connections:
         timeline.topic(connection.topic)
-    types = types_by_topic((one.topic, TopicType(one.message_type, "ros1msg", "ros1")) for one in connections)
-    doubled = duplicate_channel_problems([(one.topic, one.message_type, one.publisher) for one in connections])
-    summary = measure(RecordingFormat.rosbag1, timeline, types, [*problems, *doubled])
+    publishers = [(one.topic, one.message_type, one.publisher) for one in connections]
+    all_problems = [*problems, *file_summary.duplicate_channel_problems(publishers)]
+    kinds = ((one.topic, TopicType(one.message_type, "ros1msg", "ros1")) for one in connections)
+    types = file_summary.types_by_topic(kinds)
+    summary = file_summary.build_summary(RecordingFormat.rosbag1, timeline, types, all_problems)
     return replace(summary, compression=tuple(sorted(facts.compression)), profile="ros1")
 
 
@@ -110,7 +88,7 @@ def open_bag(file: RecordingFile, context: OpenContext) -> ChunkedMember:
         why = f"the index cannot be used: {error}"
         check_cost(source, context.limit_of(source), why)
         problem_log.add("no-index", source.name, why)
-        builder = ChunkTableBuilder(ChunkTable(), problem_log)
+        builder = ChunkTableBuilder(problem_log)
         scan = scan_bag_records(SourceReader(source), builder)
         channels, summary = scan.facts.resolve_channels(), summarise_scan(scan, source.name)
         return open_by_scan(source, builder, BAG_CHUNKS, channels, summary)

@@ -9,16 +9,16 @@ from array import array
 from collections.abc import Iterator
 from itertools import chain
 
+from kleinkram.recordings.chunk_scanner import ChunkIndex, count_by_index
 from kleinkram.recordings.chunk_table import Row
 from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Cut, Malformed
-from kleinkram.recordings.formats.chunked import ChunkIndex, count_by_index
 from kleinkram.recordings.formats.rosbag1 import records
 from kleinkram.recordings.formats.rosbag1.chunks import BagFacts
 from kleinkram.recordings.formats.rosbag1.records import Op
 from kleinkram.recordings.limits import MAX_CHUNK_INDEX, MAX_TAKE, WINDOW
-from kleinkram.recordings.message_counts import PlaceKind
 from kleinkram.recordings.model import counted
+from kleinkram.recordings.scanned_messages import PlaceKind
 from kleinkram.recordings.sources import Source, read_short_ranges
 from kleinkram.recordings.streams import ByteStream, open_bytes, open_range
 from kleinkram.recordings.timeline import Timeline

@@ -8,20 +8,20 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import partial
 
+from kleinkram.recordings.chunk_scanner import LOOK, ChunkContents, ChunkScan, ChunkScanner, search_width
 from kleinkram.recordings.chunk_table import UNKNOWN, ChunkHead
 from kleinkram.recordings.errors import Cut, Malformed
-from kleinkram.recordings.formats.chunked import LOOK, ChunkContents, ChunkScan, ChunkScanner, search_width
 from kleinkram.recordings.formats.rosbag1 import chunks, records
 from kleinkram.recordings.formats.rosbag1.chunks import BagFacts, BagRecord, find_record, opcode_at, parse_record
 from kleinkram.recordings.formats.rosbag1.records import Op
 from kleinkram.recordings.index_check import ChunkClaim, compare_with_scan, new_table
 from kleinkram.recordings.limits import LOOK_AHEAD, MAX_CHUNK_INDEX, MAX_HEADER, MAX_TAKE
-from kleinkram.recordings.message_counts import Batch, MessageCounter, MessageObserver, MessagePlace, PlaceKind
 from kleinkram.recordings.model import counted
+from kleinkram.recordings.scanned_messages import Batch, MessageCounter, MessageObserver, MessagePlace, PlaceKind
 from kleinkram.recordings.sources import SequentialReader
 from kleinkram.recordings.streams import LookaheadStream
 
-_LEAST_CHUNK_HEAD = 40
+_MIN_CHUNK_HEAD = 40
 _NAMES: dict[int, str] = {Op.MESSAGE_DATA: "a message", Op.CHUNK: "a chunk", Op.CONNECTION: "a connection"}
 
 
@@ -209,7 +209,7 @@ class _BagScanner(ChunkScanner[BagFacts]):
 
     def _reaches_over_chunk(self, after: int) -> bool:
         stream = self._stream
-        return find_record(stream.window, stream.at + _LEAST_CHUNK_HEAD, after, outside=True) is not None
+        return find_record(stream.window, stream.at + _MIN_CHUNK_HEAD, after, outside=True) is not None
 
     def _is_followed(self, total: int) -> bool:
         stream = self._stream

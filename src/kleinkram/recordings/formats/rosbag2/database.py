@@ -45,7 +45,7 @@ _PREPARE = (
     f"PRAGMA cache_size=-{CACHE_KIB}",
 )
 _TEXT_COLUMNS = ("name", "type", "serialization_format")
-_MOST_FAULTS = 10
+_MAX_FAULTS = 10
 _MAX_STATED = 4 * 2**20
 
 
@@ -183,7 +183,7 @@ def _stated_value(text: str, key: str) -> str:
 
 def find_faults(database: sqlite3.Connection) -> list[str]:
     """Check the structure of every page; return the faults in SQLite's words."""
-    rows = database.execute(f"PRAGMA quick_check({_MOST_FAULTS})").fetchall()
+    rows = database.execute(f"PRAGMA quick_check({_MAX_FAULTS})").fetchall()
     return [str(row[0]) for row in rows if row[0] != "ok"]
 
 
@@ -197,7 +197,7 @@ LOG_SUFFIXES = (WAL_SUFFIX, JOURNAL_SUFFIX)
 _WAL_HEADER = struct.Struct(">8I")
 _FRAME_HEADER = struct.Struct(">6I")
 _WAL_MAGICS = (0x377F0682, 0x377F0683)
-_MOST_FRAMES = 4_000_000
+_MAX_FRAMES = 4_000_000
 # At the end of a journal that names another one. SQLite would delete that file, whichever it is.
 _JOURNAL_MAGIC = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
 _READ_ONLY_PRAGMAS = frozenset(("trusted_schema", "locking_mode", "journal_mode", "wal_checkpoint", "schema_version"))
@@ -289,7 +289,7 @@ def _pages_not_merged(path: Path, wal: Path) -> int:
             return 0
         committed: dict[int, int] = {}
         open_frames: dict[int, int] = {}
-        for _ in range(_MOST_FRAMES):
+        for _ in range(_MAX_FRAMES):
             at = log.tell()
             frame = log.read(_FRAME_HEADER.size)
             if len(frame) < _FRAME_HEADER.size:

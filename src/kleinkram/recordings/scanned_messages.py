@@ -1,7 +1,7 @@
-"""Counts the messages that a scan finds, by topic.
+"""The messages that a scan finds: batches, their places in the file, and counts and times by topic.
 
-A message names its channel by a number, whose definition may follow only at the end of the file. Messages of a number
-without topic wait under the number.
+A message refers to its channel by a number, which the file may define only later, even at its end. Until then, its
+messages are counted under the number.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ROW = 3  # numbers that a `Batch` keeps of a message: log time, publish time (0:
 
 _SAMPLE = 4096
 _NOTABLE_NS = 1_000_000_000
-_MOST = 2**63 - 1
+_MAX_INT64 = 2**63 - 1
 _WAITING = "\udcff channel "  # no topic of a file begins so: what is not UTF-8 in one was replaced
 
 
@@ -105,7 +105,7 @@ class MessageCounter:
 
     def finish(self) -> int:
         """End the timeline; drop the messages that belong to no topic, and return how many."""
-        self.timeline.settle(None)
+        self.timeline.finish(None)
         nameless = [name for name in self.timeline.topics if name.startswith(_WAITING)]
         lost = sum(self.timeline.topics.pop(name).count for name in nameless)
         self.messages -= lost
@@ -117,7 +117,7 @@ class MessageCounter:
             stamps, published = array("Q", [log for log, _ in known]), array("Q", [publish for _, publish in known])
         late = list(map(sub, stamps, published))
         if late and (max(late) > _NOTABLE_NS or min(late) < -_NOTABLE_NS):
-            notable = [max(-_MOST, min(_MOST, ns)) for ns in late if abs(ns) > _NOTABLE_NS]
+            notable = [max(-_MAX_INT64, min(_MAX_INT64, ns)) for ns in late if abs(ns) > _NOTABLE_NS]
             self.lateness.setdefault(topic, Lateness()).add(notable)
 
 
