@@ -358,7 +358,7 @@ def end_of_chunk(source: Source, row: Row, open_chunk: OpenChunk) -> int | None:
 
 def unlisted(source: Source, rows: Int64Table[Row], open_chunk: OpenChunk) -> Int64Table[FileGap]:
     """Return the ranges of a file outside of the chunks that are where the index lists them; reads the head of each."""
-    gaps, at = Int64Table(FileGap, len(FileGap._fields)), 0
+    gaps, at = Int64Table(FileGap), 0
     for row in rows:
         end = end_of_chunk(source, row, open_chunk) if row.start >= at else None
         if end is not None:

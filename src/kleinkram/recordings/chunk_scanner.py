@@ -20,7 +20,7 @@ from kleinkram.recordings.compression import decompress, decompress_beginning, u
 from kleinkram.recordings.damage_report import DamageReport, IndexedChunk, ProblemLog
 from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.formats.base import MemberContents
-from kleinkram.recordings.index_check import ChunkClaim, ChunkMessages, IndexFaults, new_table, wrong_times
+from kleinkram.recordings.index_check import ChunkClaim, ChunkMessages, IndexFaults, wrong_times
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES
 from kleinkram.recordings.messages import Channel
 from kleinkram.recordings.model import RecordingSummary, counted
@@ -32,7 +32,6 @@ from kleinkram.recordings.timeline import ChunkEntries, Timeline
 LOOK = 64 * 2**10  # bytes from the start of a record within which its fixed fields and names are
 
 _SEARCH_BYTES = 4 * 2**20
-_FIRST_NS = Row._fields.index("first_ns")
 
 ChannelT = TypeVar("ChannelT", bound=scanned_messages.HasTopic)
 FactsT = TypeVar("FactsT", bound="ChunkedFacts[Any]")
@@ -89,7 +88,7 @@ class ChunkScanner(ABC, Generic[FactsT]):
         self._observer = observer
         self._chunk: IndexedChunk | None = None
         self._content = b""
-        self._actual_chunks = new_table()
+        self._actual_chunks = chunk_table.Int64Table(ChunkClaim)
 
     @abstractmethod
     def _walk(self, raw: bytes, batch: Batch, *, may_end_early: bool = False) -> ChunkContents:
@@ -288,7 +287,7 @@ def count_by_index(
     """Count the messages that the indexes of all chunks list, and the chunks that cannot be read."""
     for channel in facts.channels.values():
         timeline.topic(channel.topic)
-    watermarks = chunk_table.smallest_to_come(facts.table.rows.column(_FIRST_NS))
+    watermarks = chunk_table.smallest_to_come(facts.table.rows.column("first_ns"))
     for (row, head, entries), before_ns in zip(indexes, watermarks, strict=True):
         by_topic: dict[str, ChunkEntries] = {}
         messages = ChunkMessages()

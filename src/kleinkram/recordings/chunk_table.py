@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Container, Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
 from operator import le
@@ -49,15 +49,15 @@ class ChannelSets:
         return None if number == ANY_CHANNEL else self.members[number]
 
 
-RowT = TypeVar("RowT", bound=tuple[int, ...])
+RowT = TypeVar("RowT", bound=NamedTuple)
 
 
 class Int64Table(Generic[RowT]):
-    """Rows of unsigned 64-bit numbers. `make` builds a row, a NamedTuple of `columns` numbers."""
+    """Rows of unsigned 64-bit numbers; `row_type`: a NamedTuple of integers."""
 
-    def __init__(self, make: Callable[..., RowT], columns: int) -> None:
-        self._make = make
-        self._columns = columns
+    def __init__(self, row_type: type[RowT]) -> None:
+        self._row_type = row_type
+        self._columns = len(row_type._fields)
         self._cells = array("Q")
 
     def __len__(self) -> int:
@@ -65,7 +65,7 @@ class Int64Table(Generic[RowT]):
 
     def __getitem__(self, number: int) -> RowT:
         at = number * self._columns
-        return self._make(*self._cells[at : at + self._columns])
+        return self._row_type._make(self._cells[at : at + self._columns])
 
     def __iter__(self) -> Iterator[RowT]:
         return (self[number] for number in range(len(self)))
@@ -90,13 +90,13 @@ class Int64Table(Generic[RowT]):
         """Remove the last row, if there is one."""
         del self._cells[-self._columns :]
 
-    def column(self, number: int) -> array[int]:
+    def column(self, name: str) -> array[int]:
         """Return one column."""
-        return self._cells[number :: self._columns]
+        return self._cells[self._row_type._fields.index(name) :: self._columns]
 
     def sort(self) -> None:
         """Sort the rows by their first column."""
-        keys = self.column(0)
+        keys = self._cells[0 :: self._columns]
         if all(map(le, keys, keys[1:])):
             return
         ordered = array("Q")
@@ -160,7 +160,7 @@ class Row(NamedTuple):
 class ChunkTable:
     """The chunks of one file, in file order. `readable_ranges`: of the content of damaged chunks, by their start."""
 
-    rows: Int64Table[Row] = field(default_factory=lambda: Int64Table(Row, len(Row._fields)))
+    rows: Int64Table[Row] = field(default_factory=lambda: Int64Table(Row))
     readable_ranges: dict[int, ReadableRanges] = field(default_factory=dict)
     sets: ChannelSets = field(default_factory=ChannelSets)
 
@@ -179,9 +179,8 @@ class ChunkTable:
         hits = [
             number == ANY_CHANNEL or bool(members & channel_ids) for number, members in enumerate(self.sets.members)
         ]
-        columns = (self.rows.column(Row._fields.index(name)) for name in ("first_ns", "last_ns", "channels"))
         start_ns, end_ns = selection.start_ns, selection.end_ns
-        firsts, lasts, sets = columns
+        firsts, lasts, sets = map(self.rows.column, ("first_ns", "last_ns", "channels"))
         numbers = array(
             "Q",
             (

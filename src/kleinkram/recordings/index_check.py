@@ -168,11 +168,6 @@ def compare_with_scan(
         faults.note(start, "the index is wrong: it does not list this chunk")
 
 
-def new_table() -> Int64Table[ChunkClaim]:
-    """Return an empty table of chunks."""
-    return Int64Table(ChunkClaim, len(ChunkClaim._fields))
-
-
 MAX_COMPARED_NEAR = 4096
 """Chunks of a local file that are all compared; of a file with more, so many at even distances are compared first."""
 
@@ -280,11 +275,11 @@ class IndexCheck:
 
 def contradicts_itself(table: ChunkTable, span: tuple[int | None, int | None]) -> bool:
     """Return whether the times of chunks cannot be true. `span`: of all messages, by the statistics."""
-    firsts, lasts = (table.rows.column(Row._fields.index(name)) for name in ("first_ns", "last_ns"))
+    firsts, lasts = map(table.rows.column, ("first_ns", "last_ns"))
     if any(map(gt, firsts, lasts)):
         return True
     if None in span or not firsts:
         return False
-    sizes = table.rows.column(Row._fields.index("uncompressed_bytes"))
+    sizes = table.rows.column("uncompressed_bytes")
     filled = [first for first, size in zip(firsts, sizes, strict=True) if size]
     return span != (min(filled, default=span[0]), max(lasts))

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from itertools import chain
 
 from kleinkram.recordings.chunk_scanner import ChunkIndex, count_by_index
-from kleinkram.recordings.chunk_table import ANY_CHANNEL, ChunkHead, Row
+from kleinkram.recordings.chunk_table import ANY_CHANNEL, ChunkHead
 from kleinkram.recordings.compression import is_known_compression
 from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Malformed, NotIndexed
@@ -185,7 +185,7 @@ def _check_compressions(source: Source, facts: McapFacts) -> None:
 
 def _index_ranges(facts: McapFacts) -> Iterator[tuple[int, int]]:
     """Yield where the message indexes of each chunk begin, and their size."""
-    starts, lengths, ends = (facts.table.rows.column(Row._fields.index(name)) for name in ("start", "length", "end"))
+    starts, lengths, ends = map(facts.table.rows.column, ("start", "length", "end"))
     return ((start + length, end - start - length) for start, length, end in zip(starts, lengths, ends, strict=True))
 
 
@@ -230,7 +230,7 @@ def _check_table(facts: McapFacts) -> None:
     if statistics is not None and len(rows) != statistics.chunks:
         message = f"the statistics say {counted(statistics.chunks, 'chunk')}, the index lists {len(rows)}"
         raise NotIndexed("counts-disagree", message, is_problem=True)
-    if statistics is None and ANY_CHANNEL in rows.column(Row._fields.index("channels")):
+    if statistics is None and ANY_CHANNEL in rows.column("channels"):
         raise NotIndexed("no-message-index", "the file has chunks without message index", is_problem=False)
     if not facts.table.known_channels() <= facts.channels.keys():
         raise NotIndexed("no-channels", "the summary does not list all channels", is_problem=False)

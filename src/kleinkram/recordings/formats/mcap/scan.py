@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from kleinkram.recordings.chunk_scanner import LOOK, ChunkContents, ChunkScan, ChunkScanner
-from kleinkram.recordings.chunk_table import UNKNOWN, ChunkHead
+from kleinkram.recordings.chunk_table import UNKNOWN, ChunkHead, Int64Table
 from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.formats.mcap import chunks, records, resync
 from kleinkram.recordings.formats.mcap.chunks import MESSAGE_FIXED, MESSAGE_HEAD, walk_messages
 from kleinkram.recordings.formats.mcap.records import RECORD_HEAD, ChannelRecord, McapFacts, Opcode
-from kleinkram.recordings.index_check import ChunkClaim, compare_with_scan, new_table, wrong_compression
+from kleinkram.recordings.index_check import ChunkClaim, compare_with_scan, wrong_compression
 from kleinkram.recordings.limits import MAX_TAKE, WINDOW
 from kleinkram.recordings.model import counted
 from kleinkram.recordings.scanned_messages import Batch, MessageCounter, MessageObserver, MessagePlace, PlaceKind
@@ -73,7 +73,7 @@ class _McapScanner(ChunkScanner[McapFacts]):
         return scan
 
     def _compare_index(self) -> None:
-        facts, claims = self._scan.facts, new_table()
+        facts, claims = self._scan.facts, Int64Table(ChunkClaim)
         for row in facts.table.rows:
             times = row.first_ns, row.last_ns
             claims.append(ChunkClaim(row.start, row.start + row.length, *times, row.channels, UNKNOWN))

@@ -85,7 +85,7 @@ def _place_chunks(facts: BagFacts, index_start: int) -> None:
     """Sort the chunks and set their ends."""
     rows = facts.table.rows
     rows.sort()
-    starts = rows.column(0)
+    starts = rows.column("start")
     ends = [*starts[1:], index_start] if starts else []
     for number, (start, end) in enumerate(zip(starts, ends, strict=True)):
         if not len(records.MAGIC) <= start < end <= index_start:

@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from kleinkram.recordings.chunk_scanner import LOOK, ChunkContents, ChunkScan, ChunkScanner, search_width
-from kleinkram.recordings.chunk_table import UNKNOWN, ChunkHead
+from kleinkram.recordings.chunk_table import UNKNOWN, ChunkHead, Int64Table
 from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.formats.rosbag1 import chunks, records
 from kleinkram.recordings.formats.rosbag1.chunks import BagFacts, BagRecord, find_record, opcode_at, parse_record
 from kleinkram.recordings.formats.rosbag1.records import Op
-from kleinkram.recordings.index_check import ChunkClaim, compare_with_scan, new_table
+from kleinkram.recordings.index_check import ChunkClaim, compare_with_scan
 from kleinkram.recordings.limits import LOOK_AHEAD, MAX_CHUNK_INDEX, MAX_HEADER, MAX_TAKE
 from kleinkram.recordings.model import counted
 from kleinkram.recordings.scanned_messages import Batch, MessageCounter, MessageObserver, MessagePlace, PlaceKind
@@ -47,7 +47,7 @@ class _BagScanner(ChunkScanner[BagFacts]):
 
     def __init__(self, reader: SequentialReader, observer: MessageObserver | None) -> None:
         super().__init__(BagScan(), LookaheadStream(reader, with_crc=False), observer)
-        self._claims = new_table()
+        self._claims = Int64Table(ChunkClaim)
         self._claimed_messages = self._claimed_connections = self._claimed_chunks = 0
 
     def run(self) -> BagScan:
