@@ -95,7 +95,10 @@ class DamageReport:
             is_broken = not self.damage or any(fault.certain for fault in self.damage)
             content = Content.broken if is_broken else Content.opaque
         if self.damage:
-            parts.append(f"it is damaged {_describe_damage(self.damage)}")
+            first, others = self.damage[0], len(self.damage) - 1
+            place = f"at {first.where}" if first.where.startswith("byte ") else f"in the {first.where}"
+            more = f" (and {counted(others, 'more damaged place')})" if others else ""
+            parts.append(f"it is damaged {place}: {first.message}{more}")
         if self.unverified:
             saved = counted(self.unverified, "message was", "messages were")
             parts.append(f"{saved} saved from the beginning of a cut chunk{checksum_note}")
@@ -125,13 +128,6 @@ def describe_readable(messages: int, lost: Lost | None) -> str:
         parts.insert(0, counted(lost.chunks, "chunk"))
     parts.append("an unknown number of messages" if lost.messages is None else counted(lost.messages, "message"))
     return f"{readable}; lost: {', '.join(parts)}"
-
-
-def _describe_damage(damage: Sequence[Malformed]) -> str:
-    first = damage[0]
-    place = f"at {first.where}" if first.where.startswith("byte ") else f"in the {first.where}"
-    more = f" (and {counted(len(damage) - 1, 'more damaged place')})" if len(damage) > 1 else ""
-    return f"{place}: {first.message}{more}"
 
 
 def _max_unpacked(end: int) -> int:

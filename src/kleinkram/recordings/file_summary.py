@@ -122,15 +122,15 @@ def clock_jump_problems(jumps: Mapping[str, Jump]) -> list[Problem]:
     if not jumps:
         return []
     name, jump = max(jumps.items(), key=lambda item: item[1].before_ns - item[1].after_ns)
-    back = f"log times jump back by {_span(jump.before_ns - jump.after_ns)} at {_time(jump.before_ns)}"
-    reader = f", and forward again at {_time(jump.return_ns)}" if jump.return_ns is not None else ""
+    back_ns = jump.before_ns - jump.after_ns
+    span = f"{back_ns / _HOUR_NS:.3g} h" if back_ns > 0.9 * _HOUR_NS else f"{back_ns / 1e9:.1f} s"
+    forward = f", and forward again at {_time(jump.return_ns)}" if jump.return_ns is not None else ""
     where = name if len(jumps) == 1 else f"{len(jumps)} topics"
-    message = f"{back}{reader}: the clock was set while it recorded, so order, span and gaps are unreliable"
+    message = (
+        f"log times jump back by {span} at {_time(jump.before_ns)}{forward}: the clock was set while it recorded, "
+        "so order, span and gaps are unreliable"
+    )
     return [Problem("clock-jump", where, message)]
-
-
-def _span(time_ns: int) -> str:
-    return f"{time_ns / _HOUR_NS:.3g} h" if time_ns > 0.9 * _HOUR_NS else f"{time_ns / 1e9:.1f} s"
 
 
 def _time(stamp_ns: int) -> str:

@@ -16,7 +16,7 @@ from kleinkram.recordings.errors import SourceError
 from kleinkram.recordings.formats.rosbag2.metadata import METADATA_NAME
 from kleinkram.recordings.model import Content, Depth, RecordingFormat, RecordingSummary
 from kleinkram.recordings.recording_groups import FolderRecordings, RecordingGroup, RecordingGroupKind
-from kleinkram.recordings.sources import FileReader, FileSource
+from kleinkram.recordings.sources import FileSource, SourceReader
 from kleinkram.recordings.summary import scan, summarise
 
 _TOPIC_FIELDS = (
@@ -134,12 +134,12 @@ class _FileInspector:
             if self.depth is Depth.summary:
                 with FileSource(path) as source:
                     return summarise(source)
-            with FileReader(path) as reader:
+            with FileSource(path) as source:
                 if self.progress is None:
-                    return scan(reader)
-                self.progress.began(str(path), reader.size_bytes)
+                    return scan(SourceReader(source))
+                self.progress.began(str(path), source.size_bytes)
                 try:
-                    return scan(_ProgressReader(reader, self.progress))
+                    return scan(_ProgressReader(source, self.progress))
                 finally:
                     self.progress.ended()
         except SourceError as error:
@@ -176,14 +176,13 @@ class _FileInspector:
         return Inspection(str(folder / group.name), InspectionKind.recording, members, summary)
 
 
-class _ProgressReader:
-    def __init__(self, reader: FileReader, progress: ScanProgress) -> None:
-        self.name, self.size_bytes, self.path = reader.name, reader.size_bytes, reader.path
-        self._reader = reader
+class _ProgressReader(SourceReader):
+    def __init__(self, source: FileSource, progress: ScanProgress) -> None:
+        super().__init__(source)
         self._progress = progress
 
     def read(self, length: int) -> bytes:
-        data = self._reader.read(length)
+        data = super().read(length)
         self._progress.moved(len(data))
         return data
 

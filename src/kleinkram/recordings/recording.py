@@ -37,7 +37,7 @@ from kleinkram.recordings.messages import (
     to_ns,
 )
 from kleinkram.recordings.model import Problem
-from kleinkram.recordings.open_recording import Openable, open_members
+from kleinkram.recordings.recording_files import Openable, open_members
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -272,14 +272,11 @@ class Recording:
         blocks = merge(heapq.merge(*pieces, key=lambda piece: piece.first_ns), self._problem_log.note_late)
         channels = (channel for member in self._members for channel in member.contents.channels.values())
         if any(channel.message_compression for channel in channels):
-            return (self._uncompressed(block) for block in blocks)
+            return ([one for one in map(self._decompressed, block) if one is not None] for block in blocks)
         return blocks
 
-    def _uncompressed(self, block: Block) -> Block:
-        """Decompress single messages; a damaged one is left out and reported."""
-        return [unpacked for message in block if (unpacked := self._unpack(message)) is not None]
-
-    def _unpack(self, message: RawMessage) -> RawMessage | None:
+    def _decompressed(self, message: RawMessage) -> RawMessage | None:
+        """Decompress a single message; report a damaged one and return None."""
         if not message.channel.message_compression:
             return message
         try:

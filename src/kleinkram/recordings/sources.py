@@ -247,24 +247,6 @@ class SourceReader:
         return read_ahead(tasks, workers=workers, max_bytes=workers * READ_AHEAD)
 
 
-class FileReader(SourceReader):
-    """Reads a local file. Close it, or use it in a `with`. `SourceError` if it cannot be opened."""
-
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        self._file = FileSource(path)
-        super().__init__(self._file)
-
-    def close(self) -> None:
-        """Close the file; a second call does nothing."""
-        self._file.close()
-
-    def __enter__(self) -> FileReader:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-
 class PipeReader:
     """Reads exactly `size_bytes` bytes of a stream. `name`: of the file, for messages and its extension."""
 

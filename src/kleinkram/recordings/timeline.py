@@ -247,7 +247,10 @@ class Timeline:
         shares = _message_bytes(entries, uncompressed_bytes)
         for entry, share in zip(entries, shares, strict=True):
             stored = share * stored_bytes // uncompressed_bytes if uncompressed_bytes else 0
-            self.add(entry.topic, _in_file_order(entry), stored)
+            stamps = entry.stamps
+            if any(map(lt, entry.offsets[1:], entry.offsets)):  # not in file order
+                stamps = [stamp for _, stamp in sorted(zip(entry.offsets, stamps, strict=True), key=itemgetter(0))]
+            self.add(entry.topic, stamps, stored)
 
     def finish(self, before_ns: int | None) -> None:
         """State that no stamp below `before_ns` will follow; None: none at all."""
@@ -259,7 +262,7 @@ class Timeline:
             if times.pending:
                 times.finish(before_ns, max_bins)
         self._pending = sum(len(times.pending) for times in self.topics.values())
-        # Not again for the few that come between where many must wait for long.
+        # Where many stamps wait for long, the next call waits for as many more.
         self._finish_at = max(FINISH_AT, 2 * self._pending)
         self.bound()
 
@@ -274,12 +277,6 @@ class Timeline:
                 # Including the one in the middle: all of them may be equal.
                 times.finish(stamps[len(stamps) // 2] + 1, max_bins)
         self._pending = sum(len(times.pending) for times in self.topics.values())
-
-
-def _in_file_order(entry: ChunkEntries) -> Sequence[int]:
-    if not any(map(lt, entry.offsets[1:], entry.offsets)):
-        return entry.stamps
-    return [stamp for _, stamp in sorted(zip(entry.offsets, entry.stamps, strict=True), key=itemgetter(0))]
 
 
 def _message_bytes(entries: Sequence[ChunkEntries], uncompressed_bytes: int) -> list[int]:

@@ -26,7 +26,7 @@ from kleinkram.recordings.isolation import (
     timed_out,
 )
 from kleinkram.recordings.sample import generate_mcap
-from kleinkram.recordings.sources import FileReader
+from kleinkram.recordings.sources import SourceReader
 from kleinkram.recordings.summary import scan
 from tests.unit.recordings.test_hostile import chunk, mcap_of
 
@@ -41,8 +41,8 @@ def test_same_summary_as_in_this_process(tmp_path: Path) -> None:
 
 def test_same_scan_as_in_this_process(tmp_path: Path) -> None:
     truth = generate_mcap(tmp_path / "drive.mcap", duration_s=1)
-    with FileReader(truth.path) as reader:
-        assert summarise_isolated(FileRequest(str(truth.path)), depth=Depth.scan) == scan(reader)
+    with FileSource(truth.path) as source:
+        assert summarise_isolated(FileRequest(str(truth.path)), depth=Depth.scan) == scan(SourceReader(source))
 
 
 def test_bytes_that_follow_the_request(tmp_path: Path) -> None:
@@ -56,8 +56,8 @@ def test_bytes_that_follow_the_request(tmp_path: Path) -> None:
     done = subprocess.run(CHILD_COMMAND, input=lines, env=CHILD_ENVIRONMENT, capture_output=True, check=True)
     first, second = (read_answer(line, b"", 0) for line in done.stdout.splitlines())
     assert first.content is Content.opaque
-    with FileReader(truth.path) as reader:
-        assert second == scan(reader)
+    with FileSource(truth.path) as source:
+        assert second == scan(SourceReader(source))
 
 
 def test_metadata_of_a_folder() -> None:

@@ -14,7 +14,7 @@ import zstandard
 from kleinkram.recordings import Content, FileSource, Recording, RecordingSummary, summarise
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
-from kleinkram.recordings.sources import FileReader
+from kleinkram.recordings.sources import SourceReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.agreement import ParallelSource, accounts_of, disagreements
 from tests.recording_files.builders import T0, bag_of, mcap_of
@@ -24,8 +24,8 @@ _MESSAGES = 1000
 
 
 def by_scan(path: Path) -> RecordingSummary:
-    with FileReader(path) as reader:
-        return scan(reader)
+    with FileSource(path) as source:
+        return scan(SourceReader(source))
 
 
 def by_index(path: Path) -> RecordingSummary:

@@ -212,7 +212,17 @@ def arrow_batches(
         ReadingExtraMissing: numpy or pyarrow is not installed.
     """
     _arrow()
-    rows = _rows_of(decoder, fields, notice or _ignore)
+    rows: Callable[[list[int], list[int], list[bytes]], Any]
+    if isinstance(decoder, Undecodable):
+        rows = _raw_rows
+    elif decoder.struct is None:
+        from kleinkram.recordings.decoding.json_rows import JsonRows
+
+        rows = JsonRows(decoder, fields, notice or _ignore)
+    else:
+        from kleinkram.recordings.decoding.typed_rows import TypedRows
+
+        rows = TypedRows(decoder, decoder.struct, columns_of(decoder.struct, fields), notice or _ignore)
     is_first = True
     for log_ns, publish_ns, data in _batches(messages):
         yield rows(log_ns, publish_ns, data)
@@ -221,7 +231,10 @@ def arrow_batches(
         yield rows([], [], [])
 
 
-Rows = Callable[[list[int], list[int], list[bytes]], Any]
+def _raw_rows(log_ns: list[int], publish_ns: list[int], data: list[bytes]) -> Any:
+    import pyarrow as pa
+
+    return timed_batch(log_ns, publish_ns, ["data"], [pa.array([bytes(raw) for raw in data], pa.binary())])
 
 
 def _arrow() -> Any:
@@ -248,21 +261,3 @@ def _batches(messages: Iterable[TimedMessage]) -> Iterator[tuple[list[int], list
         size += len(raw)
     if data:
         yield log_ns, publish_ns, data
-
-
-def _rows_of(decoder: Decoder | Undecodable, fields: Sequence[str] | None, notice: Notice) -> Rows:
-    if isinstance(decoder, Undecodable):
-        return _raw_rows
-    if decoder.struct is None:
-        from kleinkram.recordings.decoding.json_rows import JsonRows
-
-        return JsonRows(decoder, fields, notice)
-    from kleinkram.recordings.decoding.typed_rows import TypedRows
-
-    return TypedRows(decoder, decoder.struct, columns_of(decoder.struct, fields), notice)
-
-
-def _raw_rows(log_ns: list[int], publish_ns: list[int], data: list[bytes]) -> Any:
-    import pyarrow as pa
-
-    return timed_batch(log_ns, publish_ns, ["data"], [pa.array([bytes(raw) for raw in data], pa.binary())])

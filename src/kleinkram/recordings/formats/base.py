@@ -60,7 +60,7 @@ class OpenContext:
 
     Attributes:
         stack: closes what is opened here, with the recording.
-        max_bytes: a file with more bytes is not read whole to open it; None: as `limit_of` says.
+        max_bytes: a file with more bytes is not scanned to open it; None: of remote files, `MAX_REMOTE_SCAN_BYTES`.
         message_compression: of each message by itself, by metadata.yaml.
         logs: logs and journals of databases, by their names.
     """
@@ -71,11 +71,13 @@ class OpenContext:
     message_compression: str = ""
     logs: Mapping[str, Source] = field(default_factory=dict)
 
-    def limit_of(self, source: Source) -> int | None:
-        """Return how many bytes of a file may be read only to open it; None: all."""
-        if self.max_bytes is not None:
-            return self.max_bytes
-        return None if isinstance(source, FileSource) else MAX_REMOTE_SCAN_BYTES
+    def check_cost(self, source: Source, why: str) -> None:
+        """Raise `TooCostly` if a file is too large to be scanned in order to open it."""
+        max_bytes = self.max_bytes
+        if max_bytes is None and not isinstance(source, FileSource):
+            max_bytes = MAX_REMOTE_SCAN_BYTES
+        if max_bytes is not None and source.size_bytes > max_bytes:
+            raise TooCostly(source.name, source.size_bytes, why)
 
     def copy(self, read: Callable[[int], bytes], name: str, logs: Mapping[str, Source] | None = None) -> Path:
         """Write a file, and a database's logs by their suffixes, to temporary files until the recording is closed."""
@@ -141,9 +143,3 @@ class Member(Protocol):
 
     def pieces(self, selection: Selection, order: tuple[int, ...]) -> Iterator[MessagePiece]:
         """Yield the parts that may hold selected messages, by first time."""
-
-
-def check_cost(source: Source, max_bytes: int | None, why: str) -> None:
-    """Raise `TooCostly` if a file with more than `max_bytes` (None: any) would be read whole."""
-    if max_bytes is not None and source.size_bytes > max_bytes:
-        raise TooCostly(source.name, source.size_bytes, why)

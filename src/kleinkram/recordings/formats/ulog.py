@@ -24,7 +24,7 @@ from kleinkram.recordings.compression import Buffer
 from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.file_summary import TopicType, build_summary, pending
-from kleinkram.recordings.formats.base import Format, MemberContents, OpenContext, RecordingFile, check_cost
+from kleinkram.recordings.formats.base import Format, MemberContents, OpenContext, RecordingFile
 from kleinkram.recordings.limits import MAX_DEFINITIONS, MAX_NAME, MAX_TOPICS, WINDOW
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.model import Content, Depth, Fact, Problem, RecordingFormat, RecordingSummary, counted
@@ -390,7 +390,7 @@ def _problems(scan: UlogScan) -> Iterator[Problem]:
 def open_ulog(file: RecordingFile, context: OpenContext) -> ChunkedMember:
     """Open a flight log, by one pass over it; `TooCostly` if it has more bytes than may be read."""
     source, problem_log = file.source, context.problem_log
-    check_cost(source, context.limit_of(source), "a flight log (ULog) has no index")
+    context.check_cost(source, "a flight log (ULog) has no index")
     builder = ChunkTableBuilder(problem_log)
     scan = _UlogScanner(SourceReader(source), builder).run()
     builder.close()

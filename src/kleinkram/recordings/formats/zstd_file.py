@@ -17,7 +17,7 @@ import zstandard
 from kleinkram.recordings.compression import open_decompressed
 from kleinkram.recordings.errors import Cut, Malformed, NotARecording
 from kleinkram.recordings.file_summary import pending
-from kleinkram.recordings.formats.base import LONG_HEAD_BYTES, Format, Member, OpenContext, RecordingFile, check_cost
+from kleinkram.recordings.formats.base import LONG_HEAD_BYTES, Format, Member, OpenContext, RecordingFile
 from kleinkram.recordings.limits import FREE_UNPACKED, MAX_EXPANSION, MAX_ZSTD_WINDOW
 from kleinkram.recordings.model import Content, Depth, Lost, RecordingFormat, RecordingSummary
 from kleinkram.recordings.sources import FileSource, SequentialReader, Source, SourceReader
@@ -129,7 +129,7 @@ def _open(file: RecordingFile, context: OpenContext) -> Member:
     from kleinkram.recordings.formats import registry  # which imports this module
 
     source = file.source
-    check_cost(source, context.limit_of(source), "it is compressed as a whole")
+    context.check_cost(source, "it is compressed as a whole")
     unpacked = _Unpacked(SourceReader(source))
     path = context.copy(unpacked.read, source.name)
     if unpacked.fault:

@@ -14,7 +14,7 @@ from kleinkram.recordings.chunk_table import ChunkTableBuilder
 from kleinkram.recordings.damage_report import DamageReport
 from kleinkram.recordings.errors import NotIndexed
 from kleinkram.recordings.file_summary import TopicType
-from kleinkram.recordings.formats.base import Format, MemberContents, OpenContext, RecordingFile, check_cost
+from kleinkram.recordings.formats.base import Format, MemberContents, OpenContext, RecordingFile
 from kleinkram.recordings.formats.mcap import chunks
 from kleinkram.recordings.formats.mcap.index import read_index
 from kleinkram.recordings.formats.mcap.records import MAGIC, ChannelRecord, McapFacts
@@ -123,7 +123,7 @@ def open_mcap(file: RecordingFile, context: OpenContext) -> ChunkedMember:
     try:
         facts = read_index(source)
     except NotIndexed as refusal:
-        check_cost(source, context.limit_of(source), str(refusal))
+        context.check_cost(source, str(refusal))
         if refusal.code == "no-footer" or refusal.is_problem:
             problem_log.add(refusal.code, source.name, str(refusal))
         builder = ChunkTableBuilder(problem_log)

@@ -12,7 +12,7 @@ from kleinkram.recordings.chunk_table import ChunkTableBuilder
 from kleinkram.recordings.damage_report import DamageReport, describe_readable
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.file_summary import TopicType
-from kleinkram.recordings.formats.base import Format, MemberContents, OpenContext, RecordingFile, check_cost
+from kleinkram.recordings.formats.base import Format, MemberContents, OpenContext, RecordingFile
 from kleinkram.recordings.formats.rosbag1 import chunks, records
 from kleinkram.recordings.formats.rosbag1.chunks import BagFacts
 from kleinkram.recordings.formats.rosbag1.index import read_index
@@ -86,7 +86,7 @@ def open_bag(file: RecordingFile, context: OpenContext) -> ChunkedMember:
         facts = read_index(source)
     except Malformed as error:
         why = f"the index cannot be used: {error}"
-        check_cost(source, context.limit_of(source), why)
+        context.check_cost(source, why)
         problem_log.add("no-index", source.name, why)
         builder = ChunkTableBuilder(problem_log)
         scan = scan_bag_records(SourceReader(source), builder)

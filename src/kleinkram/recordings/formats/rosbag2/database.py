@@ -16,7 +16,7 @@ import sqlite3
 import struct
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from itertools import count
 from pathlib import Path
 from typing import NamedTuple
@@ -24,7 +24,7 @@ from typing import NamedTuple
 from kleinkram.recordings.errors import Malformed, SourceError
 from kleinkram.recordings.limits import MAX_NAME, MAX_NAMES, MAX_TOPICS
 from kleinkram.recordings.model import Problem, counted
-from kleinkram.recordings.sources import FileReader
+from kleinkram.recordings.sources import FileSource, SourceReader
 from kleinkram.recordings.temporary_files import TooLarge, temporary_database
 
 CACHE_KIB = 16 * 1024
@@ -237,12 +237,11 @@ def replayed_copy(path: Path) -> Iterator[Path | None]:
     """Yield a temporary copy of a database with log and journal applied; None without room, or if SQLite fails."""
     present = [suffix for suffix in LOG_SUFFIXES if Path(f"{path}{suffix}").is_file()]
     try:
-        with FileReader(path) as database:
-            logs = {suffix: FileReader(f"{path}{suffix}") for suffix in present}
-            reads = {suffix: log.read for suffix, log in logs.items()}
-            with temporary_database(database.read, reads) as copy:
-                for log in logs.values():
-                    log.close()
+        with ExitStack() as stack:
+            database = stack.enter_context(FileSource(path))
+            logs = {suffix: stack.enter_context(FileSource(f"{path}{suffix}")) for suffix in present}
+            reads = {suffix: SourceReader(log).read for suffix, log in logs.items()}
+            with temporary_database(SourceReader(database).read, reads) as copy:
                 yield copy if replay(copy) else None
     except TooLarge:
         yield None

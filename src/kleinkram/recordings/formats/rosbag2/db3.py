@@ -369,7 +369,7 @@ def _summarise(source: Source, *, max_bytes: int) -> RecordingSummary:
 def _open(file: base.RecordingFile, context: base.OpenContext) -> Member:
     source, problem_log, compression = file.source, context.problem_log, context.message_compression
     if file.path is None:
-        base.check_cost(source, context.limit_of(source), "a rosbag2 database (db3) is read from a local copy")
+        context.check_cost(source, "a rosbag2 database (db3) is read from a local copy")
     path = file.database = _whole_database(file, context)
 
     def recover() -> Member:
