@@ -14,7 +14,6 @@ from kleinkram.recordings.combine_summaries import combine, combine_folder
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import NotARecording, SeveralRecordings
 from kleinkram.recordings.formats.base import Member, OpenContext, RecordingFile
-from kleinkram.recordings.formats.registry import format_of
 from kleinkram.recordings.formats.rosbag2 import metadata as rosbag2
 from kleinkram.recordings.formats.rosbag2.database import LOG_SUFFIXES
 from kleinkram.recordings.formats.rosbag2.db3 import ROSBAG2_DB3
@@ -23,7 +22,7 @@ from kleinkram.recordings.formats.text_files import UNKNOWN
 from kleinkram.recordings.model import RecordingSummary
 from kleinkram.recordings.recording_groups import read_folder, recording_of_metadata
 from kleinkram.recordings.sources import FileSource, Source, SourceReader
-from kleinkram.recordings.summary import scan, summarise
+from kleinkram.recordings.summary import format_of, scan, summarise
 
 
 @runtime_checkable

@@ -10,7 +10,7 @@ import pytest
 import zstandard
 
 from kleinkram.recordings import FileSource, Lost
-from kleinkram.recordings.formats.mcap.index import read_index
+from kleinkram.recordings.formats.mcap.format import read_index
 from kleinkram.recordings.sample import generate_mcap
 from kleinkram.recordings.sources import CountingSource, SourceReader
 from kleinkram.recordings.summary import scan

@@ -117,7 +117,7 @@ def test_a_bomb_ends_at_the_bound(database: bytes, temporary: Path) -> None:
     bomb = zstandard.compress(database + bytes(200_000_000))
     assert len(bomb) < len(database)
     reader = PipeReader(io.BytesIO(bomb), len(bomb), "a.db3.zstd")
-    summary = scan_zstd_file(reader, scan, max_bytes=5_000_000)
+    summary = scan_zstd_file(reader, max_bytes=5_000_000)
     assert summary.content is Content.pending
     assert "more than 5000000 bytes" in (summary.reason or "")
     assert [*temporary.iterdir()] == []

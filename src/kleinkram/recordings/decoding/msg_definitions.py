@@ -15,7 +15,6 @@ Source: wiki.ros.org/msg; "Interface definition" of the ROS 2 documentation; MCA
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from enum import Enum
 from functools import lru_cache
 from importlib.resources import files
@@ -36,8 +35,22 @@ _LINE = re.compile(
     r"(?P<type>[A-Za-z][A-Za-z0-9_/]*)(?:<=\d{1,18})?(?P<array>\[(?:<=)?(?P<length>\d{0,18})\])?"
     r"[ \t]+(?P<name>[A-Za-z_][A-Za-z0-9_]*)[ \t]*(?P<rest>.*)\Z"
 )
-_TIME = {Ros.one: (("secs", "uint32"), ("nsecs", "uint32")), Ros.two: (("sec", "int32"), ("nanosec", "uint32"))}
-_DURATION = {Ros.one: (("secs", "int32"), ("nsecs", "int32")), Ros.two: (("sec", "int32"), ("nanosec", "uint32"))}
+# The types that a text may use without defining them.
+_BUILT_IN = {
+    Ros.one: {
+        "time": "uint32 secs\nuint32 nsecs",
+        "duration": "int32 secs\nint32 nsecs",
+        "std_msgs/Header": "uint32 seq\ntime stamp\nstring frame_id",
+    },
+    Ros.two: {
+        "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
+        "builtin_interfaces/msg/Duration": "int32 sec\nuint32 nanosec",
+        "service_msgs/msg/ServiceEventInfo": (
+            "uint8 event_type\nbuiltin_interfaces/msg/Time stamp\nchar[16] client_gid\nint64 sequence_number"
+        ),
+        "std_msgs/msg/Header": "builtin_interfaces/msg/Time stamp\nstring frame_id",
+    },
+}
 _OTHER_NAMES = {
     Ros.one: {"byte": PRIMITIVES["int8"], "char": PRIMITIVES["uint8"]},
     Ros.two: {"byte": PRIMITIVES["uint8"], "char": PRIMITIVES["uint8"]},
@@ -50,7 +63,8 @@ def parse_msg(name: str, text: str, ros: Ros) -> types.Struct:
     A service's text, which has "---" between request and response, gives `..._Request`, `..._Response` and the
     `..._Event` that ROS 2 records.
     """
-    definitions = {**_built_in(ros), **_split(name, text)}
+    definitions = {known: _definition(known, built_in) for known, built_in in _BUILT_IN[ros].items()}
+    definitions |= _split(name, text)
     by_short_name: dict[str, Definition] = {}
     for known, definition in definitions.items():
         if "/msg/" in known or short_name(known) not in by_short_name:
@@ -175,32 +189,6 @@ def _constant(type_name: str, text: str) -> types.ConstantValue | None:
         return float(text) if type_name.startswith("float") else int(text, 0)
     except ValueError:
         return None
-
-
-def _built_in(ros: Ros) -> Mapping[str, Definition]:
-    """The types that a text may use without defining them."""
-    prefix = "" if ros is Ros.one else "builtin_interfaces/msg/"
-    time, duration = (
-        (f"{prefix}time", f"{prefix}duration") if ros is Ros.one else (f"{prefix}Time", f"{prefix}Duration")
-    )
-    built_in = [
-        Definition(time, tuple(FieldText(name, kind, ()) for name, kind in _TIME[ros])),
-        Definition(duration, tuple(FieldText(name, kind, ()) for name, kind in _DURATION[ros])),
-    ]
-    if ros is Ros.two:
-        info = (
-            FieldText("event_type", "uint8", ()),
-            FieldText("stamp", "builtin_interfaces/msg/Time", ()),
-            FieldText("client_gid", "char", (16,)),
-            FieldText("sequence_number", "int64", ()),
-        )
-        built_in.append(Definition("service_msgs/msg/ServiceEventInfo", info))
-    frame = (FieldText("stamp", time, ()), FieldText("frame_id", "string", ()))
-    if ros is Ros.one:
-        built_in.append(Definition("std_msgs/Header", (FieldText("seq", "uint32", ()), *frame)))
-    else:
-        built_in.append(Definition("std_msgs/msg/Header", frame))
-    return {definition.name: definition for definition in built_in}
 
 
 @lru_cache(maxsize=1)

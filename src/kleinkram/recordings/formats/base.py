@@ -93,7 +93,7 @@ class Format:
     """One file format.
 
     Attributes:
-        matches: whether a file is of this format, tried in the order of the registry.
+        matches: whether a file is of this format, tried in the order of `FORMATS`.
         extensions: those that promise this format, or one that is as good.
         scan: reads a whole file; None: such a file is only recognised.
         summarise: None: a small file is scanned, a larger one only recognised.
