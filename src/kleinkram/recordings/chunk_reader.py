@@ -116,10 +116,10 @@ class _ChunkReader:
         """Return the numbers of the chunks that may hold selected messages, by their first time."""
         file, channels, check = self._file, frozenset(self._channels), self._file.check
         if check is not None:
-            check.before_selecting()
+            check.check_before_selection()
         self._numbers = file.table.select(self._selection, channels)
         if check is not None and channels and not self._numbers:
-            check.when_nothing_matches()
+            check.check_after_empty_selection()
             self._numbers = file.table.select(self._selection, channels)
         self._is_selection_sure = check is None or check.is_done
         return self._numbers
@@ -131,7 +131,7 @@ class _ChunkReader:
             row = self._file.table.rows[number]
 
             def open_next(row: Row = row) -> MessageRun:
-                return self._with_missed(row, self.open(row, next(loaded)))
+                return self._with_missed_chunks(row, self.open(row, next(loaded)))
 
             def read_again(row: Row = row) -> Block:
                 return self.read_again(row)
@@ -141,7 +141,7 @@ class _ChunkReader:
                 first_ns, (*order, number), open_next, read_again if row.kind == PlaceKind.chunk else None
             )
 
-    def _with_missed(self, row: Row, run: MessageRun) -> MessageRun:
+    def _with_missed_chunks(self, row: Row, run: MessageRun) -> MessageRun:
         """Return the messages of a chunk, with those of chunks that a wrong index had left unselected."""
         check = self._file.check
         if check is None or self._is_selection_sure:
@@ -188,7 +188,7 @@ class _ChunkReader:
         if len(group) == 1 or span > MAX_READ:
             return [self._load(row) for row in group]
         data = memoryview(self._file.source.read(first.start, span))
-        return [self._take(row, data[row.start - first.start :][: row.length]) for row in group]
+        return [self._content_of(row, data[row.start - first.start :][: row.length]) for row in group]
 
     def _load(self, row: Row) -> Loaded:
         start, end = row.start, row.start + row.length
@@ -198,10 +198,10 @@ class _ChunkReader:
             return unreadable_chunk("", stored=row.length, uncompressed=0) or b""
         read = self._file.source.read
         if row.length <= MAX_READ:
-            return self._take(row, read(start, row.length))
-        return self._take(row, b"".join(read(at, min(MAX_READ, end - at)) for at in range(start, end, MAX_READ)))
+            return self._content_of(row, read(start, row.length))
+        return self._content_of(row, b"".join(read(at, min(MAX_READ, end - at)) for at in range(start, end, MAX_READ)))
 
-    def _take(self, row: Row, data: Buffer) -> Loaded:
+    def _content_of(self, row: Row, data: Buffer) -> Loaded:
         """Return the content of a row: records as they are, a chunk decompressed."""
         if row.kind == PlaceKind.records:
             return data
@@ -244,7 +244,7 @@ class _ChunkReader:
         gaps: Iterable[FileGap] = []
         if not file.is_part and row.kind != PlaceKind.records:
             is_there = row.kind == PlaceKind.cut or end_of_chunk(file.source, row, file.format.open_chunk) is not None
-            gaps = [FileGap(row.start, row.end)] if is_there else self._unlisted()
+            gaps = [FileGap(row.start, row.end)] if is_there else self._search_unlisted_ranges()
         size = sum(gap.end - gap.start for gap in gaps)
         contents = file.contents
         saved = file.format.salvage(file.source, gaps, contents.channels) if 0 < size <= self._salvage_left else None
@@ -255,9 +255,9 @@ class _ChunkReader:
         self._salvage_left -= size
         file.problem_log.add("damaged", where, f"only what could be saved of it is read: {damage.message}")
         inside = ChunkedMember(saved.part, file.format, saved.table, contents, file.problem_log, is_part=True)
-        return MessageRun([], 0, self._compared(row, merge(inside.pieces(self._selection, ()))))
+        return MessageRun([], 0, self._check_blocks(row, merge(inside.pieces(self._selection, ()))))
 
-    def _unlisted(self) -> Iterable[FileGap]:
+    def _search_unlisted_ranges(self) -> Iterable[FileGap]:
         """Return the ranges in which unlisted chunks may be; nothing at the second call."""
         if self._searched:
             return []
@@ -265,9 +265,9 @@ class _ChunkReader:
         file = self._file
         message = "its index lists chunks that are not there; the space between the others is read instead"
         file.problem_log.add("index-damaged", file.source.name, message)
-        return unlisted(file.source, file.table.rows, file.format.open_chunk)
+        return unlisted_ranges(file.source, file.table.rows, file.format.open_chunk)
 
-    def _compared(self, row: Row, blocks: Iterator[Block]) -> Iterator[Block]:
+    def _check_blocks(self, row: Row, blocks: Iterator[Block]) -> Iterator[Block]:
         for block in blocks:
             self._compare_times(row, block)
             yield block
@@ -356,7 +356,7 @@ def end_of_chunk(source: Source, row: Row, open_chunk: OpenChunk) -> int | None:
     return end if end <= row.end else None
 
 
-def unlisted(source: Source, rows: Int64Table[Row], open_chunk: OpenChunk) -> Int64Table[FileGap]:
+def unlisted_ranges(source: Source, rows: Int64Table[Row], open_chunk: OpenChunk) -> Int64Table[FileGap]:
     """Return the ranges of a file outside of the chunks that are where the index lists them; reads the head of each."""
     gaps, at = Int64Table(FileGap), 0
     for row in rows:

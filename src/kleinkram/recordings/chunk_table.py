@@ -13,7 +13,7 @@ from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.errors import Malformed
 from kleinkram.recordings.limits import MAX_CHUNKS, WINDOW
 from kleinkram.recordings.messages import Selection
-from kleinkram.recordings.scanned_messages import ROW, Batch, MessagePlace, PlaceKind, ReadableRanges
+from kleinkram.recordings.scanned_messages import BATCH_STRIDE, Batch, MessagePlace, PlaceKind, ReadableRanges
 
 MAX_SET_BYTES = 16 * 2**20
 _MAX_MESSAGES_OF_ROW = 8192
@@ -220,7 +220,7 @@ class ChunkTableBuilder:
             self._place = self._place._replace(length=length, uncompressed=length)
         seen: set[int] = set()
         for number, rows in batch.items():
-            stamps = rows[0::ROW]
+            stamps = rows[0::BATCH_STRIDE]
             if not stamps:
                 continue
             self._channels.add(number)

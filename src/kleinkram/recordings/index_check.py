@@ -17,7 +17,7 @@ from kleinkram.recordings.chunk_table import ANY_CHANNEL, UNKNOWN, ChannelSets, 
 from kleinkram.recordings.damage_report import ProblemLog
 from kleinkram.recordings.file_summary import merge_similar
 from kleinkram.recordings.model import Problem, counted
-from kleinkram.recordings.scanned_messages import ROW, Batch, PlaceKind
+from kleinkram.recordings.scanned_messages import BATCH_STRIDE, Batch, PlaceKind
 from kleinkram.recordings.sources import FileSource, ReadAheadTask, Source, read_ahead
 
 _MAX_FAULTS = 10_000
@@ -49,7 +49,7 @@ class ChunkMessages:
     def add(self, batch: Batch) -> None:
         """Add the messages of a batch."""
         for rows in batch.arrays.values():
-            self._add_stamps(rows[0::ROW])
+            self._add_stamps(rows[0::BATCH_STRIDE])
         self.channels.update(batch)
 
     def add_index(self, channel_id: int, stamps: Sequence[int]) -> None:
@@ -168,10 +168,10 @@ def compare_with_scan(
         faults.note(start, "the index is wrong: it does not list this chunk")
 
 
-MAX_COMPARED_NEAR = 4096
+MAX_COMPARED_LOCAL = 4096
 """Chunks of a local file that are all compared; of a file with more, so many at even distances are compared first."""
 
-MAX_COMPARED_FAR = 16  # chunks that are compared over a network, if none seems to match a selection
+MAX_COMPARED_REMOTE = 16  # chunks that are compared over a network, if none seems to match a selection
 
 _JOB_BYTES = 64 * 2**10
 _MAX_BYTES_AHEAD = 2**20
@@ -201,15 +201,15 @@ class IndexCheck:
         """Note that the index is wrong somewhere."""
         self.is_wrong = True
 
-    def before_selecting(self) -> None:
+    def check_before_selection(self) -> None:
         """Compare what is cheap to compare, before chunks are selected."""
         if isinstance(self.source, FileSource) and self.source.parallel_reads == 1:
-            self._compare_some(MAX_COMPARED_NEAR)
+            self._compare_some(MAX_COMPARED_LOCAL)
         self.complete()
 
-    def when_nothing_matches(self) -> None:
+    def check_after_empty_selection(self) -> None:
         """Compare some chunks, because none seems to fit a selection."""
-        self._compare_some(MAX_COMPARED_FAR)
+        self._compare_some(MAX_COMPARED_REMOTE)
         self.complete()
 
     def complete(self) -> None:

@@ -55,7 +55,7 @@ class MessageRun:
             self._more = None
         else:
             self._messages = self._messages + block
-            self.buffered_bytes += weigh(block)
+            self.buffered_bytes += memory_bytes_of(block)
 
     def take(self, before_ns: int) -> Block:
         """Return and drop the messages before a time."""
@@ -118,7 +118,7 @@ class _Merging:
         self._runs.append((piece, run))
         if len(self._runs) > 1:
             self._runs.sort(key=lambda pair: pair[0].order)
-            self._bound()
+            self._limit_memory()
 
     def blocks(self, before_ns: int) -> Iterator[Block]:
         while True:
@@ -149,7 +149,7 @@ class _Merging:
             if self._on_late_messages is not None:
                 self._on_late_messages(self._late_count)
 
-    def _bound(self) -> None:
+    def _limit_memory(self) -> None:
         if sum(run.buffered_bytes for _, run in self._runs) <= MAX_BUFFERED_BYTES:
             return
         share = MAX_BUFFERED_BYTES // (2 * len(self._runs))
@@ -181,6 +181,6 @@ def _shares(left: int, share_bytes: int, read_again: Callable[[], Block]) -> Ite
         yield block
 
 
-def weigh(messages: Block) -> int:
+def memory_bytes_of(messages: Block) -> int:
     """Return about how much memory messages take."""
     return sum(map(len, map(attrgetter("data"), messages))) + OVERHEAD_BYTES * len(messages)

@@ -17,12 +17,12 @@ from typing import NamedTuple, Protocol
 from kleinkram.recordings.limits import MAX_TOPICS
 from kleinkram.recordings.timeline import Timeline
 
-ROW = 3  # numbers that a `Batch` keeps of a message: log time, publish time (0: none), bytes of its record
+BATCH_STRIDE = 3  # numbers that a `Batch` keeps of a message: log time, publish time (0: none), bytes of its record
 
 _SAMPLE = 4096
 _NOTABLE_NS = 1_000_000_000
 _MAX_INT64 = 2**63 - 1
-_WAITING = "\udcff channel "  # no topic of a file begins so: what is not UTF-8 in one was replaced
+_PLACEHOLDER = "\udcff channel "  # no topic of a file begins so: what is not UTF-8 in one was replaced
 
 
 class HasTopic(Protocol):
@@ -34,7 +34,7 @@ class HasTopic(Protocol):
 
 
 class Batch(dict[int, "array[int]"]):
-    """Messages by channel number, `ROW` numbers each. Channels of one topic share one array, in file order."""
+    """Messages by channel number, `BATCH_STRIDE` numbers each. Channels of one topic share one array, in file order."""
 
     def __init__(self, channels: Mapping[int, HasTopic]) -> None:
         super().__init__()
@@ -83,7 +83,7 @@ class MessageCounter:
         """Note the topic of a channel; the first one counts."""
         if number not in self._topics:
             self._topics[number] = topic
-            self.timeline.rename(_waiting(number), topic)
+            self.timeline.rename(_placeholder_topic(number), topic)
             self.timeline.topic(topic)
 
     def add(self, batch: Batch, *, stored: int = 1, uncompressed: int = 1) -> int:
@@ -92,11 +92,11 @@ class MessageCounter:
         for key, rows in batch.arrays.items():
             topic = key if isinstance(key, str) else self._topics.get(key)
             if topic is None:
-                topic = _waiting(int(key) if len(self.timeline.topics) <= MAX_TOPICS else 0)
-            stamps = rows[0::ROW]
-            share = sum(rows[2::ROW]) * stored // uncompressed if uncompressed else 0
+                topic = _placeholder_topic(int(key) if len(self.timeline.topics) <= MAX_TOPICS else 0)
+            stamps = rows[0::BATCH_STRIDE]
+            share = sum(rows[2::BATCH_STRIDE]) * stored // uncompressed if uncompressed else 0
             self.timeline.add(topic, stamps, share)
-            if self._with_publish_times and (published := rows[1::ROW]) != stamps:
+            if self._with_publish_times and (published := rows[1::BATCH_STRIDE]) != stamps:
                 self._note_lateness(topic, stamps, published)
             count += len(stamps)
         self.timeline.bound()
@@ -106,7 +106,7 @@ class MessageCounter:
     def finish(self) -> int:
         """End the timeline; drop the messages that belong to no topic, and return how many."""
         self.timeline.finish(None)
-        nameless = [name for name in self.timeline.topics if name.startswith(_WAITING)]
+        nameless = [name for name in self.timeline.topics if name.startswith(_PLACEHOLDER)]
         lost = sum(self.timeline.topics.pop(name).count for name in nameless)
         self.messages -= lost
         return lost
@@ -121,8 +121,8 @@ class MessageCounter:
             self.lateness.setdefault(topic, Lateness()).add(notable)
 
 
-def _waiting(number: int) -> str:
-    return f"{_WAITING}{number}"
+def _placeholder_topic(number: int) -> str:
+    return f"{_PLACEHOLDER}{number}"
 
 
 class PlaceKind(IntEnum):

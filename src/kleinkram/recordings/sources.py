@@ -219,14 +219,14 @@ class SourceReader:
         self.size_bytes = source.size_bytes
         self.path: Path | None = getattr(source, "path", None)
         self._source = source
-        self._is_near = getattr(source, "parallel_reads", 1) == 1
+        self._is_local = getattr(source, "parallel_reads", 1) == 1
         self._blocks = self._read_blocks()
         self._block = b""
         self._at = 0
 
     def read(self, length: int) -> bytes:
         """Return the next bytes; b"" at the end."""
-        if self._is_near:  # no more than requested, so that it is still in the processor's cache when it is used
+        if self._is_local:  # no more than requested, so that it is still in the processor's cache when it is used
             length = min(length, MAX_READ, self.size_bytes - self._at)
             piece = self._source.read(self._at, length) if length else b""
             self._at += length

@@ -227,9 +227,11 @@ def find_unmerged_logs(path: Path, name: str | None = None) -> list[Problem]:
     return problems
 
 
-def log_not_read(left: Sequence[Problem]) -> list[Problem]:
+def log_not_read(log_problems: Sequence[Problem]) -> list[Problem]:
     """Report that a log or journal could not be applied to a copy."""
-    return [Problem("log-not-read", left[0].where, "its content could not be read along")] if left else []
+    return (
+        [Problem("log-not-read", log_problems[0].where, "its content could not be read along")] if log_problems else []
+    )
 
 
 @contextmanager

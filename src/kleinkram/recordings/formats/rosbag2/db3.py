@@ -46,12 +46,12 @@ def scan_db3(reader: SequentialReader, *, depth: Depth = Depth.scan) -> Recordin
 
     `Depth.summary` leaves out the check of every page, and does not read the pages of large messages.
     """
-    left = db.find_unmerged_logs(reader.path, reader.name) if reader.path is not None else []
+    log_problems = db.find_unmerged_logs(reader.path, reader.name) if reader.path is not None else []
     try:
-        if reader.path is not None and left:
+        if reader.path is not None and log_problems:
             with db.replayed_copy(reader.path) as copy:
                 summary = _read(copy or reader.path, reader.name, depth)
-            return _killed(summary, left, is_applied=copy is not None)
+            return _with_log_problems(summary, log_problems, is_applied=copy is not None)
         if reader.path is not None:
             return _read(reader.path, reader.name, depth)
         if reader.size_bytes > MAX_SPOOL_BYTES:
@@ -67,22 +67,28 @@ def scan_copy(copy: Path, name: str, scan_without_logs: Callable[[], RecordingSu
 
     `scan_without_logs`: where SQLite does not apply them, half of them may be in the copy.
     """
-    left = db.find_unmerged_logs(copy, name)
-    if not left:
+    log_problems = db.find_unmerged_logs(copy, name)
+    if not log_problems:
         return _read(copy, name, Depth.scan)
     is_applied = db.replay(copy)
     summary = _read(copy, name, Depth.scan) if is_applied else scan_without_logs()
-    return _killed(summary, left, is_applied=is_applied)
+    return _with_log_problems(summary, log_problems, is_applied=is_applied)
 
 
-def _killed(summary: RecordingSummary, left: Sequence[Problem], *, is_applied: bool) -> RecordingSummary:
+def _with_log_problems(
+    summary: RecordingSummary, log_problems: Sequence[Problem], *, is_applied: bool
+) -> RecordingSummary:
     """Add to a summary that the recorder was killed, and whether its log was read."""
     content = Content.recovered if summary.content is Content.indexed else summary.content
-    reason = summary.reason or left[0].message
+    reason = summary.reason or log_problems[0].message
     lost = summary.lost or Lost(0, 0, None)
-    unread = [] if is_applied else db.log_not_read(left)
+    unread = [] if is_applied else db.log_not_read(log_problems)
     return replace(
-        summary, content=content, reason=reason, problems=bounded([*left, *unread, *summary.problems]), lost=lost
+        summary,
+        content=content,
+        reason=reason,
+        problems=bounded([*log_problems, *unread, *summary.problems]),
+        lost=lost,
     )
 
 
@@ -352,8 +358,8 @@ def _contents(database: sqlite3.Connection, channels: dict[int, Channel], *, has
         return MemberContents(channels, None, None, None, None)
     (count,) = database.execute("SELECT count(*) FROM messages").fetchone()
     ends = [
-        database.execute(f"SELECT timestamp FROM messages ORDER BY timestamp {way} LIMIT 1").fetchone()  # noqa: S608  # our words
-        for way in ("ASC", "DESC")
+        database.execute(f"SELECT timestamp FROM messages ORDER BY timestamp {order} LIMIT 1").fetchone()  # noqa: S608  # our words
+        for order in ("ASC", "DESC")
     ]
     start_ns, end_ns = (end[0] if end and isinstance(end[0], int) else None for end in ends)
     return MemberContents(channels, None, count, start_ns, end_ns)
@@ -381,19 +387,19 @@ def _open(file: base.RecordingFile, context: base.OpenContext) -> Member:
 def _whole_database(file: base.RecordingFile, context: base.OpenContext) -> Path:
     """Return the path of a database with its log and journal applied."""
     if file.path is not None:
-        left = db.find_unmerged_logs(file.path, file.base_name)
-        copy = context.stack.enter_context(db.replayed_copy(file.path)) if left else None
+        log_problems = db.find_unmerged_logs(file.path, file.base_name)
+        copy = context.stack.enter_context(db.replayed_copy(file.path)) if log_problems else None
         is_applied = copy is not None
         path = copy or file.path
     else:
         name = file.source.name
         logs = {suffix: log for suffix in LOG_SUFFIXES if (log := context.logs.get(f"{name}{suffix}")) is not None}
         path = context.copy(SourceReader(file.source).read, name, logs)
-        left = db.find_unmerged_logs(path, file.base_name)
-        is_applied = bool(left) and db.replay(path)
-        if left and not is_applied:  # half of it may be in this copy
+        log_problems = db.find_unmerged_logs(path, file.base_name)
+        is_applied = bool(log_problems) and db.replay(path)
+        if log_problems and not is_applied:  # half of it may be in this copy
             path = context.copy(SourceReader(file.source).read, name)
-    for problem in [*left, *([] if is_applied else db.log_not_read(left))]:
+    for problem in [*log_problems, *([] if is_applied else db.log_not_read(log_problems))]:
         context.problem_log.add(problem.code, problem.where, problem.message)
     return path
 
