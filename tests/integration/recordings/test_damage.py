@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from kleinkram.recordings import Content, RecordingSummary
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
-from kleinkram.recordings.sample.writers import BagCompression, BagWriter, Compression, McapWriter
 from kleinkram.recordings.sources import SourceReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.memory_source import MemorySource
+from tests.recording_files.writers import BagCompression, BagWriter, Compression, McapWriter
 
 T0 = 1_700_000_000_000_000_000
 MESSAGES = 120

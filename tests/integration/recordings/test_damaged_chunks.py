@@ -17,12 +17,12 @@ from kleinkram.recordings import Content, Lost, Recording, RecordingSummary
 from kleinkram.recordings import damage_report as damage_report_module
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
-from kleinkram.recordings.sample.writers import BagCompression, BagWriter, Compression, McapWriter
 from kleinkram.recordings.sources import SourceReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files import builders
 from tests.recording_files.agreement import accounts_of, disagreements
 from tests.recording_files.memory_source import MemorySource
+from tests.recording_files.writers import BagCompression, BagWriter, Compression, McapWriter
 from tests.unit.recordings.test_hostile import chunk, mcap_of, record
 
 T0 = 1_700_000_000_000_000_000

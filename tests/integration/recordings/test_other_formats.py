@@ -15,10 +15,10 @@ from kleinkram.recordings import Content, Depth, FileSource, Recording, Recordin
 from kleinkram.recordings.errors import NotARecording
 from kleinkram.recordings.formats.rosbag2.metadata import parse_rosbag2_metadata
 from kleinkram.recordings.formats.text_files import MAX_LINE_BYTES, parse_stamp, read_lines
-from kleinkram.recordings.sample.writers import McapWriter
 from kleinkram.recordings.sources import SourceReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.memory_source import MemorySource
+from tests.recording_files.writers import McapWriter
 
 
 def summarise_text(text: str | bytes, name: str = "file") -> RecordingSummary:

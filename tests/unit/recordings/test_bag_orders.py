@@ -7,10 +7,10 @@ from io import BytesIO
 import pytest
 
 from kleinkram.recordings import Content, RecordingSummary, summarise
-from kleinkram.recordings.sample.writers import BagCompression, BagWriter
 from kleinkram.recordings.sources import SourceReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.memory_source import MemorySource
+from tests.recording_files.writers import BagCompression, BagWriter
 
 T0 = 1_700_000_000_000_000_000
 STEP = 100_000_000

@@ -13,10 +13,10 @@ from kleinkram.recordings import Content, Fact, Lost, RecordingFormat, Recording
 from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.formats.rosbag1.records import MAGIC as BAG_MAGIC
-from kleinkram.recordings.sample.writers import BagWriter, Compression, McapWriter
 from kleinkram.recordings.sources import SourceReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.memory_source import MemorySource
+from tests.recording_files.writers import BagWriter, Compression, McapWriter
 
 T0 = 1_700_000_000_000_000_000
 HUGE = 2**63

@@ -17,10 +17,10 @@ from kleinkram.recordings.formats.mcap import scan as scan_module
 from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.formats.mcap.scan import scan_records
 from kleinkram.recordings.formats.rosbag1 import records as bag_records
-from kleinkram.recordings.sample.writers import Compression, McapWriter
 from kleinkram.recordings.sources import SourceReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.memory_source import MemorySource
+from tests.recording_files.writers import Compression, McapWriter
 from tests.unit.recordings.test_hostile import record, small_mcap
 
 REACH = 128 * 1024

@@ -13,10 +13,10 @@ from kleinkram.recordings.formats.mcap import records
 from kleinkram.recordings.formats.mcap.records import Opcode
 from kleinkram.recordings.formats.rosbag1 import records as bag_records
 from kleinkram.recordings.model import span_text
-from kleinkram.recordings.sample.writers import McapWriter
 from kleinkram.recordings.sources import SourceReader
 from kleinkram.recordings.summary import scan
 from tests.recording_files.memory_source import MemorySource
+from tests.recording_files.writers import McapWriter
 
 T0 = 1_700_000_000_000_000_000
 SECOND = 1_000_000_000

@@ -11,9 +11,10 @@ from pathlib import Path
 import pytest
 
 from kleinkram.recordings import Recording, TooDisordered
-from kleinkram.recordings.sample.writers import Compression, Db3Writer, McapWriter
+from kleinkram.recordings.sample.writers import Db3Writer
 from tests.recording_files.builders import T0, Stamped, Watched, bag_of, mcap_of
 from tests.recording_files.memory_source import MemorySource
+from tests.recording_files.writers import Compression, McapWriter
 
 Make = Callable[[Iterable[Iterable[Stamped]]], MemorySource]
 MAKERS = [pytest.param(mcap_of, id="mcap"), pytest.param(bag_of, id="bag")]
