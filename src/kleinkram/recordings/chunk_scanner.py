@@ -24,7 +24,7 @@ from kleinkram.recordings.index_check import ChunkClaim, ChunkMessages, IndexFau
 from kleinkram.recordings.limits import MAX_CHUNK_BYTES
 from kleinkram.recordings.messages import Channel
 from kleinkram.recordings.model import RecordingSummary, counted
-from kleinkram.recordings.scanned_messages import Batch, MessageCounter, MessageObserver, MessagePlace, PlaceKind
+from kleinkram.recordings.scanned_messages import Batch, MessageCounter, MessagePlace, PlaceKind
 from kleinkram.recordings.sources import SequentialReader, Source, SourceReader
 from kleinkram.recordings.streams import LookaheadStream
 from kleinkram.recordings.timeline import ChunkEntries, Timeline
@@ -82,10 +82,10 @@ class ChunkContents(NamedTuple):
 class ChunkScanner(ABC, Generic[FactsT]):
     """Reads the chunks of a file, whole, damaged or cut, and compares them with the index records behind them."""
 
-    def __init__(self, scan: ChunkScan[FactsT], stream: LookaheadStream, observer: MessageObserver | None) -> None:
+    def __init__(self, scan: ChunkScan[FactsT], stream: LookaheadStream, builder: ChunkTableBuilder | None) -> None:
         self._scan = scan
         self._stream = stream
-        self._observer = observer
+        self._builder = builder
         self._chunk: IndexedChunk | None = None
         self._content = b""
         self._actual_chunks = chunk_table.Int64Table(ChunkClaim)
@@ -151,8 +151,8 @@ class ChunkScanner(ABC, Generic[FactsT]):
     def _count(self, batch: Batch, place: MessagePlace, *, stored: int) -> None:
         """Count messages at a place, of whose content `stored` bytes are in the file."""
         self._scan.counter.learn(self._scan.facts.channels)
-        if self._observer is not None:
-            self._observer.on_messages(place, batch)
+        if self._builder is not None:
+            self._builder.add(place, batch)
         self._scan.counter.add(batch, stored=stored, uncompressed=place.uncompressed)
 
     def _note_chunk(self, start: int, head: ChunkHead, messages: ChunkMessages | None) -> None:
@@ -327,7 +327,7 @@ def salvage_by_scan(
     source: Source,
     gaps: Iterable[FileGap],
     magic: bytes,
-    scan: Callable[[SequentialReader, MessageObserver], object],
+    scan: Callable[[SequentialReader, ChunkTableBuilder], object],
 ) -> SalvagedMessages:
     """Scan parts of a file for messages."""
     part = JoinedGaps(source, magic, gaps)

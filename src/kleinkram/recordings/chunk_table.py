@@ -208,7 +208,7 @@ class ChunkTableBuilder:
         self._counts_here: dict[int, int] = {}
         self._range_count = 0
 
-    def on_messages(self, place: MessagePlace, batch: Batch) -> None:
+    def add(self, place: MessagePlace, batch: Batch) -> None:
         """Note messages at a place. May be called several times for one place."""
         if not any(batch.values()):
             return

@@ -147,10 +147,3 @@ class MessagePlace(NamedTuple):
     length: int
     uncompressed: int
     readable_ranges: ReadableRanges | None = None
-
-
-class MessageObserver(Protocol):
-    """Receives the places of messages in the order in which a scan finds them."""
-
-    def on_messages(self, place: MessagePlace, batch: Batch) -> None:
-        """Note messages at a place. May be called several times for one place."""

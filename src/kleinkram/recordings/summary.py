@@ -94,12 +94,12 @@ def summarise(source: Source, *, max_bytes: int | None = MAX_SCAN_BYTES) -> Reco
     """
     counting = CountingSource(source)
     file_format = format_of(counting)
-    most = source.size_bytes if max_bytes is None else max_bytes
+    limit = source.size_bytes if max_bytes is None else max_bytes
     if file_format.summarise is not None:
-        summary = file_format.summarise(counting, max_bytes=most)
+        summary = file_format.summarise(counting, limit)
     elif file_format.scan is None:
         summary = RecordingSummary(file_format.kind, Content.opaque, file_format.description)
-    elif source.size_bytes <= min(most, MAX_DESCRIBED_BYTES):
+    elif source.size_bytes <= min(limit, MAX_DESCRIBED_BYTES):
         summary = file_format.scan(SourceReader(counting))
     else:
         cost = f"it must be read whole ({source.size_bytes} bytes) to say more"

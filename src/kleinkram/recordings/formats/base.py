@@ -28,13 +28,6 @@ class Head(NamedTuple):
     path: Path | None = None
 
 
-class Summarise(Protocol):
-    """Summarises a file; `pending` if it must be read whole and is larger than `max_bytes`."""
-
-    def __call__(self, source: Source, /, *, max_bytes: int) -> RecordingSummary:
-        """Raise `SourceError` where bytes cannot be read, and nothing else."""
-
-
 @dataclass
 class RecordingFile:
     """A file to be opened.
@@ -96,7 +89,8 @@ class Format:
         matches: whether a file is of this format, tried in the order of `FORMATS`.
         extensions: those that promise this format, or one that is as good.
         scan: reads a whole file; None: such a file is only recognised.
-        summarise: None: a small file is scanned, a larger one only recognised.
+        summarise: reads less than the file where possible, and returns `pending` if a scan is needed and the file is
+            larger than the number; None: a small file is scanned, a larger one only recognised.
         open: opens its messages; None: it holds none that are read, for the reason `refusal`.
     """
 
@@ -106,7 +100,7 @@ class Format:
     extensions: tuple[str, ...] = ()
     is_text: bool = False
     scan: Callable[[SequentialReader], RecordingSummary] | None = None
-    summarise: Summarise | None = None
+    summarise: Callable[[Source, int], RecordingSummary] | None = None
     open: Callable[[RecordingFile, OpenContext], Member] | None = None
     refusal: str = ""
 

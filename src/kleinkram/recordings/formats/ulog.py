@@ -28,7 +28,7 @@ from kleinkram.recordings.formats.base import Format, MemberContents, OpenContex
 from kleinkram.recordings.limits import MAX_DEFINITIONS, MAX_NAME, MAX_TOPICS, WINDOW
 from kleinkram.recordings.messages import Block, Channel, RawMessage, Schema, Selection
 from kleinkram.recordings.model import Content, Depth, Fact, Problem, RecordingFormat, RecordingSummary, counted
-from kleinkram.recordings.scanned_messages import Batch, MessageCounter, MessageObserver, MessagePlace, PlaceKind
+from kleinkram.recordings.scanned_messages import Batch, MessageCounter, MessagePlace, PlaceKind
 from kleinkram.recordings.sources import SequentialReader, Source, SourceReader
 from kleinkram.recordings.streams import ByteStream, LookaheadStream
 
@@ -185,10 +185,10 @@ def _ros1_fields(text: str, *, is_top: bool = False) -> str:
 
 
 class _UlogScanner:
-    def __init__(self, reader: SequentialReader, observer: MessageObserver | None) -> None:
+    def __init__(self, reader: SequentialReader, builder: ChunkTableBuilder | None) -> None:
         self.scan = UlogScan()
         self._stream = LookaheadStream(reader, with_crc=False)
-        self._observer = observer
+        self._builder = builder
         self._batch = Batch(self.scan.subscriptions)
         self._appended: list[int] = []
 
@@ -297,8 +297,8 @@ class _UlogScanner:
         """Count what was read of the next `length` bytes, and pass over them."""
         scan, stream = self.scan, self._stream
         scan.counter.learn(scan.subscriptions)
-        if self._observer is not None and self._batch:
-            self._observer.on_messages(MessagePlace(PlaceKind.records, stream.position, length, length), self._batch)
+        if self._builder is not None and self._batch:
+            self._builder.add(MessagePlace(PlaceKind.records, stream.position, length, length), self._batch)
         scan.counter.add(self._batch)
         self._batch = Batch(scan.subscriptions)
         stream.advance(length)
@@ -332,7 +332,7 @@ def scan_ulog(reader: SequentialReader) -> RecordingSummary:
     return summarise_scan(_UlogScanner(reader, None).run())
 
 
-def summarise_ulog(source: Source, *, max_bytes: int) -> RecordingSummary:
+def summarise_ulog(source: Source, max_bytes: int) -> RecordingSummary:
     """Scan a log of at most `max_bytes`; a larger one stays pending."""
     if source.size_bytes > max_bytes:
         return pending(RecordingFormat.ulog, source.size_bytes, "a flight log (ULog) has no index")

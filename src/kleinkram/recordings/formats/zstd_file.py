@@ -101,7 +101,7 @@ def is_recording(file_format: Format) -> bool:
     return file_format.open is not None or file_format.kind is RecordingFormat.svo2
 
 
-def _summarise(source: Source, *, max_bytes: int) -> RecordingSummary:
+def _summarise(source: Source, max_bytes: int) -> RecordingSummary:
     from kleinkram.recordings import summary as formats  # imports this module
 
     if source.size_bytes <= max_bytes:

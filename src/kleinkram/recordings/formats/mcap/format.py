@@ -260,7 +260,7 @@ def _check_space_between_chunks(known: _KnownEnds, facts: McapFacts, summary_sta
         position = max(position, end)
 
 
-def summarise_mcap(source: Source, *, max_bytes: int) -> RecordingSummary:
+def summarise_mcap(source: Source, max_bytes: int) -> RecordingSummary:
     """Summarise by the index, or else by a scan of at most `max_bytes`."""
     timeline, losses = Timeline(), DamageReport()
     try:
@@ -381,7 +381,7 @@ def open_mcap(file: RecordingFile, context: OpenContext) -> ChunkedMember:
 
 def _salvage(source: Source, gaps: Iterable[FileGap], channels: Mapping[int, Channel]) -> SalvagedMessages:
     known = {number: ChannelRecord(0, channel.topic, channel.message_encoding) for number, channel in channels.items()}
-    return salvage_by_scan(source, gaps, MAGIC, lambda reader, observer: scan_records(reader, observer, known))
+    return salvage_by_scan(source, gaps, MAGIC, lambda reader, builder: scan_records(reader, builder, known))
 
 
 MCAP_CHUNKS = ChunkFormat(chunks.open_chunk, chunks.parse_messages, _salvage, chunks.read_message_index)
@@ -419,6 +419,6 @@ SVO2 = Format(
     "a recording of a ZED camera (SVO2)",
     extensions=(".svo2", ".mcap"),
     scan=lambda reader: as_svo2(scan_mcap(reader)),
-    summarise=lambda source, *, max_bytes: as_svo2(summarise_mcap(source, max_bytes=max_bytes)),
+    summarise=lambda source, max_bytes: as_svo2(summarise_mcap(source, max_bytes)),
     refusal="it is a SVO2 of a ZED camera, and reading that format is not supported",
 )

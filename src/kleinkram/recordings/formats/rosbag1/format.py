@@ -152,7 +152,7 @@ def _defined_entries(stream: ByteStream, facts: BagFacts) -> Iterator[tuple[int,
         yield entry
 
 
-def summarise_bag(source: Source, *, max_bytes: int) -> RecordingSummary:
+def summarise_bag(source: Source, max_bytes: int) -> RecordingSummary:
     """Summarise by the index; scan where that is impossible, if the bag has at most `max_bytes`."""
     timeline, losses = Timeline(), DamageReport()
     try:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from kleinkram.recordings.chunk_scanner import LOOK, ChunkContents, ChunkScan, ChunkScanner, search_width
-from kleinkram.recordings.chunk_table import UNKNOWN, ChunkHead, Int64Table
+from kleinkram.recordings.chunk_table import UNKNOWN, ChunkHead, ChunkTableBuilder, Int64Table
 from kleinkram.recordings.errors import Cut, Malformed
 from kleinkram.recordings.formats.rosbag1 import chunks, records
 from kleinkram.recordings.formats.rosbag1.chunks import BagFacts, BagRecord, find_record, opcode_at, parse_record
@@ -17,7 +17,7 @@ from kleinkram.recordings.formats.rosbag1.records import Op
 from kleinkram.recordings.index_check import ChunkClaim, compare_with_scan
 from kleinkram.recordings.limits import LOOK_AHEAD, MAX_CHUNK_INDEX, MAX_HEADER, MAX_TAKE
 from kleinkram.recordings.model import counted
-from kleinkram.recordings.scanned_messages import Batch, MessageCounter, MessageObserver, MessagePlace, PlaceKind
+from kleinkram.recordings.scanned_messages import Batch, MessageCounter, MessagePlace, PlaceKind
 from kleinkram.recordings.sources import SequentialReader
 from kleinkram.recordings.streams import LookaheadStream
 
@@ -45,8 +45,8 @@ class BagScan(ChunkScan[BagFacts]):
 class _BagScanner(ChunkScanner[BagFacts]):
     _scan: BagScan
 
-    def __init__(self, reader: SequentialReader, observer: MessageObserver | None) -> None:
-        super().__init__(BagScan(), LookaheadStream(reader, with_crc=False), observer)
+    def __init__(self, reader: SequentialReader, builder: ChunkTableBuilder | None) -> None:
+        super().__init__(BagScan(), LookaheadStream(reader, with_crc=False), builder)
         self._claims = Int64Table(ChunkClaim)
         self._claimed_messages = self._claimed_connections = self._claimed_chunks = 0
 
@@ -233,6 +233,6 @@ def _chunk_head(record: BagRecord) -> ChunkHead:
     return records.chunk_head(record.fields, record.data_start - record.start, record.data_bytes)
 
 
-def scan_bag_records(reader: SequentialReader, observer: MessageObserver | None = None) -> BagScan:
-    """Scan a whole bag. Its content never raises. The observer receives every message that is counted."""
-    return _BagScanner(reader, observer).run()
+def scan_bag_records(reader: SequentialReader, builder: ChunkTableBuilder | None = None) -> BagScan:
+    """Scan a whole bag. Its content never raises. `builder` receives the messages that are counted."""
+    return _BagScanner(reader, builder).run()

@@ -365,7 +365,7 @@ def _contents(database: sqlite3.Connection, channels: dict[int, Channel], *, has
     return MemberContents(channels, None, count, start_ns, end_ns)
 
 
-def _summarise(source: Source, *, max_bytes: int) -> RecordingSummary:
+def _summarise(source: Source, max_bytes: int) -> RecordingSummary:
     if source.size_bytes > max_bytes:
         why = "a rosbag2 database (db3) has no index of its messages"
         return pending(RecordingFormat.rosbag2_db3, source.size_bytes, why)

@@ -289,6 +289,6 @@ def _records(recovery: Recovery, channels: dict[int, Channel], builder: ChunkTab
         length = MESSAGE_HEAD.size + len(data)
         batch = Batch(channels)
         batch[number].extend((time, time, length))
-        builder.on_messages(MessagePlace(PlaceKind.records, start, length, length), batch)
+        builder.add(MessagePlace(PlaceKind.records, start, length, length), batch)
         start += length
         yield MESSAGE_HEAD.pack(Opcode.MESSAGE, MESSAGE_FIXED + len(data), number, 0, time, time) + data
