@@ -1,7 +1,7 @@
-"""Recordings (MCAP, ROS 1 bag, rosbag2, ULog): what is in them (`summarise`, `scan`), and their messages (`Recording`).
+"""Reads recordings (MCAP, ROS 1 bag, rosbag2, ULog): summaries (`summarise`, `scan`) and messages (`Recording`).
 
 Independent of the rest of Kleinkram: it reads bytes from a source, in bounded memory, without a database. Files are
-untrusted: whatever their bytes, the answer is a summary. A server reads them in a child process (`isolation`).
+untrusted: any bytes give a summary. A server reads them in a child process (`isolation`).
 
 Names are imported when they are first used, so that `klein --help` does not pay for reading recordings.
 """

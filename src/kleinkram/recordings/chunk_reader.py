@@ -57,7 +57,7 @@ class ChunkFormat:
     read_message_index: ReadMessageIndex
 
 
-Loaded = Buffer | Malformed  # the content of a chunk, or why there is none
+Loaded = Buffer | Malformed  # the content of a chunk, or why it cannot be read
 
 
 class ChunkedMember:

@@ -224,7 +224,7 @@ class ChunkScanner(ABC, Generic[FactsT]):
         return head.data_start + len(stored) * followed // len(raw) if followed else 0
 
     def _note_index_record(self, messages: int, points_at_messages: Callable[[], bool], fault: str) -> None:
-        """Note an index record behind a chunk, which lists so many messages, and check its offsets."""
+        """Note an index record behind a chunk, the number of messages in it, and whether its offsets are right."""
         if self._chunk is None:
             return
         self._chunk.records += 1
@@ -254,7 +254,7 @@ class ChunkScanner(ABC, Generic[FactsT]):
         losses.bytes += max(0, stream.position - start)
 
     def _give_up(self, damage: Malformed, lost: int) -> None:
-        """Skip the rest of the file, of which so many bytes are lost."""
+        """Skip the rest of the file; `lost`: bytes of it that cannot be read."""
         self._scan.losses.note(damage)
         self._scan.losses.bytes += lost
         self._scan.losses.messages_are_known = False
@@ -268,7 +268,7 @@ class ChunkScanner(ABC, Generic[FactsT]):
 
 
 def search_width(stream: LookaheadStream) -> int:
-    """Fill the window; return in how many of its next bytes a record may begin whose head is at hand."""
+    """Fill the window; return how many of its next bytes can be the start of a record whose head is in it."""
     at_hand = stream.ahead(_SEARCH_BYTES)
     return at_hand if at_hand == stream.left else at_hand - LOOK
 

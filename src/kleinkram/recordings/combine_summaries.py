@@ -188,7 +188,7 @@ def _combine_topic(parts: list[TopicSummary], cluster: StampRun | None) -> Topic
     return with_times(topic, run, cluster)
 
 
-MESSAGE_ZSTD = "message-zstd"  # what `compression` says where the data of each message is compressed by itself
+MESSAGE_ZSTD = "message-zstd"  # the `compression` of a recording whose messages are compressed separately
 
 
 def combine_folder(

@@ -1,4 +1,4 @@
-"""Decompression of chunks and messages: bounded by the size that they claim."""
+"""Decompresses chunks and messages (zstd, lz4, bz2), up to the size that the file states."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def decompress_beginning(name: str, stored: bytes, uncompressed_bytes: int) -> b
 
 
 def without_zero_tail(name: str, stored: bytes) -> bytes | None:
-    """Return compressed data without trailing zeros; None unless there are so many that sectors must be lost."""
+    """Return compressed data without trailing zeros; None if there are too few for lost sectors of a disk."""
     without_zeros = stored.rstrip(b"\0")
     return without_zeros if name not in ("", "none") and len(stored) - len(without_zeros) >= _MIN_ZEROS else None
 
@@ -266,7 +266,7 @@ _of_thread = threading.local()
 
 
 def unpack_message(stored: bytes, max_bytes: int) -> bytes:
-    """Decompress a message that rosbag2 compressed by itself (zstd)."""
+    """Decompress a message that rosbag2 compressed separately (zstd)."""
     try:
         claimed = zstandard.get_frame_parameters(stored).content_size
         if claimed in (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR):

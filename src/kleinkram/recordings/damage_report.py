@@ -59,7 +59,7 @@ class DamageReport:
         return self.wasted_bytes > _FREE_WASTED_BYTES + _WASTED_SHARE * position
 
     def skip_chunk(self, start: int, size_bytes: int, messages: int, why: Malformed) -> None:
-        """Count a chunk that cannot be read, and whose index lists so many messages."""
+        """Count a chunk that cannot be read, and the messages that its index lists."""
         self.note(Malformed(f"chunk at byte {start}", why.message, certain=why.certain))
         self.chunks += 1
         self.bytes += size_bytes

@@ -194,9 +194,9 @@ class HttpSource:
         raise AssertionError("the last attempt returns or raises")
 
     def read_short(self, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
-        """Yield the bytes of each (offset, length), in order; the next requests are sent meanwhile.
+        """Yield the bytes of each (offset, length), in order; the next requests are sent in advance.
 
-        All in the calling thread: what has come waits in the connections, so each range had better be short.
+        All in the calling thread: responses wait in the connections, so use it for short ranges only.
         """
         under_way: deque[tuple[int, int, Exchange | None]] = deque()
         try:

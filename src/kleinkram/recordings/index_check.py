@@ -169,7 +169,7 @@ def compare_with_scan(
 
 
 MAX_COMPARED_LOCAL = 4096
-"""Chunks of a local file that are all compared; of a file with more, so many at even distances are compared first."""
+"""Maximum number of chunks that are compared in a local file, at even distances, before an index is wrong."""
 
 MAX_COMPARED_REMOTE = 16  # chunks that are compared over a network, if none seems to match a selection
 
@@ -177,7 +177,7 @@ _JOB_BYTES = 64 * 2**10
 _MAX_BYTES_AHEAD = 2**20
 
 ReadMessageIndex = Callable[[Source, Row], ChunkMessages | None]
-"""Returns what the message index behind a chunk lists; None where there is none that can be read."""
+"""Returns the messages in the message index behind a chunk; None if there is no readable index."""
 
 
 @dataclass

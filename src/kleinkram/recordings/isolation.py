@@ -106,12 +106,12 @@ def request_bytes(
 
 
 def read_answer(stdout: bytes, stderr: bytes, returncode: int) -> RecordingSummary:
-    """Return the summary in the child's answer; `SummaryFailed` if there is none."""
+    """Return the summary in the child's answer; `SummaryFailed` if it has none."""
     return _read_answer("summary", from_dict, stdout, stderr, returncode)
 
 
 def read_metadata_answer(stdout: bytes, stderr: bytes, returncode: int) -> Rosbag2Metadata | None:
-    """Return the metadata in the child's answer; `SummaryFailed` if there is none."""
+    """Return the metadata in the child's answer; `SummaryFailed` if it has none."""
     return _read_answer("metadata", lambda plain: plain and metadata_from_dict(plain), stdout, stderr, returncode)
 
 
@@ -181,7 +181,7 @@ def to_dict(summary: RecordingSummary) -> dict[str, Any]:
 
 
 def from_dict(plain: Mapping[str, Any]) -> RecordingSummary:
-    """Return the summary that `to_dict` was given; `KeyError`, `TypeError` or `ValueError` if it is none."""
+    """Return the summary that `to_dict` was given; `KeyError`, `TypeError` or `ValueError` if it is invalid."""
     topics = []
     for topic in plain["topics"]:
         density = topic["density"]
@@ -202,7 +202,7 @@ def from_dict(plain: Mapping[str, Any]) -> RecordingSummary:
 
 
 def metadata_from_dict(plain: Mapping[str, Any]) -> Rosbag2Metadata:
-    """Return what `dataclasses.asdict` was given, after JSON; `KeyError` or `TypeError` if it is none."""
+    """Return what `dataclasses.asdict` was given, after JSON; `KeyError` or `TypeError` if it is invalid."""
     values = dict(plain)
     values["files"] = tuple(values["files"])
     values["topics"] = tuple(rosbag2.StatedTopic(**topic) for topic in values["topics"])

@@ -1,4 +1,4 @@
-"""Every bound on what a file may claim, in one place.
+"""Limits on the contents of untrusted files, and on the memory that reading them takes.
 
 Lengths in a file are untrusted: no allocation, read or loop exceeds these bounds. A summary by index takes at most
 about 64 MB plus 60 bytes for each chunk of the index; a scan also holds one chunk, stored and uncompressed.

@@ -81,7 +81,7 @@ class MessageRun:
 class MessagePiece(NamedTuple):
     """A source of messages from `first_ns` on; `order` of the files decides between equal times.
 
-    `read_again` reads the same messages once more; None for a piece that holds little at a time by itself.
+    `read_again` reads the same messages once more; None for a piece that never holds much at a time.
     """
 
     first_ns: int

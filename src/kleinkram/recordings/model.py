@@ -1,4 +1,4 @@
-"""Summaries of recordings: values only."""
+"""Types of summaries: formats, topics, problems, losses and facts of a recording."""
 
 from __future__ import annotations
 

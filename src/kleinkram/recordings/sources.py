@@ -120,7 +120,7 @@ class CountingSource:
 
 
 def read_short_ranges(source: Source, ranges: Iterable[tuple[int, int]]) -> Iterator[bytes]:
-    """Yield the bytes of each (offset, length), in order; over a network, the next ranges are requested meanwhile.
+    """Yield the bytes of each (offset, length), in order; over a network, the next ranges are requested in advance.
 
     A source that gains from it has a method `read_short`. For ranges of some kB.
     """
@@ -201,7 +201,7 @@ class SequentialReader(Protocol):
 
     @property
     def path(self) -> Path | None:
-        """Where the same bytes are on this machine, for formats that need more than one pass; None: nowhere."""
+        """The local file with the same bytes, for formats that need more than one pass; None: there is no such file."""
 
     def read(self, length: int) -> bytes:
         """Return the next bytes, at least one and at most `length`; b"" behind the last of `size_bytes`.
@@ -212,7 +212,7 @@ class SequentialReader(Protocol):
 
 
 class SourceReader:
-    """Reads a source from its start; over a network, the next blocks are read meanwhile."""
+    """Reads a source from its start; over a network, threads read the next blocks."""
 
     def __init__(self, source: Source) -> None:
         self.name = source.name

@@ -64,7 +64,7 @@ def format_of(source: Source) -> Format:
 def format_of_head(data: bytes, *, path: Path | None = None) -> Format:
     """Return a format by the first bytes of a file: up to `LONG_HEAD_BYTES` of a database, `HEAD_BYTES` of all else.
 
-    `path`: where it is on this machine, so that the log beside a database can be found; None where it is nowhere.
+    `path`: of a local file, so that the log beside a database can be found.
     """
     head = Head(data, path)
     return next(one for one in FORMATS if one.matches(head))

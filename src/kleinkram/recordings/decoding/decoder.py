@@ -1,4 +1,4 @@
-"""Choosing and building the decoder of a channel: ROS 1, CDR, JSON or protobuf."""
+"""Builds the decoder of a channel: ROS 1, CDR, JSON or protobuf."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from kleinkram.recordings.decoding.wire import CDR_LE, ENCAPSULATIONS, OTHER_ENC
 
 
 def json_decode(name: str) -> Callable[[bytes], Any]:
-    """Return a function that decodes JSON messages, whatever their schema."""
+    """Return a function that decodes JSON messages with any schema."""
 
     def decode(data: bytes) -> Any:
         raw = bytes(data)
@@ -171,7 +171,7 @@ class Decoder:
 def decoder_for(
     message_encoding: str, schema_name: str, schema_encoding: str, schema_data: bytes
 ) -> Decoder | Undecodable:
-    """Return the decoder of a channel's messages, or why there is none. Cached.
+    """Return the decoder of a channel's messages, or why they cannot be decoded. Cached.
 
     CDR messages without a definition use that of `well_known.txt`, if there is one. The encodings are spelled as in
     MCAP.

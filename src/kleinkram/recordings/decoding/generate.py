@@ -1,4 +1,4 @@
-"""Generates one Python function per type, which is what makes decoding fast.
+"""Generates a Python function for each message type that decodes its messages fast.
 
 The generated function reads runs of numbers with one `struct` call each, computes alignment in advance wherever the
 position is known, and inlines nested types. A schema is untrusted text, and this is `exec`: nothing of it enters the
@@ -138,7 +138,7 @@ class _CodeWriter:
         self._run, self._format = [], ""
 
     def check_end(self) -> None:
-        """Refuse a message that goes on behind its last field: its definition is another one."""
+        """Refuse a message with bytes behind its last field: it has another definition."""
         end = self._position(self._ahead)
         self.line(f"if size > {self._position(self._ahead + self._wire.padding)}: left_over(size, {end})")
 

@@ -1,4 +1,4 @@
-"""Parser of IDL as rosbag2 and others store it ("ros2idl", "omgidl"): modules, structs, typedefs, enums, constants.
+"""Parses IDL as rosbag2 and others store it ("ros2idl", "omgidl"): modules, structs, typedefs, enums, constants.
 
 The text is untrusted: tokens and nesting are bounded, and only checked names and numbers leave the parser. Unions,
 maps, bit sets, optional members and inheritance, which rosidl never writes, are rejected by name.

@@ -1,4 +1,4 @@
-"""Parser of ROS message definitions, and the definitions that we ship.
+"""Parses ROS message definitions, and finds those of common types that recordings lack.
 
 Reads ROS 1 (a bag's `message_definition`, MCAP's "ros1msg") and ROS 2 ("ros2msg").
 

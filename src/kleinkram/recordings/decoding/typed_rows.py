@@ -2,7 +2,7 @@
 
 A shape is the positions of the values in a message. Two messages have the same shape exactly if they have the same size
 and the same bytes wherever a length is written, and most messages of a topic do. Such messages form rows of a byte
-matrix, and the columns of the table are cut out of it without decoding any message by itself.
+matrix, and the columns of the table are cut out of it without decoding single messages.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _MIN_ROWS = 16  # fewer messages are decoded one by one
 
 
 class NoShape(Exception):
-    """The message is damaged or has too many parts; decode it by itself."""
+    """The message is damaged or has too many parts; decode it separately."""
 
 
 @dataclass(frozen=True)

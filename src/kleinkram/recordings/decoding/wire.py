@@ -1,4 +1,4 @@
-"""How values lie in bytes: ROS 1's serialisation, and CDR in its plain forms.
+"""Serialisation formats of messages: ROS 1, and CDR in its plain forms.
 
 Source: wiki.ros.org/ROS/Technical Overview (little-endian, nothing aligned, lengths of 4 bytes); OMG DDS-XTypes 1.3
 section 7.4 (encapsulation header of 4 bytes, alignment counted from behind it; XCDR2 aligns to at most 4 and puts a

@@ -17,7 +17,7 @@ from kleinkram.recordings.sources import FileSource, SequentialReader, Source, S
 from kleinkram.recordings.temporary_files import TooLarge, temporary_database
 
 HEAD_BYTES = 4096  # bytes at the start of a file by which it is recognised
-LONG_HEAD_BYTES = 65536  # likewise of a database, whose schema is at its start
+LONG_HEAD_BYTES = 65536  # of a database, whose schema is at its start
 MAX_REMOTE_SCAN_BYTES = 2**30  # bytes of a file without index that are read over a network unless more is allowed
 
 
@@ -54,7 +54,7 @@ class OpenContext:
     Attributes:
         stack: closes what is opened here, with the recording.
         max_bytes: a file with more bytes is not scanned to open it; None: of remote files, `MAX_REMOTE_SCAN_BYTES`.
-        message_compression: of each message by itself, by metadata.yaml.
+        message_compression: of single messages, by metadata.yaml.
         logs: logs and journals of databases, by their names.
     """
 

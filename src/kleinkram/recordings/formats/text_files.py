@@ -93,7 +93,7 @@ def describe_json(reader: SequentialReader) -> RecordingSummary:
 
 @lru_cache(maxsize=1)
 def sniff_text(head: bytes) -> RecordingFormat:
-    """Return the format of a text by its first bytes; unknown if it is none."""
+    """Return the format of a text by its first bytes; `unknown` if it is not a text."""
     head = head[:HEAD_BYTES]
     text = head.decode("utf-8", "ignore")
     if b"\0" in head or len(text.encode()) < len(head) - 3:

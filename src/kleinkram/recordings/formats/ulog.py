@@ -1,9 +1,9 @@
-"""PX4 flight logs (ULog): one sequential pass finds topics, counts, times, and where the messages are.
+"""The PX4 flight log format (ULog): one pass finds topics, counts, times and the places of messages.
 
 Times are those of the autopilot's clock, which starts at boot: nanoseconds since then. A log begins with the latest
 message of each topic, published before; its log time is that of the beginning. A topic is the name of a message format;
 instances of it other than the first are told apart by their number, as in `sensor_accel#1`. A file has no index and no
-checksum: behind damage, reading goes on at the next sync message.
+checksum: behind damage, reading continues at the next sync message.
 
 Source: docs.px4.io, ULog File Format (version 1).
 """
@@ -75,7 +75,7 @@ _MESSAGE_TYPES = frozenset(map(int, MessageType))
 
 
 class Subscription(NamedTuple):
-    """A topic by its message id. `stamp_at`: where the timestamp is in the data; None: nowhere."""
+    """A topic by its message id. `stamp_at`: offset of the timestamp in the data; None: it has none."""
 
     topic: str
     message_type: str
@@ -128,7 +128,7 @@ class UlogField(NamedTuple):
 
 
 def parse_fields(text: str) -> list[UlogField]:
-    """Return the fields of a format, such as "uint64_t timestamp;float[3] xyz"; what is none is left out."""
+    """Return the fields of a format, such as "uint64_t timestamp;float[3] xyz"; invalid ones are left out."""
     matches = (_FIELD.fullmatch(entry.strip()) for entry in text.split(";"))
     return [UlogField(m["type"], int(m["length"]) if m["length"] else None, m["name"]) for m in matches if m]
 
@@ -144,7 +144,7 @@ def _size_of(formats: Mapping[str, str], type_name: str, depth: int = 0) -> int:
 
 @lru_cache(maxsize=1024)
 def stamp_place(name: str, definition: bytes) -> int | None:
-    """Return where the field `timestamp` is in a message; None: nowhere that is known."""
+    """Return the offset of the field `timestamp` in a message; None if unknown."""
     formats = _formats_of(definition)
     place = 0
     for one in parse_fields(formats.get(name, "")):
@@ -227,7 +227,7 @@ class _UlogScanner:
         return min((one for one in self._appended if position < one <= self._stream.size_bytes), default=None)
 
     def _read_messages(self, at: int, end: int) -> tuple[int, bool]:
-        """Read whole messages of the window; return where they end, and whether something that is none follows."""
+        """Read whole messages of the window; return where they end, and whether invalid data follow."""
         window, head_bytes = self._stream.window, _MESSAGE_HEADER.size
         unpack, data_type = _MESSAGE_HEADER.unpack_from, MessageType.data
         while at + head_bytes <= end:

@@ -1,4 +1,4 @@
-"""Files that are compressed as a whole (`.mcap.zstd`, `.db3.zstd`, `.bag.zst`): decompressed, then read like others.
+"""Compressed recordings (`.mcap.zstd`, `.db3.zstd`, `.bag.zst`): decompressed to a temporary file, then read.
 
 What is inside goes through a temporary file, because every format is better read with its size known and more than
 once. The window and the output are bounded; where the compressed data breaks off, what came out until there is read.

@@ -49,7 +49,7 @@ _READERS = {
 
 
 def read_index(source: Source, times: tuple[Timeline, DamageReport] | None = None) -> McapFacts:
-    """Read the index; `NotIndexed` if there is none, or it cannot be true.
+    """Read the index; `NotIndexed` if it is missing or contradicts itself.
 
     `times`: receive the messages of all message indexes, and the chunks that cannot be read; None: no message index is
     read.
@@ -199,7 +199,7 @@ def _index_ranges(facts: McapFacts) -> Iterator[tuple[int, int]]:
 
 
 def _message_indexes(source: Source, facts: McapFacts) -> Iterator[ChunkIndex]:
-    """Yield the message indexes of each chunk; over a network, the next ones are fetched meanwhile."""
+    """Yield the message indexes of each chunk; over a network, the next ones are requested in advance."""
     ranges = _index_ranges(facts)
     if any(size > WINDOW for _, size in _index_ranges(facts)):
         streams = (open_range(source, start, start + size) for start, size in ranges)

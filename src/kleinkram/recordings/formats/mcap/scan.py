@@ -236,7 +236,7 @@ class _McapScanner(ChunkScanner[McapFacts]):
             losses.note_index(Malformed(where, "the checksum of the summary section is wrong"))
         stream.advance(_U32.size + len(records.MAGIC))
         if stream.left:
-            # It may be that of a file inside of this one, whose place the search came upon: the scan goes on.
+            # It may be the footer of a file inside this one, which a search has found, so the scan continues.
             losses.note(Malformed(f"byte {stream.position}", f"{stream.left} bytes follow its end"))
 
     def _walk_unchunked(self) -> int:

@@ -36,7 +36,7 @@ _GUESSED_RATIO = 4
 
 
 def read_index(source: Source, times: tuple[Timeline, DamageReport] | None = None) -> BagFacts:
-    """Read the index section; `Malformed` if there is none, or it cannot be true.
+    """Read the index section; `Malformed` if it is missing or contradicts itself.
 
     A chunk and its index data end where the next chunk begins; without index data, uncompressed sizes are guesses.
     `times`: receive the messages of all index data, and the chunks that cannot be read; None: no index data are read.

@@ -44,7 +44,7 @@ class Rosbag2Metadata:
     Attributes:
         files: data files, relative to the folder, in the order of recording.
         storage: "sqlite3" or "mcap".
-        compression_mode: "file", "message" or "". With "message", the data of each message is compressed by itself, in
+        compression_mode: "file", "message" or "". With "message", the data of each message is compressed separately, in
             a db3 as well as in an MCAP, without a trace in these files.
         version: of the metadata's own format, 1 to 9.
         file_entries: single files; empty before version 5.
