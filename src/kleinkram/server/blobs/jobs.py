@@ -16,23 +16,9 @@ from sqlalchemy.exc import DataError, IntegrityError
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.files import BlobState, ContentState, ReadDepth
 from kleinkram.contract.names import file_name
-<<<<<<< HEAD
 from kleinkram.recordings import Content, FailureKind, RecordingSummary, SummaryFailed
 from kleinkram.recordings.isolation import StreamRequest, UrlRequest, request_bytes
-from kleinkram.server.blobs import garbage_collection, scrub, service
-=======
-from kleinkram.recordings import (
-    Content,
-    FailureKind,
-    RecordingSummary,
-    StreamRequest,
-    SummaryFailed,
-    UrlRequest,
-    request_bytes,
-    stream_request_bytes,
-)
 from kleinkram.server.blobs import scrub, service
->>>>>>> main
 from kleinkram.server.blobs.queries import BlobRow, SqliteLog
 from kleinkram.server.blobs.reader_processes import ReaderProcesses
 from kleinkram.server.blobs.summaries import record_read_failure, record_summaries
