@@ -358,7 +358,9 @@ def open_mcap(file: RecordingFile, context: OpenContext) -> ChunkedMember:
         facts = read_index(source)
     except NotIndexed as refusal:
         context.check_cost(source, str(refusal))
-        if refusal.code == "no-footer" or refusal.is_problem:
+        if refusal.code == "no-footer":
+            problem_log.add("no-footer", source.name, str(refusal))
+        elif refusal.is_problem:
             problem_log.add(refusal.code, source.name, str(refusal))
         builder = ChunkTableBuilder(problem_log)
         scan = scan_records(SourceReader(source), builder)
