@@ -34,7 +34,7 @@ def test_a_person_reads_what_is_in_it(
 ) -> None:
     assert run(monkeypatch, drive) == 0
     shown = capsys.readouterr().out
-    assert "indexed (whole)" in shown
+    assert "indexed (complete)" in shown
     assert "/imu" in shown
     assert run(monkeypatch, "--deep", drive) == 0
     assert "every byte checked" in capsys.readouterr().out
@@ -98,7 +98,7 @@ def test_a_file_that_cannot_be_read_is_named_and_the_others_are_shown(
     (drive.parent / "gone.mcap").symlink_to(drive.parent / "nowhere")
     assert run(monkeypatch, drive.parent) == 8
     items = capsys.readouterr()
-    assert "indexed (whole)" in items.out
+    assert "indexed (complete)" in items.out
     assert "gone.mcap: cannot be read" in items.err
     assert run(monkeypatch, "--json", drive.parent) == 8
     shown = {Path(row["path"]).name: row["content"] for row in json.loads(capsys.readouterr().out)["items"]}
