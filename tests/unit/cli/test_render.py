@@ -39,14 +39,14 @@ def test_columns_are_aligned_and_numbers_are_at_the_right(capsys: pytest.Capture
     ]
 
 
-def test_an_empty_table_says_so_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_empty_table_prints_a_note_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
     table(["name"], [])
     output = capsys.readouterr()
     assert output.out == ""
     assert output.err
 
 
-def test_details_leave_out_what_is_not_known(capsys: pytest.CaptureFixture[str]) -> None:
+def test_details_omit_missing_values(capsys: pytest.CaptureFixture[str]) -> None:
     details([("name", "x"), ("nothing", None), ("empty", ""), ("count", 0), ("long name", True)])
     assert capsys.readouterr().out.splitlines() == ["name:      x", "count:     0", "long name: yes"]
 
