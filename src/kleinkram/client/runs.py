@@ -282,7 +282,7 @@ class Runs(ApiResource):
 
 def _run_id(ref: Ref) -> uuid.UUID:
     if (run_id := known_id(ref, "run")) is None:
-        raise InvalidInput(what=f"The run {ref!r}", reason="say its id; `klein run list` shows them")
+        raise InvalidInput(what=f"The run {ref!r}", reason="specify its id; `klein run list` lists the ids")
     return run_id
 
 
