@@ -8,7 +8,7 @@ from sqlalchemy import func, select, update
 
 from kleinkram.contract.files import BlobState
 from kleinkram.recordings import RecordingSummary
-from kleinkram.server.audit.service import Event, record_all
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.blobs import queries
 from kleinkram.server.blobs.queries import BlobRow, SqliteLog
 from kleinkram.server.blobs.summaries import publish_file_changes, record_summaries
@@ -169,4 +169,4 @@ async def _audit_files(
         Event(operation, "file", row.id, row.path, row.project_id, {**before}, {**after}, row.mission_id)
         for row in await db.execute(files)
     ]
-    await record_all(db, None, events)
+    await audit(db, None, *events)

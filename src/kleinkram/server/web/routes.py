@@ -5,7 +5,7 @@ from starlette.exceptions import HTTPException
 
 from kleinkram.server.access.operations import PLACES
 from kleinkram.server.http.dependencies import CurrentSettings
-from kleinkram.server.http.pages import (
+from kleinkram.server.http.web_app import (
     DAY,
     FOREVER,
     app_page,
