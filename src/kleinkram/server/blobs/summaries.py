@@ -10,7 +10,7 @@ from sqlalchemy import bindparam, delete, func, insert, select, update
 from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.files import ContentState, ReadDepth
 from kleinkram.recordings import RecordingSummary, TopicSummary
-from kleinkram.recordings.density import pack
+from kleinkram.recordings.message_density import pack
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection, among, fit_text
 from kleinkram.server.missions.service import lock_missions
