@@ -71,8 +71,8 @@ def as_filter(condition: Condition, fields: FileFields = _NO_FIELDS) -> FileFilt
     """Return the filter of a query's text, of keywords, of both, or a filter unchanged.
 
     Raises:
-        InvalidQuery: the query cannot be read.
-        InvalidInput: a keyword is unknown, or its value is not usable.
+        InvalidQuery: the query is invalid.
+        InvalidInput: a keyword is unknown, or its value is invalid.
     """
     if not (condition is None or isinstance(condition, str | FileFilter)):
         raise InvalidInput(what=f"The filter {condition!r}", reason="use query text, keywords, or a FileFilter")

@@ -4093,7 +4093,7 @@ export interface components {
         };
         /**
          * Location
-         * @description A place on earth. Degrees, WGS 84; altitude in metres above the ellipsoid.
+         * @description A place on earth in degrees (WGS 84); altitude in metres above the ellipsoid.
          */
         Location: {
             /** Altitude */
@@ -4139,7 +4139,7 @@ export interface components {
          * LogChunkRead
          * @description A chunk of the log of a run from the byte `offset` on; the next one begins at `next_offset`.
          *
-         *     It ends with a whole line, unless the log ends or the line is very long. `is_over`: the log ends at `next_offset`.
+         *     It ends with a complete line, unless the log ends or the line is very long. `is_over`: the log ends there.
          */
         LogChunkRead: {
             /** Attempt */
@@ -4247,7 +4247,7 @@ export interface components {
          * MetadataField
          * @description One field that a project declares.
          *
-         *     `unit` belongs to numbers, `pattern` (Rust regex syntax, whole value) to strings, `choices` to choices.
+         *     `unit` is for numbers, `pattern` (Rust regex syntax, for the entire value) for strings, `choices` for choices.
          */
         MetadataField: {
             /** Choices */
@@ -5258,7 +5258,7 @@ export interface components {
         };
         /**
          * Report
-         * @description The whole report of a run. `metadata` is a proposal; a person accepts or ignores it.
+         * @description The report of a run. `metadata` is a proposal; a person accepts or ignores it.
          */
         Report: {
             /**
@@ -5626,7 +5626,7 @@ export interface components {
         };
         /**
          * RunnerRegistration
-         * @description A runner's description of itself, sent whenever it starts. `id` is permanent; its state directory holds it.
+         * @description A runner's description of itself, sent at each start. `id` is permanent, and stored in its state directory.
          *
          *     `default_image` is the digest of the image that it runs scripts on; null where it has none.
          */
@@ -5671,12 +5671,12 @@ export interface components {
         };
         /**
          * RunRead
-         * @description A run.
+         * @description A run of an action on a mission.
          *
-         *     `reason`, `message` and `exit_code` say how it ended; `waits_for` why it is still queued. `image_digest` is of the
-         *     image that was run. `reuses_id` names the earlier run whose results this run reuses; it has none of its own.
-         *     `metrics` are the first reported ones, those of the whole run before those of single files; empty in a lineage.
-         *     `may_cancel`: the reader may cancel it, and it has not ended.
+         *     `reason`, `message` and `exit_code` describe how it ended, `waits_for` why it is still queued. `image_digest` is of
+         *     the image that was run. `reuses_id` is the earlier run whose results this run reuses; it has none of its own.
+         *     `metrics` are the first reported ones, those of the run before those of single files; empty in a lineage.
+         *     `may_cancel`: the caller may cancel it, and it has not ended.
          */
         RunRead: {
             action: components["schemas"]["ActionRef"];
@@ -5913,7 +5913,8 @@ export interface components {
          * ServiceRead
          * @description A server: `GET /api/v1/service`. `name` is the lab's; `person` is the caller, if they have an account.
          *
-         *     Bytes are sent to and fetched from `store_url`; `store_origin` is its origin in browsers.
+         *     Bytes are sent to and fetched from `store_url`; `store_origin` is its origin in browsers. `token_days_max` 0: tokens
+         *     without an end are allowed.
          */
         ServiceRead: {
             /** Checksum */
@@ -5994,7 +5995,7 @@ export interface components {
         };
         /**
          * Severity
-         * @description How bad a finding is.
+         * @description The severity of a finding.
          * @enum {string}
          */
         Severity: "info" | "warning" | "error";
@@ -6048,7 +6049,7 @@ export interface components {
          * ShareRead
          * @description A link without its secret; `prefix` is the beginning of the secret.
          *
-         *     `file_count` is null for a link to a whole mission. Downloads count each file whose URL was requested.
+         *     `file_count` is null for a link to all files of a mission. Downloads count each file whose URL was requested.
          */
         ShareRead: {
             /**
