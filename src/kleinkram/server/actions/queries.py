@@ -11,7 +11,7 @@ from kleinkram.contract.people import PersonRef
 from kleinkram.contract.projects import ProjectRef
 from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.visible import visible_projects
-from kleinkram.server.filters.patterns import matches_key
+from kleinkram.server.db import matches_key
 from kleinkram.server.pagination import Order
 from kleinkram.server.tables import action, action_version, person, project
 

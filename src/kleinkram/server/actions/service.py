@@ -21,11 +21,10 @@ from kleinkram.contract.errors import FieldProblem, Forbidden, InvalidRequest, N
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import name_key
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.rights import require_creator, require_project
+from kleinkram.server.access.rights import require_creator, require_match, require_project
 from kleinkram.server.actions import queries
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
-from kleinkram.server.http.headers import require_match
 from kleinkram.server.pagination import PageRequest, fetch_page
 from kleinkram.server.settings import Creators
 from kleinkram.server.tables import action, action_version

@@ -29,8 +29,7 @@ from kleinkram.contract.audit import AuditFilter, AuditRead, CredentialRef
 from kleinkram.contract.people import PersonRef
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import level_on_mission, level_on_project, trashed_projects, visible_projects
-from kleinkram.server.db import unnest_rows
-from kleinkram.server.filters.patterns import matches
+from kleinkram.server.db import matches, unnest_rows
 from kleinkram.server.pagination import Order
 from kleinkram.server.tables import (
     access_group,

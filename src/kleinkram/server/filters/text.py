@@ -31,12 +31,9 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects.postgresql import ARRAY, JSONPATH
 
-from kleinkram.contract.errors import InvalidQuery
-from kleinkram.contract.query import phrases
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
-from kleinkram.server.db import Connection, among_parameter
-from kleinkram.server.filters.patterns import ESCAPE
+from kleinkram.server.db import ESCAPE, Connection, among_parameter
 from kleinkram.server.filters.plan import SearchPlan, SearchWord
 from kleinkram.server.tables import (
     MAX_STORED_TOPICS,
@@ -52,8 +49,6 @@ from kleinkram.server.tables import (
 Conditions = list[ColumnElement[bool]]
 # Where files without a time stand in the index of times.
 NO_TIME = -(2**63)
-# Each word is looked for in every place where one can occur.
-MAX_WORDS = 20
 # So many projects, topics and types that contain a word are listed by value.
 _MAX_NAMES = 500
 # A word that is in one of so many paths is not looked for elsewhere, to see whether it occurs at all.
@@ -62,19 +57,6 @@ _SAMPLED_PATHS = 300
 _MAX_MESSAGE_TYPES = 5_000
 # A word without three letters or digits in a row has no trigram to be looked up by.
 _TRIGRAM = re.compile(r"[^\W_]{3}")
-
-
-def words_of(text: str | None) -> list[str]:
-    """Return the words of the `text` of a filter.
-
-    Raises:
-        InvalidQuery: there are more than `MAX_WORDS`.
-    """
-    words = phrases(text or "")
-    if len(words) > MAX_WORDS:
-        reason = f"a search has at most {MAX_WORDS} words; put words that belong together in quotes"
-        raise InvalidQuery(expression=words[MAX_WORDS], reason=reason)
-    return words
 
 
 def has_index(word: str) -> bool:

@@ -27,13 +27,12 @@ from kleinkram.server.access.rights import (
     lock_rights,
     owned_by_groups,
     require_creator,
+    require_match,
 )
 from kleinkram.server.access.visible import visible_people
 from kleinkram.server.audit.service import Event, record, record_all
-from kleinkram.server.db import Connection, violated_constraint
-from kleinkram.server.filters.patterns import matches_key
+from kleinkram.server.db import Connection, matches_key, violated_constraint
 from kleinkram.server.groups.queries import GROUP_ORDER, MEMBER_ORDER, groups_seen, members_of, to_group, to_member
-from kleinkram.server.http.headers import require_match
 from kleinkram.server.pagination import PageRequest, read_page
 from kleinkram.server.settings import Creators
 from kleinkram.server.tables import access_grant, access_group, membership, mission, person

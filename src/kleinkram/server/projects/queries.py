@@ -12,7 +12,7 @@ from kleinkram.contract.projects import ProjectRead, ProjectSort
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import level_on_project, sees_whole_missions, visible_projects
 from kleinkram.server.db import by_name
-from kleinkram.server.missions.amounts import duration, file_amounts
+from kleinkram.server.missions.queries import file_totals, total_duration
 from kleinkram.server.pagination import Order
 from kleinkram.server.tables import mission, person, project, upload
 from kleinkram.server.tables.blobs import UNDER_WAY
@@ -26,8 +26,8 @@ def project_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
     unsatisfied: ColumnElement[int] = literal(0)
     if sees_all:
         unsatisfied = func.count().filter(func.jsonb_array_length(mission.c.metadata_problems) > 0)
-    files, size_bytes = file_amounts(actor)
-    contents = _sums(func.count(), unsatisfied, func.sum(files), func.sum(size_bytes), func.sum(duration(actor)))
+    files, size_bytes = file_totals(actor)
+    contents = _sums(func.count(), unsatisfied, func.sum(files), func.sum(size_bytes), func.sum(total_duration(actor)))
     uploads = _sums(func.count(), func.sum(upload.c.size_bytes)).where(
         upload.c.state.in_(UNDER_WAY), upload.c.run_id.is_(None)
     )

@@ -18,12 +18,11 @@ from kleinkram.contract.names import name_key
 from kleinkram.contract.problems import message_of
 from kleinkram.contract.projects import Deleted, ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.rights import admit, grant_first_rights, require_creator, require_project
+from kleinkram.server.access.rights import admit, grant_first_rights, require_creator, require_match, require_project
 from kleinkram.server.access.visible import visible_projects
 from kleinkram.server.audit.service import Event, record
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.filters.missions import filter_projects
-from kleinkram.server.http.headers import require_match
 from kleinkram.server.missions import service as missions
 from kleinkram.server.missions.metadata import InvalidValue, MetadataValidator
 from kleinkram.server.pagination import PageRequest, fetch_page
@@ -105,7 +104,7 @@ async def update_project(
     except IntegrityError as error:
         raise _name_taken(error, changes.name or old.name) from error
     if fields is not None and "metadata_fields" in after:
-        await missions.rejudge_missions(db, project_id, fields)
+        await missions.revalidate_missions(db, project_id, fields)
     new = await get_project(db, actor, project_id)
     await record(db, actor, *_events(new, before, after))
     return new

@@ -12,7 +12,7 @@ from kleinkram.server.access.actor import Actor
 from kleinkram.server.db import Connection
 from kleinkram.server.jobs.queue import Job, Priority, enqueue, has_job
 from kleinkram.server.missions import service as missions
-from kleinkram.server.pagination import PageRequest, fetch_page
+from kleinkram.server.pagination import PageRequest, read_page
 from kleinkram.server.recordings import queries
 from kleinkram.server.tables import mission, mission_topics
 
@@ -78,6 +78,6 @@ async def list_recordings(
         NotFound: the mission is not there, or not for this actor.
         InvalidCursor: the cursor is not of this list.
     """
-    await missions.get_mission_row(db, actor, mission_id)
-    rows = await fetch_page(db, queries.recordings_of(actor, mission_id), queries.RECORDING_ORDER, page)
-    return Page(items=[queries.to_recording(row) for row in rows.items], next=rows.next, total=rows.total)
+    await missions.get_mission_ref(db, actor, mission_id)
+    statement = queries.recordings_of(actor, mission_id)
+    return await read_page(db, statement, queries.RECORDING_ORDER, page, queries.to_recording)

@@ -12,19 +12,20 @@ from sqlalchemy import ARRAY, CTE, ColumnElement, Select, Text, and_, cast, func
 
 from kleinkram.contract.files import FileFilter, FileSort
 from kleinkram.server.access.actor import Actor
-from kleinkram.server.access.visible import visible_files
+from kleinkram.server.access.visible import visible_files, visible_missions
 from kleinkram.server.db import Connection
 from kleinkram.server.files.queries import file_order, matching_files
 from kleinkram.server.filters.files import file_conditions
-from kleinkram.server.filters.plan import ID_COUNT, MatchedFiles, SearchPlan, rounded
-from kleinkram.server.filters.prepared import prepare
-from kleinkram.server.filters.text import file_contains, has_index, look_up_words, occur_somewhere, words_of
+from kleinkram.server.filters.missions import filter_missions_by_files
+from kleinkram.server.filters.plan import ID_COUNT, MatchedFiles, SearchPlan, prepare, rounded, words_of
+from kleinkram.server.filters.text import file_contains, has_index, look_up_words, occur_somewhere
 from kleinkram.server.missions.service import find_visible_mission_ids
 from kleinkram.server.pagination import in_order
-from kleinkram.server.tables import file
+from kleinkram.server.tables import file, mission
 
 # Files sampled, and how many of them make a filter common: with those, an estimate is off by a third.
 SAMPLED_FILES, COMMON = 500, 10
+SAMPLED_MISSIONS = 100
 # Where each of several words is common by itself, no index leads to the files that contain all: common already here.
 _COMMON_TOGETHER = 3
 # A word is common in paths if so many of the sampled ones contain it.
@@ -37,6 +38,11 @@ _AVOID_HASH_JOINS, _ALLOW_HASH_JOINS = (
     text(f"SELECT set_config('enable_hashjoin', '{value}', true), set_config('enable_mergejoin', '{value}', true)")
     for value in ("off", "on")
 )
+
+
+# Until the transaction ends: enough memory to count many topics; lists are read in the order of an index.
+ENLARGE_WORK_MEMORY = text("SELECT set_config('work_mem', '32MB', true)")
+AVOID_SORTING = text("SELECT set_config('enable_sort', 'off', true)")
 
 
 @dataclass(frozen=True)
@@ -184,3 +190,27 @@ def _matched(
 
 def _array(rows: Select[tuple[object]]) -> ColumnElement[str]:
     return cast(func.array(rows.scalar_subquery(), type_=ARRAY(Text)), Text)
+
+
+async def estimate_missions(db: Connection, actor: Actor, by_files: FileFilter, plan: SearchPlan) -> int | None:
+    """Estimate from a sample how many missions a filter of files finds; exact where the sample holds all missions.
+
+    None where no sampled mission matches, and others may.
+    """
+    statement = prepare(_sampled_missions, actor, by_files, plan=plan, size=SAMPLED_MISSIONS)
+    row = (await db.execute(*statement)).one()
+    if row.sampled < SAMPLED_MISSIONS:
+        return int(row.hits)
+    return rounded(row.hits * ID_COUNT // max(row.last_id.int, 1)) or None
+
+
+def _sampled_missions(actor: Actor, by_files: FileFilter, *, plan: SearchPlan, size: int) -> Select[tuple[object, ...]]:
+    sample = select(mission.c.id).order_by(mission.c.id).limit(size).cte("sample").prefix_with("MATERIALIZED")
+    sampled = visible_missions(actor).where(mission.c.id.in_(select(sample.c.id)))
+    matched = filter_missions_by_files(actor, sampled, by_files, plan)
+    hits = matched.with_only_columns(mission.c.id, maintain_column_froms=True).subquery()
+    return select(
+        select(func.count()).select_from(hits).scalar_subquery().label("hits"),
+        select(func.count()).select_from(sample).scalar_subquery().label("sampled"),
+        select(sample.c.id).order_by(sample.c.id.desc()).limit(1).scalar_subquery().label("last_id"),
+    )

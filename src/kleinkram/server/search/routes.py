@@ -13,7 +13,7 @@ from kleinkram.contract.query import whole
 from kleinkram.contract.search import FacetsRead, FileQuery, QueryText, SearchRead
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
 from kleinkram.server.pagination import PageRequest
-from kleinkram.server.search import facets, service
+from kleinkram.server.search import facets, service, statistics
 
 router = APIRouter(prefix="/api/v1", tags=["search"])
 
@@ -66,4 +66,4 @@ async def list_topics(
 @router.get("/stats", operation_id="get_stats")
 async def get_stats(query: Annotated[StatsQuery, Query()], db: Transaction, actor: CurrentActor) -> StatsRead:
     """Return hours, bytes, files and messages of the files that match."""
-    return await service.get_stats(db, actor, by=query.by, matching=whole(query))
+    return await statistics.get_stats(db, actor, by=query.by, matching=whole(query))
