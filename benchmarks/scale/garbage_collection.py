@@ -8,9 +8,9 @@ import os
 
 from sqlalchemy import func, select
 
-from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
+from kleinkram.server.maintenance import collect_garbage
 from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import mission

@@ -91,7 +91,7 @@ def test_a_file_that_changes_while_it_is_read_is_refused(terminal: Terminal, pro
         out.write(b"more")
     ended = end(process)
     assert ended.code == 8
-    assert "changed while it was read" in ended.err
+    assert "changed while it was being read" in ended.err
     there = terminal.run("file", "list", "-p", project, "-m", "m", "--json").json()["items"]
     assert [item["path"] for item in there] == ["calm.bin"]
     terminal.run("upload", "-p", project, "-m", "m", file)

@@ -7,10 +7,9 @@ from urllib.parse import quote
 
 import psycopg
 
-from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import open_database
-from kleinkram.server.runs.jobs import maintain_runs_once as maintain_runs
+from kleinkram.server.maintenance import collect_garbage, maintain_runs
 from kleinkram.server.s3.storage import open_storage
 from kleinkram.server.settings import Settings
 from kleinkram.server.uploads.jobs import maintain_uploads

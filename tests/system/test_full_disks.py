@@ -70,7 +70,7 @@ def test_a_download_reports_a_full_disk_and_resumes_once_there_is_space(
         filling.fill()
         ended = end(process)
         assert ended.code == _EXIT_DESTINATION, ended.err
-        assert "There is no room for" in ended.err
+        assert "There is not enough disk space for" in ended.err
         assert "run the same command again" in ended.err
         assert not filling.path("large.bin").exists(), "what is not whole has no name"
         filling.make_room()

@@ -13,7 +13,7 @@ from kleinkram.client import errors as local
 from kleinkram.client.errors import request_id_of
 from kleinkram.contract import errors as remote
 from kleinkram.contract.errors import KleinkramError
-from kleinkram.contract.problems import in_plain_words
+from kleinkram.contract.problems import first_message
 from kleinkram.failures import code_of, failure_line
 from kleinkram.recordings.errors import RecordingError
 
@@ -138,7 +138,7 @@ def explain(error: Exception) -> int | None:
     if isinstance(error, ClickException):
         usage: Any = error  # the exception of whichever click Typer uses
         if isinstance(error.__cause__, ValidationError):  # newer versions of Typer check values with pydantic
-            usage.message = in_plain_words(error.__cause__)
+            usage.message = first_message(error.__cause__)
         if is_json_requested():
             return fail("usage", usage.format_message(), usage.exit_code)
         usage.show()

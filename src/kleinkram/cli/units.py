@@ -4,7 +4,7 @@ import datetime
 from collections.abc import Callable
 
 from kleinkram.client.errors import InvalidInput
-from kleinkram.contract.amounts import read_size, read_time
+from kleinkram.contract.units import read_size, read_time
 
 _NS = 1_000_000_000
 _YEAR_S = 365.25 * 86_400

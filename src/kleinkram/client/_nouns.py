@@ -18,7 +18,7 @@ from kleinkram.client.errors import InvalidInput, ReadingMissing
 from kleinkram.contract.base import MAX_PAGE_SIZE, Page
 from kleinkram.contract.errors import AmbiguousName, NotFound
 from kleinkram.contract.names import is_id, name_key
-from kleinkram.contract.problems import in_plain_words
+from kleinkram.contract.problems import first_message
 from kleinkram.contract.projects import Deleted
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def checked(kind: type[T], what: str, /, **fields: object) -> T:
         return kind.model_validate(fields)
     except ValidationError as error:
         where = " ".join(str(part) for part in error.errors(include_url=False)[0]["loc"])
-        raise InvalidInput(what=f"{what} ({where})" if where else what, reason=in_plain_words(error)) from None
+        raise InvalidInput(what=f"{what} ({where})" if where else what, reason=first_message(error)) from None
 
 
 def as_datetime(what: str, time: object) -> datetime.datetime | None:

@@ -10,6 +10,7 @@ from kleinkram.client._nouns import Listing, NamedResource, Ref, checked, count,
 from kleinkram.client.errors import InvalidInput
 from kleinkram.client.search import MissionFields, as_mission_filter
 from kleinkram.contract.errors import NotFound
+from kleinkram.contract.files import MAX_MISSION_TOPICS, MissionTimeline, MissionTopics, TimelineFile
 from kleinkram.contract.metadata import Metadata, MetadataFields
 from kleinkram.contract.missions import (
     MissionCreate,
@@ -19,7 +20,6 @@ from kleinkram.contract.missions import (
     MissionTemplate,
     MissionUpdate,
 )
-from kleinkram.contract.overviews import MAX_MISSION_TOPICS, MissionTimeline, MissionTopics, TimelineFile
 from kleinkram.contract.projects import Deleted, ProjectCreate, ProjectRead, ProjectSort, ProjectUpdate
 
 

@@ -9,12 +9,11 @@ from typing_extensions import TypedDict, Unpack
 from kleinkram.client._http import query_of
 from kleinkram.client._nouns import ApiResource, Ref, Time, as_datetime, checked, known_id, refs_of
 from kleinkram.client.errors import InvalidInput
-from kleinkram.contract.amounts import read_size
 from kleinkram.contract.files import FileFilter, FileSort
 from kleinkram.contract.missions import MissionFilter
-from kleinkram.contract.overviews import Overview, StatsRead
-from kleinkram.contract.query import parse, whole
-from kleinkram.contract.search import FacetsRead, FileQuery, SearchRead
+from kleinkram.contract.query import combined_filter, parse
+from kleinkram.contract.search import FacetsRead, FileQuery, Overview, SearchRead, StatsRead
+from kleinkram.contract.units import read_size
 
 # What lists of files take: a filter, the text of a query, or None for everything.
 Condition = FileFilter | str | None
@@ -83,7 +82,7 @@ def as_filter(condition: Condition, fields: FileFields = _NO_FIELDS) -> FileFilt
     if isinstance(condition, FileFilter):
         values = {**condition.model_dump(exclude_defaults=True), **values}
     query = {"query": condition} if isinstance(condition, str) else {}
-    return whole(checked(FileQuery, "The filter", **values, **query))
+    return combined_filter(checked(FileQuery, "The filter", **values, **query))
 
 
 def as_mission_filter(condition: MissionFilter | None, fields: MissionFields) -> MissionFilter | None:
@@ -168,12 +167,12 @@ class Stats(ApiResource):
         """
         return self._api.get("/stats", StatsRead, query_of(as_filter(matching, fields), by=by))
 
-    def overview(self, by: str = "month", *, project: Ref | None = None, most: int = 20) -> Overview:
-        """Return the totals of a project, or of all that one may see, in at most `most` buckets.
+    def overview(self, by: str = "month", *, project: Ref | None = None, max_buckets: int = 20) -> Overview:
+        """Return the totals of a project, or of all that one may see, in at most `max_buckets` buckets.
 
         `by` is `month`, of recording, or the name of a metadata field.
         """
         from kleinkram.client.missions import Projects  # imports this module
 
         path = "/overview" if project is None else f"/projects/{Projects(self._api).id_of(project)}/stats"
-        return self._api.get(path, Overview, query_of(None, by=by, most=most))
+        return self._api.get(path, Overview, query_of(None, by=by, max_buckets=max_buckets))

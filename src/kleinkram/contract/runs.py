@@ -91,10 +91,10 @@ class RunContext(Response):
 
 
 class RunsCreate(Request):
-    """An action to run on each of some missions: a published one by id, in its latest version unless `version` is set;
-    or an unpublished definition.
+    """An action to run on each of some missions: a published one by id, or an unpublished definition.
 
-    Results of an earlier successful run with the same version, image, parameters and inputs are reused unless `force`.
+    Without `version`, the latest version runs. Results of an earlier successful run with the same version, image,
+    parameters and inputs are reused unless `force`.
     """
 
     mission_ids: Annotated[list[uuid.UUID], Field(min_length=1, max_length=MAX_LAUNCHED)]
@@ -107,7 +107,7 @@ class RunsCreate(Request):
     @model_validator(mode="after")
     def _names_one_action(self) -> Self:
         if (self.action_id is None) == (self.definition is None):
-            raise ValueError("say action_id or definition, and not both")
+            raise ValueError("specify either action_id or definition")
         if self.version is not None and self.action_id is None:
             raise ValueError("only a published action has versions")
         return self

@@ -4,6 +4,7 @@ Each step is recorded before it is done, and may be repeated: after a kill the n
 """
 
 import contextlib
+import errno
 import logging
 import math
 import threading
@@ -12,17 +13,25 @@ from collections.abc import Callable
 from kleinkram.contract.errors import KleinkramError, RunGone
 from kleinkram.contract.runners import Heartbeat, HeartbeatReply, LeaseStatus, RunAssignment, RunFinish
 from kleinkram.contract.runs import EndReason, RunState, UsageSample
-from kleinkram.runner.artifact_upload import ResultUpload
-from kleinkram.runner.context import Lease, RunnerContext, StopRequest, StopRequested, StopSignal
 from kleinkram.runner.executors.base import CannotStart, Ending, RunJob, wait_for_end
 from kleinkram.runner.executors.limits import CANCELLED, boot_time_s
-from kleinkram.runner.files import DISK_FULL_ERRORS, remove_tree
-from kleinkram.runner.inputs import Preparation, job_of
+from kleinkram.runner.inputs import job_of, prepare
 from kleinkram.runner.logs import LogUpload, Redactor
-from kleinkram.runner.results import ProgressReader
-from kleinkram.runner.state_directory import Attempt, Stage
+from kleinkram.runner.results import ProgressReader, ResultUpload
+from kleinkram.runner.state import (
+    Attempt,
+    Lease,
+    RunnerContext,
+    Stage,
+    StopRequest,
+    StopRequested,
+    StopSignal,
+    remove_tree,
+)
 
 _log = logging.getLogger("kleinkram.runner")
+# Errors of a full disk or an exceeded quota.
+_DISK_FULL_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT})
 _CHECK_EVERY_S = 0.5
 _SAMPLE_EVERY_S = 5.0
 _MAX_SAMPLES = 100
@@ -153,7 +162,7 @@ class ActiveRun:
                     self._attempt.change(stage=Stage.collecting, ending=ending, usage=self._usage)
                 self._upload_results()
             except OSError as error:
-                if error.errno not in DISK_FULL_ERRORS:
+                if error.errno not in _DISK_FULL_ERRORS:
                     raise
                 _log.error("the run %s is ended, as the disk is full: %s", self.assignment.run_id, error)
                 self._report_disk_full()
@@ -206,8 +215,7 @@ class ActiveRun:
         self._attempt.change(stage=Stage.preparing)
         self._executor.remove(self._job())
         self._attempt.clear()
-        preparation = Preparation(self._context, self.assignment, self.stop)
-        prepared = preparation.prepare(self._attempt.directory / "in")
+        prepared = prepare(self._context, self.assignment, self.stop, self._attempt.directory / "in")
         self._attempt.change(
             stage=Stage.running,
             starts=self._attempt.state.starts + 1,

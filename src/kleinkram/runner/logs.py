@@ -18,9 +18,9 @@ from kleinkram.client.transfer.store import StoreAnswer, StoreClient
 from kleinkram.contract.errors import KleinkramError, RunGone
 from kleinkram.contract.runners import LogChunkConfirm, LogChunkCreate, RunAssignment
 from kleinkram.contract.uploads import crc64nvme
+from kleinkram.runner.durable_files import write_atomically
 from kleinkram.runner.executors.base import Executor, RunJob
-from kleinkram.runner.files import write_atomically
-from kleinkram.runner.state_directory import LOG_UPLOAD
+from kleinkram.runner.state import LOG_UPLOAD
 
 _CHUNK_BYTES = 4 * 2**20
 _EVERY_S = 1.0

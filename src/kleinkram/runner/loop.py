@@ -31,12 +31,11 @@ from kleinkram.contract.runners import (
     Heartbeats,
     RunnerRegistration,
 )
+from kleinkram.runner import state as runner_state
 from kleinkram.runner.active_run import ActiveRun
-from kleinkram.runner.context import LEASE_MARGIN_S, Lease, RunnerContext, StopRequest
 from kleinkram.runner.executors.base import CannotStart, Executor
 from kleinkram.runner.executors.limits import boot_time_s
-from kleinkram.runner.files import remove_tree
-from kleinkram.runner.state_directory import Attempt, StateDirectory, create_attempt, find_attempts
+from kleinkram.runner.state import LEASE_MARGIN_S, Attempt, Lease, RunnerContext, StateDirectory, StopRequest
 
 _log = logging.getLogger("kleinkram.runner")
 _HEARTBEAT_TIMEOUT_S = 10.0
@@ -154,13 +153,13 @@ class Runner:
             connections.close()
 
     def _continue_runs(self) -> None:
-        entries = find_attempts(self._state.runs)
+        entries = self._state.find_attempts()
         attempts = [entry for entry in entries if isinstance(entry, Attempt)]
         self._executor.remove_others([attempt.key for attempt in attempts])
         for entry in entries:
             if isinstance(entry, Path):
                 with contextlib.suppress(OSError):
-                    remove_tree(entry)
+                    runner_state.remove_tree(entry)
         until_s = max(boot_time_s() + _CONFIRMATION_S, self._state.last_heartbeat_s() + LEASE_S - LEASE_MARGIN_S)
         for attempt in attempts:
             _log.info("continuing the run %s", attempt.state.assignment.run_id)
@@ -228,7 +227,7 @@ class Runner:
             if assignment is None:
                 return None
             _log.info("got the run %s of %s", assignment.run_id, assignment.action.name)
-            attempt = create_attempt(self._state.runs, assignment)
+            attempt = self._state.create_attempt(assignment)
             # Counted from the request, the lease ends here before it does on the server.
             return self._add(attempt, Lease(requested_s + assignment.lease_s - LEASE_MARGIN_S), is_new=True)
         except NotFound:

@@ -7,7 +7,7 @@ import pytest
 from kleinkram.client import connect
 from kleinkram.contract.errors import NotFound, StoreUnavailable
 from kleinkram.server.blobs import service
-from kleinkram.server.jobs.attempts import ATTEMPTS
+from kleinkram.server.jobs.execution import ATTEMPTS
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi

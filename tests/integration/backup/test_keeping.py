@@ -24,7 +24,7 @@ from kleinkram.server.backup.errors import (
 from kleinkram.server.backup.operations import _Creation
 from kleinkram.server.backup.rclone import Rclone
 from kleinkram.server.backup.repository import open_repository
-from kleinkram.server.blobs.jobs import collect_garbage
+from kleinkram.server.maintenance import collect_garbage
 from kleinkram.server.settings import plain_dsn
 from tests.integration.api_server import Api
 from tests.integration.backup.conftest import LARGE

@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 import pytest
 
 from kleinkram.server.context import AppContext
-from kleinkram.server.jobs.back_pressure import BackPressure
+from kleinkram.server.jobs.execution import BackPressure
 from kleinkram.server.recordings import jobs as recording_jobs
 from kleinkram.server.recordings.service import regroup
 from tests.integration.api_server import Api

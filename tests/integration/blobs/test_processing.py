@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from kleinkram.recordings.sample import generate_bag, generate_mcap
-from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.blobs.queries import SMALL_BYTES
+from kleinkram.server.maintenance import collect_garbage
 from tests.integration import upload_client
 from tests.integration.api_server import Api
 from tests.integration.jobs import on_site, run_jobs

@@ -9,8 +9,8 @@ import pytest
 
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.server.blobs import scrub
-from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.context import AppContext
+from kleinkram.server.maintenance import collect_garbage
 from kleinkram.server.s3.storage import Storage
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
@@ -141,7 +141,7 @@ def test_old_verifications_are_repeated_oldest_first_in_batches(
             " WHERE id = (SELECT blob_id FROM file WHERE id = %s)",
             *(days, file["id"]),
         )
-    monkeypatch.setattr("kleinkram.server.blobs.jobs._MAX_REVERIFIED", 2)
+    monkeypatch.setattr("kleinkram.server.maintenance._MAX_REVERIFIED", 2)
     on_site(api, collect_garbage)
     on_site(api, collect_garbage)
     waiting = {row[0] for row in api.sql(_AT_LEISURE)}

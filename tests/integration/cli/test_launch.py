@@ -82,8 +82,8 @@ def test_launching_on_many_missions_needs_confirmation() -> None:
 
 def test_invalid_arguments_are_reported_before_any_launch(tmp_path: Path) -> None:
     for arguments, why in (
-        (["look"], "say which missions"),
-        (["look", "-m", "day", "--query", "alps"], "say which missions"),
+        (["look"], "specify missions"),
+        (["look", "-m", "day", "--query", "alps"], "specify missions"),
         ([tmp_path / "none.py", "-m", "day"], "no such file"),
         (["look", "-m", "day", "--set", "x=1"], "no parameter 'x'"),
     ):

@@ -68,7 +68,7 @@ def test_by_values_of_a_field_with_the_longest_first(api: Api, sample: Sample, p
     for number, hours in enumerate((1, 5, 2, 4)):
         _mission(api, sample, project_id, MAY, hours, robot=f"r{number}")
     _mission(api, sample, project_id, MAY, 1)
-    actual = api.get(f"/projects/{project_id}/stats", {"by": "robot", "most": "2"}).ok()
+    actual = api.get(f"/projects/{project_id}/stats", {"by": "robot", "max_buckets": "2"}).ok()
     assert _stats(actual) == [("r1", None, None, 1), ("r3", None, None, 1), (None, None, None, 1)]
     assert (actual["other"]["missions"], actual["other"]["duration_ns"]) == (2, 3 * HOUR)
     assert api.get(f"/projects/{project_id}/stats", {"by": "metadata.robot"}).ok()["other"] is None
@@ -77,7 +77,7 @@ def test_by_values_of_a_field_with_the_longest_first(api: Api, sample: Sample, p
 def test_by_ranges_of_numbers(api: Api, sample: Sample, project_id: str) -> None:
     for speed in (-0.5, 0, 0.4, 1.1, 1.9, 3):
         _mission(api, sample, project_id, MAY, 1, speed=speed)
-    actual = api.get(f"/projects/{project_id}/stats", {"by": "speed", "most": "4"}).ok()
+    actual = api.get(f"/projects/{project_id}/stats", {"by": "speed", "max_buckets": "4"}).ok()
     assert _stats(actual) == [(None, -1, 0, 1), (None, 0, 1, 2), (None, 1, 2, 2), (None, 3, 4, 1)]
     assert actual["unit"] == "m/s"
     several = api.get(f"/projects/{project_id}/stats", {"by": "speed"}).ok()
@@ -90,7 +90,7 @@ def test_numbers_of_any_size_find_a_range(
 ) -> None:
     for speed in values:
         _mission(api, sample, project_id, MAY, 1, speed=speed)
-    actual = api.get(f"/projects/{project_id}/stats", {"by": "speed", "most": "1"}).ok()
+    actual = api.get(f"/projects/{project_id}/stats", {"by": "speed", "max_buckets": "1"}).ok()
     assert sum(item["stats"]["missions"] for item in actual["buckets"]) == 2
 
 

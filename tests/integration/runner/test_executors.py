@@ -18,7 +18,7 @@ from kleinkram.contract.runners import Isolation
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors import local
 from kleinkram.runner.executors.base import CannotStart, Ending, RunJob, wait_for_end
-from kleinkram.runner.executors.docker import container_log
+from kleinkram.runner.executors.docker import container as docker_container
 from kleinkram.runner.executors.limits import GRACE_S, boot_time_s
 from kleinkram.runner.executors.port_forward import PortForward
 from tests.integration.runner.conftest import EVERYWHERE, Bench, log_of
@@ -276,7 +276,7 @@ def test_a_cancelled_run_may_clean_up(bench: Bench) -> None:
 
 @pytest.mark.slow
 def test_endless_output_is_cut(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (local, container_log):
+    for module in (local, docker_container):
         monkeypatch.setattr(module, "LOG_BYTES", 1_000_000)
     job, ending = bench.run("while True: print('y' * 1000)", time_s=2)
     assert ending.reason is EndReason.time

@@ -7,7 +7,7 @@ from tests.integration.runs.conftest import Place, Played, another, launch
 from tests.integration.upload_client import fetch, sha256
 
 
-def test_from_the_queue_to_its_results(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_goes_from_the_queue_to_its_results(lab: Api, runner: Played, place: Place) -> None:
     made = launch(lab, runner, place.mission)
     assert (made["state"], made["input_count"], made["may_cancel"]) == ("queued", 2, True)
     claim = runner.claim()
@@ -61,7 +61,7 @@ def test_a_claim_is_answered_again_after_a_lost_answer(lab: Api, runner: Played,
     assert (again["run_id"], again["attempt"]) == (made["id"], first["attempt"])
 
 
-def test_a_runner_that_was_lost_with_a_run(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_whose_runner_is_lost_is_queued_again(lab: Api, runner: Played, place: Place) -> None:
     """It goes to another one; what the first still says of it is refused, and nothing of its attempt stays."""
     made = launch(lab, runner, place.mission)
     first = runner.claim()
@@ -78,7 +78,7 @@ def test_a_runner_that_was_lost_with_a_run(lab: Api, runner: Played, place: Plac
     assert lab.get(f"/runs/{made['id']}").ok()["state"] == "done"
 
 
-def test_a_run_that_loses_runner_after_runner_fails_with_the_reason(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_that_loses_its_runners_repeatedly_fails(lab: Api, runner: Played, place: Place) -> None:
     made = launch(lab, runner, place.mission)
     for attempt in (1, 2, 3):
         runner.active_ids.clear()
@@ -157,7 +157,7 @@ def test_a_run_without_heartbeats_has_its_image_digest(lab: Api, runner: Played,
     assert lab.get(f"/runs/{launched['id']}").ok()["image_digest"] == "sha256:short"
 
 
-def test_the_very_same_is_not_run_twice_unless_it_must_be(lab: Api, runner: Played, place: Place) -> None:
+def test_results_of_an_identical_run_are_reused_unless_forced(lab: Api, runner: Played, place: Place) -> None:
     first = launch(lab, runner, place.mission)
     claim = runner.claim()
     runner.heartbeat(claim, image_digest="sha256:stock")

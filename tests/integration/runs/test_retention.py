@@ -6,11 +6,10 @@ import uuid
 import pytest
 
 from kleinkram.contract.access import Scope, TokenKind
-from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.context import AppContext
 from kleinkram.server.events import hub as hubs
 from kleinkram.server.events.hub import MAX_STREAMS_PER_PERSON
-from kleinkram.server.runs.jobs import maintain_runs_once
+from kleinkram.server.maintenance import collect_garbage, maintain_runs
 from kleinkram.server.s3.storage import Storage
 from tests.integration import people
 from tests.integration.api_server import Api
@@ -55,7 +54,7 @@ def test_artifacts_of_a_run_remain_until_its_mission_is_deleted(lab: Api, runner
     assert lab.sql("SELECT count(*) FROM token WHERE kind = 'run' AND run_id IS NULL AND revoked_at IS NOT NULL")[0][0]
 
 
-def test_an_artifact_whose_upload_nobody_wrote_down_is_taken_up(lab: Api, runner: Played, place: Place) -> None:
+def test_an_unrecorded_artifact_upload_is_recovered(lab: Api, runner: Played, place: Place) -> None:
     launch(lab, runner, place.mission)
     claim, data = runner.claim(), bytes(20_000_000)
     upload_id = runner.begin(claim, "large", data)["id"]
@@ -66,7 +65,7 @@ def test_an_artifact_whose_upload_nobody_wrote_down_is_taken_up(lab: Api, runner
 
 
 @pytest.mark.parametrize("size_bytes", [100, 10_000_000])
-def test_an_artifact_whose_runner_was_killed_while_it_was_completed_is_there(
+def test_an_artifact_is_stored_if_its_runner_is_killed_on_completion(
     lab: Api, runner: Played, place: Place, size_bytes: int
 ) -> None:
     launch(lab, runner, place.mission)
@@ -85,7 +84,7 @@ def test_an_artifact_whose_runner_was_killed_while_it_was_completed_is_there(
     assert (stored["path"], stored["size_bytes"]) == ("map.ply", size_bytes)
 
 
-def test_deleting_an_input_says_what_came_from_it(lab: Api, runner: Played, place: Place) -> None:
+def test_deleting_an_input_names_the_files_made_from_it(lab: Api, runner: Played, place: Place) -> None:
     launch(lab, runner, place.mission, right="CREATE")
     claim = runner.claim()
     runner.leave(claim, "clean", b"cleaned")
@@ -189,7 +188,7 @@ def _blobs(lab: Api, run_id: str) -> list[uuid.UUID]:
 
 
 async def _collect_garbage(context: AppContext) -> None:
-    await maintain_runs_once(context)
+    await maintain_runs(context)
     await collect_garbage(context)
 
 
@@ -208,7 +207,7 @@ def test_runners_that_wait_take_no_streams_from_their_owner(lab: Api) -> None:
         thread.join()
 
 
-def test_log_readers_that_wait_shut_nobody_else_out(
+def test_waiting_log_readers_do_not_block_other_requests(
     lab: Api, runner: Played, place: Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(hubs, "MAX_LONG_POLLS_PER_ACCOUNT", 3)

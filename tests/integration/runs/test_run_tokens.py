@@ -100,7 +100,7 @@ def test_a_run_token_ends_when_the_run_moves_to_another_runner(lab: Api, runner:
     run.get("/me").refused(401, "not_authenticated")
 
 
-def test_a_run_holds_what_its_starter_holds_now(lab: Api, runner: Played, place: Place) -> None:
+def test_a_run_token_follows_the_current_rights_of_its_starter(lab: Api, runner: Played, place: Place) -> None:
     starter = people.person(lab)
     grant = people.grant(lab, starter, Right.write, mission_id=place.mission["id"])
     mine = lab.as_(people.token(lab, starter).secret)
@@ -124,7 +124,7 @@ def test_losing_the_right_cancels_queued_runs(lab: Api, runner: Played, place: P
     assert "may not run it" in seen["message"]
 
 
-def test_starting_takes_what_the_action_takes(lab: Api, runner: Played, place: Place) -> None:
+def test_launching_requires_the_right_of_the_action(lab: Api, runner: Played, place: Place) -> None:
     starter = people.person(lab)
     people.grant(lab, starter, Right.create, mission_id=place.mission["id"])
     mine = lab.as_(people.token(lab, starter).secret)

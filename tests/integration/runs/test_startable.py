@@ -76,7 +76,7 @@ def test_a_runner_with_containers_ends_the_problem(single: Api, own_runner: Play
     assert single.post("/people/invitations", {"email": "third@lab.example"}).ok(201)["warning"] is None
 
 
-def test_a_runner_that_is_switched_off_for_now_is_waited_for(single: Api, own_runner: Played, mission: Any) -> None:
+def test_runs_wait_for_a_runner_that_is_temporarily_off(single: Api, own_runner: Played, mission: Any) -> None:
     single.sql("UPDATE runner SET last_seen_at = now() - interval '1 day'")
     waits = launch(single, own_runner, mission)["waits_for"]
     assert "which is not running" in waits
@@ -102,7 +102,7 @@ def test_requirements_that_no_runner_meets_are_refused(
     assert "klein runner start" in item["problem"]["detail"]
 
 
-def test_results_that_are_there_already_need_no_runner(single: Api, own_runner: Played, mission: Any) -> None:
+def test_reused_results_need_no_runner(single: Api, own_runner: Played, mission: Any) -> None:
     launch(single, own_runner, mission)
     claim = own_runner.claim()
     own_runner.heartbeat(claim, image_digest="sha256:stock")

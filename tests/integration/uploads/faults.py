@@ -10,8 +10,9 @@ from functools import partial
 from types import FunctionType
 from typing import Any, cast
 
-from kleinkram.server.blobs import jobs, queries, scrub, service
+from kleinkram.server.blobs import queries, scrub, service
 from kleinkram.server.blobs.verification import ObjectChecksums
+from kleinkram.server.maintenance import collect_garbage
 from kleinkram.server.uploads import completion, parts, rules
 from kleinkram.server.uploads import jobs as upload_jobs
 from kleinkram.server.uploads import queries as upload_queries
@@ -161,7 +162,7 @@ FAULTS = [
     ),
     Fault(
         "garbage collection leaves the object",
-        jobs.collect_garbage,
+        collect_garbage,
         _THE_OBJECT_GOES,
         "pass\n",
         "every_object_is_known",

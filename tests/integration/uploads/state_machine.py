@@ -9,9 +9,9 @@ from typing import Any
 from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, invariant, rule
 
-from kleinkram.server.blobs import jobs
 from kleinkram.server.blobs.scrub import scrub_store
 from kleinkram.server.context import AppContext
+from kleinkram.server.maintenance import collect_garbage
 from kleinkram.server.uploads.jobs import maintain_uploads
 from tests.integration.api_server import Api
 from tests.integration.upload_client import begin, complete, send, sha256
@@ -165,7 +165,7 @@ class Machine(RuleBasedStateMachine):
     def collect_garbage(self) -> None:
         """Mark what nothing refers to, then delete it."""
         for _ in range(2):
-            self.context.run(jobs.collect_garbage)
+            self.context.run(collect_garbage)
 
     @rule()
     def verify(self) -> None:

@@ -9,9 +9,9 @@ import pytest
 from sqlalchemy import ColumnElement, func, or_, text
 
 from kleinkram.server.blobs import garbage_collection, queries
-from kleinkram.server.blobs.jobs import collect_garbage
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
+from kleinkram.server.maintenance import collect_garbage
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi
 from tests.integration.jobs import on_site

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import BlobState, ContentState, FileFilter
 from kleinkram.contract.metadata import WHERE_EXPRESSION
-from kleinkram.contract.query import parse, phrases, render, whole
+from kleinkram.contract.query import combined_filter, parse, phrases, render
 from kleinkram.contract.search import FileQuery
 
 _ID = uuid.UUID("2b1d0c9e-0000-4000-8000-000000000000")
@@ -87,23 +87,23 @@ def test_a_query_has_one_spelling(text: str, message: str) -> None:
     ("text", "column", "words"),
     [
         ("alps topc:/imu", 6, "did you mean 'topic'?"),
-        ("robot:anymal", 1, "metadata is asked for by meta.robot:anymal"),
+        ("robot:anymal", 1, "write metadata as meta.robot:anymal"),
         ("http://x", 1, "text in quotes"),
-        ("topic:", 1, "nothing stands behind it; write it like topic:/imu/*"),
-        ("meta.robot:", 1, "nothing stands behind it"),
+        ("topic:", 1, "it has no value; write it like topic:/imu/*"),
+        ("meta.robot:", 1, "it has no value"),
         ("meta.a..b:3", 1, "an empty part"),
-        ("a topic>3", 3, "topic is not compared by >"),
+        ("a topic>3", 3, "topic does not support >"),
         ("size:big", 1, "kB, MB, GB, TB"),
         ("size>1apple", 1, "kB, MB, GB, TB"),
         ("size<0", 1, "nothing is smaller than 0"),
-        ("size>99999999TB", 1, "nothing is so large"),
+        ("size>99999999TB", 1, "the number is too large"),
         ("duration>10", 1, "a number with d, h, m, s"),
         ("after:yesterday", 1, "2026-05-01"),
         ("after:2026-02-30", 1, "2026-05-01"),
         ("month:2026-13", 1, "2026-05"),
         ("content:bad", 1, "one of pending, indexed, recovered"),
         ("recording:front", 1, "recording:ID"),
-        (f"recording:{uuid.UUID(int=1)} recording:{uuid.UUID(int=2)}", 48, "said at column 1 already"),
+        (f"recording:{uuid.UUID(int=1)} recording:{uuid.UUID(int=2)}", 48, "already set at column 1"),
         ('alps "50% of', 6, "the quote that opens at column 6 is not closed"),
         ('alps topic:"/a"b', 15, "a space is missing behind the quote"),
         ("a -topc:/x", 3, "did you mean 'topic'?"),
@@ -128,9 +128,9 @@ def test_a_filter_whose_terms_say_nothing_has_no_text(field: str) -> None:
 
 def test_a_text_and_a_filter_beside_it_are_one() -> None:
     requested = FileQuery(query="alps label:a size>1GB", text="rain", label=["b"], min_size_bytes=5, content=["broken"])
-    assert render(whole(requested)) == "alps rain label:a label:b content:broken size>1GB"
-    assert type(whole(FileQuery(text="rain"))) is FileFilter
-    assert whole(FileQuery(text="rain")) == FileFilter(text="rain")
+    assert render(combined_filter(requested)) == "alps rain label:a label:b content:broken size>1GB"
+    assert type(combined_filter(FileQuery(text="rain"))) is FileFilter
+    assert combined_filter(FileQuery(text="rain")) == FileFilter(text="rain")
 
 
 def test_several_projects_or_missions_mean_any_of_them() -> None:
@@ -140,8 +140,8 @@ def test_several_projects_or_missions_mean_any_of_them() -> None:
     assert parse("project:a project:a") == FileFilter(project="a")
     for matching in (FileFilter(projects=["a", "b c"]), FileFilter(missions=[first, second, "night"], project="a")):
         assert parse(render(matching)) == matching
-    with pytest.raises(InvalidQuery, match="said at column 1 already"):
-        whole(FileQuery(query="project:a", projects=["b", "c"]))  # both would have to hold
+    with pytest.raises(InvalidQuery, match="already set at column 1"):
+        combined_filter(FileQuery(query="project:a", projects=["b", "c"]))  # both would have to hold
 
 
 _text = st.text(st.characters(exclude_characters="\x00", exclude_categories=["Cs"]), max_size=12)

@@ -2595,10 +2595,9 @@ export interface components {
         };
         /**
          * ActionRead
-         * @description An action with its latest version. `project` is null where it is the whole lab's. `may_change`: the asker may.
+         * @description An action with its latest version. `project` is null for the whole lab; `may_change`: the caller may change it.
          *
-         *     `etag` names its latest version and whether it is archived: given back with a change or a further version, that
-         *     is refused where somebody else came first.
+         *     `etag` covers the latest version and `archived`: a change or a further version with an outdated one is refused.
          */
         ActionRead: {
             /** Archived */
@@ -2933,7 +2932,7 @@ export interface components {
         };
         /**
          * BlobState
-         * @description State of a file's bytes: checksums confirmed by the store; read by the server; missing; or altered.
+         * @description State of a file's bytes: received by the store, read and verified by the server, missing, or altered.
          * @enum {string}
          */
         BlobState: "stored" | "verified" | "lost" | "corrupt";
@@ -2946,9 +2945,9 @@ export interface components {
         };
         /**
          * Bucket
-         * @description Files of one month, of one value of a field, or of the numbers from `low` on up to below `high`.
+         * @description Files of one month, of one value of a field, or of numbers from `low` (inclusive) to `high` (exclusive).
          *
-         *     All three are null for what has no such time or value.
+         *     All three are null for files without such a time or value.
          */
         Bucket: {
             /** High */
@@ -3064,7 +3063,7 @@ export interface components {
         };
         /**
          * ContentState
-         * @description What is known of the meaning of the bytes (see the concepts page).
+         * @description What the server has read of a file's content (see the concepts page).
          * @enum {string}
          */
         ContentState: "pending" | "indexed" | "recovered" | "broken" | "opaque" | "error";
@@ -3149,10 +3148,10 @@ export interface components {
         };
         /**
          * Density
-         * @description Distribution of messages over time.
+         * @description The number of messages in equal bins of log time.
          *
-         *     `counts[k]` are the messages from `start_ns + k * bin_ns` on, that time included, up to the next bin. `bin_ns` is a
-         *     power of two, and `start_ns` a multiple of it. Stamps that cannot be true are in no bin.
+         *     `counts[k]` covers `start_ns + k * bin_ns` (inclusive) to `start_ns + (k + 1) * bin_ns` (exclusive). `bin_ns` is a
+         *     power of two, and `start_ns` a multiple of it. Implausible timestamps are in no bin.
          */
         Density: {
             /** Bin Ns */
@@ -3250,7 +3249,7 @@ export interface components {
         };
         /**
          * DownloadLink
-         * @description Where to read one file's bytes: GET with or without a Range header, until `expires_at`.
+         * @description A URL to GET the bytes of a file from before `expires_at`, with or without a Range header.
          */
         DownloadLink: {
             /** Crc64Nvme */
@@ -3277,7 +3276,7 @@ export interface components {
         };
         /**
          * DownloadLinks
-         * @description Links, one a file, in the order asked.
+         * @description URLs of files, in the requested order.
          */
         DownloadLinks: {
             /** Items */
@@ -3285,7 +3284,7 @@ export interface components {
         };
         /**
          * DownloadRequest
-         * @description Files to fetch, or only to look into; the record says which.
+         * @description Files to download or preview; the audit log contains the purpose.
          */
         DownloadRequest: {
             /** File Ids */
@@ -3388,7 +3387,7 @@ export interface components {
         };
         /**
          * FetchPurpose
-         * @description What addresses of files are asked for, by the word of whoever asks: either gives all bytes, for as long.
+         * @description What the URLs of files are for, according to the caller. Both give access to all bytes.
          * @enum {string}
          */
         FetchPurpose: "download" | "preview";
@@ -3414,7 +3413,7 @@ export interface components {
         FieldType: "string" | "number" | "boolean" | "date" | "location" | "link" | "choice";
         /**
          * FileFact
-         * @description One thing more that a file says of itself, such as the number of poses of a trajectory.
+         * @description A further property of a file, such as the number of poses of a trajectory.
          */
         FileFact: {
             /** Name */
@@ -3426,14 +3425,13 @@ export interface components {
         };
         /**
          * FileFilter
-         * @description Which files: all that are given must hold; within one list any may. Names and paths may be globs (`*`, `?`).
+         * @description A filter of files; all criteria must match, and of the values in one list, any. Names and paths may be globs.
          *
-         *     `where` compares metadata of the mission, as in `MissionFilter`. `format` is what the content is
-         *     (`mcap`, `rosbag1`, `db3`, …), whatever the extension. `problem` are codes of problems inside the file, or globs:
-         *     `*` finds files with any problem. Sizes in bytes; `recorded_*` against the file's span.
-         *     Quotes in `text` make several words one. `projects` and `missions` are names, globs or ids of several, of which any
-         *     may hold; `project` and `mission` are one name or glob. `month` is the one in which the recording began,
-         *     UTC. `without` are terms of the query language (see the page on searching) of which none may hold.
+         *     `project` and `mission` are a name or a glob, `projects` and `missions` names, globs or ids. `where` compares
+         *     metadata of the mission, as in `MissionFilter`. Quotes in `text` group words. `format` is that of the content
+         *     (`mcap`, `rosbag1`, `db3`, …), whatever the extension. `problem` are codes of quality warnings or globs.
+         *     `recorded_*` are compared with the span of the file. `month` is the month (UTC) in which the recording began.
+         *     `without` are terms of the query language (see the page on searching), of which none may match.
          */
         FileFilter: {
             /**
@@ -3542,7 +3540,7 @@ export interface components {
         };
         /**
          * FileLoss
-         * @description What of a damaged recording cannot be read. `messages` is null where nothing in the file tells.
+         * @description The unreadable part of a damaged recording. `messages` is null if the file does not tell the number.
          */
         FileLoss: {
             /** Bytes */
@@ -3554,7 +3552,7 @@ export interface components {
         };
         /**
          * FileProblem
-         * @description Something odd inside a recording, in plain words.
+         * @description A quality warning about a recording.
          */
         FileProblem: {
             /** Code */
@@ -3566,12 +3564,11 @@ export interface components {
         };
         /**
          * FileRead
-         * @description A file of a mission: its place, its bytes, and what they hold. Checksums are lower-case hex.
+         * @description A file of a mission: its path, its bytes, and their content. Checksums are lower-case hex.
          *
-         *     `sha256` is the uploader's word until `state` is `verified`; `md5` is null until then. `summarised_at` is null until
-         *     the server has looked at the content, whatever came of it. `depth` says how far it read; null until then.
-         *     `damaged_at` is since when it is known to be lost or corrupt; `state_reason` says how that showed. `etag` names
-         *     the path and labels that people gave it last, as with missions.
+         *     `sha256` is as reported by the uploader until `state` is `verified`; `md5` is null until then. `summarised_at` and
+         *     `depth` are null until the server has read the content. `damaged_at` is when the file was found to be lost or
+         *     corrupt, `state_reason` how. `etag` covers the path and the labels.
          */
         FileRead: {
             /** Compression */
@@ -3649,7 +3646,7 @@ export interface components {
         FileSort: "path" | "-path" | "created" | "-created" | "size" | "-size" | "start" | "-start";
         /**
          * FileUpdate
-         * @description What to change of a file; what is left out stays. A path renames, a mission moves; no object is touched.
+         * @description Changes of a file; omitted fields stay. `path` renames it, `mission_id` moves it; no bytes are copied.
          */
         FileUpdate: {
             /** Labels */
@@ -3787,7 +3784,7 @@ export interface components {
          * @description A group. Expired memberships and deactivated people do not count.
          *
          *     `is_member`, `is_editor` and `expires_at` are the caller's own membership. `domains` and `default_right` are the
-         *     settings of an affiliation group. Changes with `etag` are refused if somebody else changed the group meanwhile.
+         *     settings of an affiliation group. A change with an outdated `etag` is refused.
          */
         GroupRead: {
             /**
@@ -4197,8 +4194,8 @@ export interface components {
          * MemberRead
          * @description A member of a group. Only its editors and admins see `emails`, and members who are not active.
          *
-         *     `is_active`: the membership has not expired, and the person is not deactivated. Changes with `etag` are refused if
-         *     somebody else changed the membership meanwhile.
+         *     `is_active`: the membership has not expired, and the person is not deactivated. A change with an outdated `etag` is
+         *     refused.
          */
         MemberRead: {
             /**
@@ -4327,9 +4324,9 @@ export interface components {
         };
         /**
          * MissionCreate
-         * @description A mission to make, whose metadata must satisfy the project's fields.
+         * @description A mission to create, whose metadata must satisfy the project's fields.
          *
-         *     Said as a document, `metadata_yaml`, which is kept to the letter, or as the values of a form, `metadata`.
+         *     The metadata is a YAML document, `metadata_yaml`, which is stored unchanged, or values, `metadata`.
          */
         MissionCreate: {
             /** Metadata */
@@ -4348,13 +4345,12 @@ export interface components {
         };
         /**
          * MissionRead
-         * @description A mission and what it amounts to.
+         * @description A mission and its totals.
          *
-         *     `start_ns` and `end_ns` (log clock, since 1970, UTC) span its recordings without suspect stamps.
-         *     `metadata_problems` names what no longer satisfies the project's fields. `pending_file_count` counts the files whose
-         *     content nobody has read yet, those included that only the verification will read; `recordings_current` says whether
-         *     recordings and span follow from today's files. `right` is the asker's own on it, from wherever it comes.
-         *     `etag` names what people edited last: given back with a change, that is refused where somebody else came first.
+         *     `start_ns` and `end_ns` (log time, ns since 1970) span its recordings without implausible timestamps.
+         *     `metadata_problems` is what does not satisfy the project's fields. `pending_file_count` is the number of files whose
+         *     content the server has not read yet. `recordings_current`: recordings and span reflect the current files. `right` is
+         *     the caller's. `etag` covers the edited fields: a change with an outdated one is refused.
          */
         MissionRead: {
             /** Completed At */
@@ -4403,7 +4399,7 @@ export interface components {
         };
         /**
          * MissionRef
-         * @description A mission, as named beside what it holds.
+         * @description The id, name and project of a mission.
          */
         MissionRef: {
             /**
@@ -4425,8 +4421,8 @@ export interface components {
          * MissionTemplate
          * @description Template for the next mission of a project: as YAML, or as a form of `fields` with initial `values`.
          *
-         *     `carried` are values of the mission `prefilled_from`, for somebody to confirm field by field. In the YAML they
-         *     stand in comments. Dates, weather and operator are not among them.
+         *     `carried` are values of the mission `prefilled_from`, to be confirmed field by field; in the YAML they are comments.
+         *     Dates, weather and operator are not carried over.
          */
         MissionTemplate: {
             /**
@@ -4523,9 +4519,8 @@ export interface components {
          * MissionUpdate
          * @description Changes of a mission; omitted fields stay. A new `project_id` moves the mission with its files.
          *
-         *     `metadata_yaml` is all metadata anew; with `merge_yaml`, it changes the fields that it names, and a field without a
-         *     value (null) is removed. `metadata` changes the fields that it names, null takes one away, and the
-         *     document that values all is dropped.
+         *     `metadata_yaml` replaces all metadata; with `merge_yaml`, it changes only the fields that it contains. `metadata`
+         *     changes the fields that it contains and drops the stored YAML document. A field with the value null is removed.
          */
         MissionUpdate: {
             /** Completed */
@@ -4587,9 +4582,9 @@ export interface components {
          * Overview
          * @description Totals of a project, or of everything visible, by `month` of recording or by a metadata field.
          *
-         *     Months and numbers come in their order. Other values come with the longest recorded first, as many as were asked
-         *     for, and `other` is all that are left. `unit` is that of a field of numbers. `topics` are the distinct names of
-         *     topics; null for who is shown less than whole missions.
+         *     Months and numbers are in ascending order; other values by recorded time, longest first, as many as requested, and
+         *     `other` is the rest. `unit` is that of a number field. `topics` is the number of distinct topic names; null if the
+         *     caller may see only parts of missions.
          */
         Overview: {
             /** Buckets */
@@ -5110,7 +5105,7 @@ export interface components {
         };
         /**
          * ProjectUpdate
-         * @description Changes of a project; omitted fields stay. Metadata fields are replaced as a whole.
+         * @description Changes of a project; omitted fields stay. Metadata fields are all replaced.
          *
          *     Everybody may read a public project, also without an account. A quota of null is no quota; admins set quotas.
          */
@@ -5201,10 +5196,10 @@ export interface components {
         };
         /**
          * RecordingRead
-         * @description One logical capture of 1..n files. `missing` are members that its metadata names and the mission lacks.
+         * @description A recording of one or more files. `missing` are files that its metadata lists and the mission does not have.
          *
-         *     `content` is that of all members together: `recovered` where something can be read and something is damaged or
-         *     missing. `problems` are those of the whole; what is odd inside one file is among the problems of that file.
+         *     `content` is of all files together: `recovered` if only a part can be read. `problems` are those of the recording;
+         *     each file has its own.
          */
         RecordingRead: {
             content: components["schemas"]["ContentState"];
@@ -5772,10 +5767,10 @@ export interface components {
         };
         /**
          * RunsCreate
-         * @description An action to run on each of some missions: a published one by id, in its latest version unless `version` is set;
-         *     or an unpublished definition.
+         * @description An action to run on each of some missions: a published one by id, or an unpublished definition.
          *
-         *     Results of an earlier successful run with the same version, image, parameters and inputs are reused unless `force`.
+         *     Without `version`, the latest version runs. Results of an earlier successful run with the same version, image,
+         *     parameters and inputs are reused unless `force`.
          */
         RunsCreate: {
             /** Action Id */
@@ -5898,8 +5893,8 @@ export interface components {
          * @description The first missions, files and topics that match a query, and their numbers.
          *
          *     `query` is the normalized text; `filter` its meaning. Missions match themselves or by their files. The lists
-         *     continue at `/missions` and `/files` with the same `query` and `sort=-start`. If very many files match, not
-         *     `is_exact`: all numbers are estimates with two digits, and the topics are those of sampled files.
+         *     continue at `/missions` and `/files` with the same `query` and `sort=-start`. `is_exact` is false if very many files
+         *     match: all numbers are then estimates with two digits, and the topics those of sampled files.
          */
         SearchRead: {
             files: components["schemas"]["Page_FileRead_"];
@@ -6157,7 +6152,7 @@ export interface components {
         };
         /**
          * StatsRead
-         * @description Statistics by `by` (`project`, `mission`, `topic`, `type`, `month`, `format` or `metadata.FIELD`), and in all.
+         * @description Statistics by `by`: `project`, `mission`, `topic`, `type`, `month`, `format` or `metadata.FIELD`.
          */
         StatsRead: {
             /** By */
@@ -6168,9 +6163,9 @@ export interface components {
         };
         /**
          * StatsRow
-         * @description One group. `duration_ns` sums the recordings' spans; files in the trash do not count.
+         * @description Totals of one group, without the trash. `duration_ns` is the sum of the spans of the recordings.
          *
-         *     Grouped by topic or message type, a recording counts in each of its groups, and `messages` are that group's own.
+         *     Grouped by topic or message type, a recording counts in each of its groups, and `messages` are those of the group.
          */
         StatsRow: {
             /** Duration Ns */
@@ -6381,9 +6376,9 @@ export interface components {
         };
         /**
          * TopicRead
-         * @description One topic of one recording file. Times: integer nanoseconds of the log clock; `rate_hz` = (count - 1) / span.
+         * @description One topic of one recording file. Times are log times in ns since 1970; `rate_hz` is (count - 1) / span.
          *
-         *     `density` is told in lists of one file, where it is known, and nowhere else.
+         *     `density` is null in lists of several files.
          */
         TopicRead: {
             /** Count */
@@ -9519,7 +9514,7 @@ export interface operations {
         parameters: {
             query?: {
                 by?: string;
-                most?: number;
+                max_buckets?: number;
                 project_id?: string | null;
             };
             header?: never;
@@ -10210,7 +10205,7 @@ export interface operations {
         parameters: {
             query?: {
                 by?: string;
-                most?: number;
+                max_buckets?: number;
             };
             header?: never;
             path: {

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from kleinkram.runner.durable_files import write_all, write_atomically
 from kleinkram.runner.executors import kernel, port_forward
 from kleinkram.runner.executors.limits import (
     CANCELLED,
@@ -38,7 +39,6 @@ from kleinkram.runner.executors.process_sandbox import (
     apply_limits,
     run_in_sandbox,
 )
-from kleinkram.runner.files import write_all, write_atomically
 
 JOB, LOCK = "job.json", "supervisor"
 _CHECK_EVERY_S = 0.1

@@ -32,13 +32,7 @@ from kleinkram.server.db import Connection
 from kleinkram.server.health.readiness import find_workers, readiness
 from kleinkram.server.home.service import is_low, store_use
 from kleinkram.server.migrations import HEAD
-from kleinkram.server.runners.eligibility import (
-    Needs,
-    has_single_person,
-    invitation_warning,
-    known_runners,
-    runs_problem,
-)
+from kleinkram.server.runs.eligibility import NEEDS_COLUMNS, Needs, QueuedRuns, known_runners
 from kleinkram.server.settings import Settings, is_secret
 from kleinkram.server.tables import blob, file, mission, project, run, upload
 from kleinkram.server.tables.blobs import UNDER_WAY
@@ -161,14 +155,14 @@ async def get_health(context: AppContext, *, takes_pages: bool) -> AdminHealth:
     """Return the state of the server; asks the store without holding a connection."""
     ready = await readiness(context.database, context.storage)
     live = (mission.c.deleted_at.is_(None), project.c.deleted_at.is_(None), run.c.state == RunState.queued.value)
-    needs = [mission.c.project_id, *(run.c[name] for name in Needs._fields if name != "project_id")]
-    queued = select(*needs, _NUMBER).join_from(run, mission).join(project).where(*live).group_by(*needs)
+    queued = select(*NEEDS_COLUMNS, _NUMBER).join_from(run, mission).join(project).where(*live)
     async with context.database.begin() as db:
         server = (await db.execute(_SERVER)).one()
         now = datetime.datetime.now(datetime.timezone.utc)
         workers = await find_workers(db)
-        known, alone = await known_runners(db), await has_single_person(db)
-        queued_runs = (await db.execute(queued.order_by(_NUMBER.desc()).limit(200))).all()
+        known = await known_runners(db)
+        rows = await db.execute(queued.group_by(*NEEDS_COLUMNS).order_by(_NUMBER.desc()).limit(200))
+        queued_runs = [QueuedRuns(Needs(*row[:-1]), row.number) for row in rows]
     return AdminHealth(
         not_ready=ready.missing,
         warnings=list(ready.warnings),
@@ -180,8 +174,8 @@ async def get_health(context: AppContext, *, takes_pages: bool) -> AdminHealth:
         clock_skew_s=(now - server.now).total_seconds(),
         workers_at=workers.seen_at,
         worker_last_at=workers.last_seen_at,
-        runs_problem=runs_problem(queued_runs, known, single_person=alone),
-        invitation_warning=invitation_warning(known, single_person=alone),
+        runs_problem=known.runs_problem(queued_runs),
+        invitation_warning=known.invitation_warning(),
         store_checksum=context.storage.checksum.value,
         store_refuses_overwrites=context.storage.capabilities.writes_once,
         store_allows_browser_uploads=takes_pages,

@@ -45,7 +45,7 @@ from kleinkram.server.audit.service import Event, record
 from kleinkram.server.auth.one_time_codes import CodeRequest, create_code, require_person, use_code
 from kleinkram.server.auth.sessions import end_sessions
 from kleinkram.server.db import Connection, Database
-from kleinkram.server.runners.eligibility import has_single_person, invitation_warning, known_runners
+from kleinkram.server.runs.eligibility import known_runners
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import password, person, person_email
 from kleinkram.server.tables.sign_in import CodePurpose
@@ -237,7 +237,7 @@ async def create_invitation(
     code = await create_code(db, request)
     after: Metadata = {"email": invitation.email, "expires_at": code.expires_at.isoformat()}
     await record(db, actor, Event("invitation.create", "invitation", code.id, invitation.email, None, after=after))
-    warning = invitation_warning(await known_runners(db), single_person=await has_single_person(db))
+    warning = (await known_runners(db)).invitation_warning()
     return code.link(settings, CodePurpose.invitation).model_copy(update={"warning": warning})
 
 

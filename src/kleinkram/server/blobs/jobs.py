@@ -26,24 +26,26 @@ from kleinkram.recordings import (
     request_bytes,
     stream_request_bytes,
 )
-from kleinkram.server.blobs import garbage_collection, scrub, service
+from kleinkram.server.blobs import scrub, service
 from kleinkram.server.blobs.queries import BlobRow, SqliteLog
 from kleinkram.server.blobs.reader_processes import ReaderProcesses
 from kleinkram.server.blobs.summaries import record_read_failure, record_summaries
 from kleinkram.server.blobs.verification import ObjectChecksums, Unreadable, read_through
 from kleinkram.server.context import AppContext
-from kleinkram.server.http.rate_limit import delete_expired_counts
-from kleinkram.server.jobs.attempts import ATTEMPTS, RETRY_STRATEGY, app_context, back_pressure_of, worker_resource
-from kleinkram.server.jobs.back_pressure import SUMMARY_MAX_WAIT_S, VERIFY_MAX_WAIT_S
-from kleinkram.server.jobs.queue import Job, Priority, delete_expired_rows, queue, raise_priority
-from kleinkram.server.recordings.service import regroup_forgotten
-from kleinkram.server.trash.service import empty_trash
+from kleinkram.server.jobs.execution import (
+    ATTEMPTS,
+    RETRY_STRATEGY,
+    SUMMARY_MAX_WAIT_S,
+    VERIFY_MAX_WAIT_S,
+    app_context,
+    back_pressure_of,
+    worker_resource,
+)
+from kleinkram.server.jobs.queue import Job, Priority, queue, raise_priority
 
 _log = logging.getLogger("kleinkram.blobs")
 # A recording without an index must be read whole: at once up to this size, else when the verification reads it.
 _SUMMARY_MOST_BYTES = 64 * 1024 * 1024
-_GC_BATCH = 1000
-_MAX_REVERIFIED = 500
 # Slower than the slowest format is read on any known machine.
 _SCAN_BYTES_PER_S = 5_000_000
 _DATABASE_SUFFIX = ".db3"
@@ -267,42 +269,6 @@ async def _record_damage(context: AppContext, blob_id: uuid.UUID, state: BlobSta
     _log.error("blob damaged", extra={"fields": {"blob_id": str(blob_id), "state": state.value, "reason": reason}})
     async with context.database.begin() as db:
         await service.record_damage(db, blob_id, state=state, reason=reason)
-
-
-@queue.periodic(cron="*/10 * * * *")
-@queue.task(name=Job.collect_garbage.value, pass_context=True, queueing_lock="collect_garbage", lock="collect_garbage")
-async def run_garbage_collection(job_context: JobContext, timestamp: int = 0) -> None:
-    """Run one round of maintenance and garbage collection."""
-    await collect_garbage(app_context(job_context))
-
-
-async def collect_garbage(context: AppContext) -> None:
-    """Re-queue unfinished blobs, empty the trash, delete unreferenced objects; each at most a batch a round."""
-    store_id, settings = context.settings.store_id, context.settings
-    async with context.database.begin() as db:
-        await service.requeue_unfinished(db, store_id=store_id, limit=_GC_BATCH)
-        await regroup_forgotten(db, limit=_GC_BATCH)
-    async with context.database.begin() as db:
-        days = settings.reverify_days
-        await service.examine_old(db, store_id=store_id, older_than_days=days, limit=_MAX_REVERIFIED)
-        await scrub.begin_due_scrub(db, settings)
-    async with context.database.begin() as db:
-        await delete_expired_rows(db)
-        await delete_expired_counts(db)
-        await empty_trash(db, older_than_days=settings.trash_days, limit=_GC_BATCH)
-    async with context.database.begin() as db:
-        await garbage_collection.mark_unreferenced(db, limit=_GC_BATCH)
-    async with context.database.begin() as db:
-        # Checked after marking, so that no object is deleted that a backup saw unmarked.
-        if await garbage_collection.is_deletion_paused(db):
-            return
-        objects = await garbage_collection.objects_to_delete(
-            db, store_id=store_id, grace_s=settings.garbage_grace_s, limit=_GC_BATCH
-        )
-    for row in objects:
-        await context.storage.delete(row.key)
-        async with context.database.begin() as db:
-            await garbage_collection.delete_row(db, row.id)
 
 
 @queue.task(name=Job.scrub.value, retry=RETRY_STRATEGY, pass_context=True)

@@ -13,7 +13,7 @@ from kleinkram.server.blobs import queries
 from kleinkram.server.blobs.queries import BlobRow, SqliteLog
 from kleinkram.server.blobs.summaries import publish_file_changes, record_summaries
 from kleinkram.server.db import Connection, among, unnest_rows
-from kleinkram.server.jobs.queue import Job, Priority, enqueue, has_job, settle, start_now, waiting
+from kleinkram.server.jobs.queue import Job, Priority, delete_waiting, enqueue, has_job, start_now, waiting_ids
 from kleinkram.server.tables import blob, file, mission
 
 _TOMORROW = datetime.timedelta(days=1)
@@ -105,7 +105,7 @@ async def find_sqlite_logs(db: Connection, blob_id: uuid.UUID) -> dict[str, Sqli
 
 async def queued_small_blobs(db: Connection, first: BlobRow, *, limit: int) -> list[BlobRow]:
     """Return small blobs that are queued to be examined, of the same person and store as `first`."""
-    ids = await waiting(db, Job.examine_blob, most=limit)
+    ids = await waiting_ids(db, Job.examine_blob, most=limit)
     is_alike = (blob.c.uploaded_by_id == first.uploaded_by_id) & (blob.c.store_id == first.store_id)
     statement = queries.blobs_with_path(ids).where(is_alike, blob.c.id != first.id)
     return [BlobRow._make(row) for row in await db.execute(statement)]
@@ -134,7 +134,7 @@ async def record_examined(
     """Record summaries and verifications of small blobs, and drop the jobs that were queued for them."""
     await record_summaries(db, summaries)
     await record_verified(db, md5s)
-    await settle(db, Job.examine_blob, md5s)
+    await delete_waiting(db, Job.examine_blob, md5s)
 
 
 async def record_damage(db: Connection, blob_id: uuid.UUID, *, state: BlobState, reason: str) -> bool:

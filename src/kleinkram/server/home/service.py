@@ -28,7 +28,7 @@ from kleinkram.server.access.visible import visible_files, visible_missions, vis
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from kleinkram.server.missions.queries import file_totals, mission_ref
-from kleinkram.server.runners.eligibility import Needs, has_single_person, known_runners, reason_never_starts
+from kleinkram.server.runs.eligibility import NEEDS_COLUMNS, Needs, known_runners
 from kleinkram.server.runs.queries import visible_runs
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import action_version, blob, file, mission, project, run, scrub, upload
@@ -161,9 +161,9 @@ async def _attention(db: Connection, actor: Actor) -> list[Attention]:
         count(_OF_STATE.get(state) or _OF_CONTENT[content], number, *place)
     queued = (await db.execute(_queued_runs(actor))).all()
     if queued:
-        known, alone = await known_runners(db), await has_single_person(db)
+        known = await known_runners(db)
         for row in queued:
-            if reason_never_starts(row, known, single_person=alone) is not None:
+            if known.reason_never_starts(Needs(*(row._mapping[name] for name in Needs._fields))) is not None:
                 count(AttentionKind.runs_cannot_start, row.number, *row[: len(_MISSION)])
     for *place, number in await db.execute(_failed_runs(actor)):
         count(AttentionKind.runs_failed, number, *place)
@@ -278,7 +278,7 @@ def _failed_runs(actor: Actor) -> Select[Any]:
 
 def _queued_runs(actor: Actor) -> Select[Any]:
     """Return the number of queued runs on each mission by what they need of a runner, named as in `Needs`."""
-    needs = [run.c[name] for name in Needs._fields if name != "project_id"]
+    needs = NEEDS_COLUMNS[:-1]  # the project is in `_MISSION`
     stmt = visible_runs(actor).with_only_columns(*_MISSION, *needs, _NUMBER, maintain_column_froms=True)
     stmt = stmt.where(run.c.state == RunState.queued.value).group_by(mission.c.id, project.c.id, *needs)
     return stmt.order_by(_NUMBER.desc(), mission.c.id).limit(_MAX_QUEUED)

@@ -5,17 +5,16 @@ import uuid
 from fastapi import APIRouter
 
 from kleinkram.contract.base import Cursor
-from kleinkram.contract.names import Term
-from kleinkram.contract.overviews import (
+from kleinkram.contract.files import (
     MAX_TIMELINE_FILES,
     Bins,
-    Buckets,
     MissionTimeline,
     MissionTopics,
     MissionTopicsSize,
-    Overview,
     TimelineSize,
 )
+from kleinkram.contract.names import Term
+from kleinkram.contract.search import Buckets, Overview
 from kleinkram.server.http.dependencies import CurrentActor, Transaction
 from kleinkram.server.overviews import service, topics
 from kleinkram.server.pagination import PageRequest
@@ -51,10 +50,10 @@ async def list_mission_topics(
 
 @router.get("/projects/{project_id}/stats", operation_id="get_project_stats")
 async def get_project_stats(
-    project_id: uuid.UUID, db: Transaction, actor: CurrentActor, by: Term = "month", most: Buckets = 20
+    project_id: uuid.UUID, db: Transaction, actor: CurrentActor, by: Term = "month", max_buckets: Buckets = 20
 ) -> Overview:
     """Return what a project amounts to: hours, bytes, files, by `month` or by the values of a metadata field."""
-    return await service.get_project_stats(db, actor, project_id=project_id, by=by, most=most)
+    return await service.get_project_stats(db, actor, project_id=project_id, by=by, max_buckets=max_buckets)
 
 
 @router.get("/overview", operation_id="get_overview")
@@ -62,11 +61,11 @@ async def get_overview(
     db: Transaction,
     actor: CurrentActor,
     by: Term = "month",
-    most: Buckets = 20,
+    max_buckets: Buckets = 20,
     project_id: uuid.UUID | None = None,
 ) -> Overview:
     """Return what all that one may see amounts to, or of it what is in one project: by `month`, or by a metadata field.
 
     Who has rights on single missions of a project sees what these amount to.
     """
-    return await service.get_overview(db, actor, project_id=project_id, by=by, most=most)
+    return await service.get_overview(db, actor, project_id=project_id, by=by, max_buckets=max_buckets)

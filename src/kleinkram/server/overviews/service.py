@@ -6,9 +6,9 @@ import uuid
 from collections.abc import Iterable, Sequence
 
 from kleinkram.contract.errors import InvalidQuery, NotFound
-from kleinkram.contract.files import FileFilter
+from kleinkram.contract.files import FileFilter, MissionTimeline
 from kleinkram.contract.metadata import FieldType, MetadataField
-from kleinkram.contract.overviews import Bucket, MissionTimeline, Overview, StatsRow
+from kleinkram.contract.search import Bucket, Overview, StatsRow
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection
@@ -36,7 +36,9 @@ async def get_timeline(db: Connection, actor: Actor, *, mission_id: uuid.UUID, p
 _MONTH = "month"
 
 
-async def get_project_stats(db: Connection, actor: Actor, *, project_id: uuid.UUID, by: str, most: int) -> Overview:
+async def get_project_stats(
+    db: Connection, actor: Actor, *, project_id: uuid.UUID, by: str, max_buckets: int
+) -> Overview:
     """Return what a project amounts to.
 
     Raises:
@@ -46,7 +48,7 @@ async def get_project_stats(db: Connection, actor: Actor, *, project_id: uuid.UU
     declared = (await projects.get_project(db, actor, project_id)).metadata_fields.fields
     named = by.removeprefix("metadata.") if by != _MONTH else None
     field = next((field for field in declared if field.name == named), None)
-    return await get_overview(db, actor, project_id=project_id, by=by, most=most, field=field)
+    return await get_overview(db, actor, project_id=project_id, by=by, max_buckets=max_buckets, field=field)
 
 
 async def get_overview(
@@ -55,7 +57,7 @@ async def get_overview(
     *,
     project_id: uuid.UUID | None,
     by: str,
-    most: int,
+    max_buckets: int,
     field: MetadataField | None = None,
 ) -> Overview:
     """Return what all that is visible amounts to, or of it what is in one project; `field` declares what `by` names.
@@ -68,7 +70,7 @@ async def get_overview(
     if field is None and by != _MONTH and stats.rows and all(row.group is None for row in stats.rows):
         raise InvalidQuery(expression=by, reason="no mission has such a field; say month, or the name of a field")
     with_value = [row for row in stats.rows if row.group is not None]
-    buckets, other = _bucketed(with_value, field, most) if by != _MONTH else (_one_bucket_each(with_value), None)
+    buckets, other = _bucketed(with_value, field, max_buckets) if by != _MONTH else (_one_bucket_each(with_value), None)
     topics = None
     if sees_whole_missions(actor):
         topics = (await db.execute(queries.topic_count(actor, project_id))).scalar_one()
@@ -86,22 +88,24 @@ def _one_bucket_each(rows: Iterable[StatsRow]) -> list[Bucket]:
     return [Bucket(value=row.group, stats=row) for row in rows]
 
 
-def _bucketed(rows: Sequence[StatsRow], field: MetadataField | None, most: int) -> tuple[list[Bucket], StatsRow | None]:
+def _bucketed(
+    rows: Sequence[StatsRow], field: MetadataField | None, max_buckets: int
+) -> tuple[list[Bucket], StatsRow | None]:
     numbers = {row.group: number for row in rows if (number := _number(row.group)) is not None}
     # Without a declaration, a field is of numbers where every value is one.
     is_number = field.type is FieldType.number if field else len(numbers) == len(rows)
     if not is_number:
         ranked = sorted(rows, key=lambda row: (-row.duration_ns, -row.size_bytes, row.group or ""))
-        return _one_bucket_each(ranked[:most]), add_up(ranked[most:]) if ranked[most:] else None
+        return _one_bucket_each(ranked[:max_buckets]), add_up(ranked[max_buckets:]) if ranked[max_buckets:] else None
     counted = sorted((row for row in rows if row.group in numbers), key=lambda row: numbers[row.group])
     strange = [row for row in rows if row.group not in numbers]
-    ranges = _one_bucket_each(counted) if len(counted) <= most else _ranges(counted, numbers, most)
+    ranges = _one_bucket_each(counted) if len(counted) <= max_buckets else _ranges(counted, numbers, max_buckets)
     return ranges, add_up(strange) if strange else None
 
 
-def _ranges(rows: Sequence[StatsRow], numbers: dict[str | None, float], most: int) -> list[Bucket]:
+def _ranges(rows: Sequence[StatsRow], numbers: dict[str | None, float], max_buckets: int) -> list[Bucket]:
     values = [numbers[row.group] for row in rows]
-    step = _step(values[0], values[-1], most)
+    step = _step(values[0], values[-1], max_buckets)
     inside: dict[int, list[StatsRow]] = {}
     for row, value in zip(rows, values, strict=True):
         inside.setdefault(math.floor(value / step), []).append(row)
@@ -111,9 +115,9 @@ def _ranges(rows: Sequence[StatsRow], numbers: dict[str | None, float], most: in
     ]
 
 
-def _step(low: float, high: float, most: int) -> float:
+def _step(low: float, high: float, max_buckets: int) -> float:
     """Return 1, 2 or 5 times a power of ten, so that there are at most so many steps, or one more."""
-    least = min(max(high / most - low / most, 1e-300), 1e308)
+    least = min(max(high / max_buckets - low / max_buckets, 1e-300), 1e308)
     power = 10.0 ** math.floor(math.log10(least))
     return next(times * power for times in (1, 2, 5, 10) if times * power >= least)
 

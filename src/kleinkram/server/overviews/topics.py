@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from sqlalchemy import Row, Select, delete, insert
 
 from kleinkram.contract.errors import NotFound
-from kleinkram.contract.overviews import MissionTopic, MissionTopics, RecordingRef, TimeAxis
+from kleinkram.contract.files import MissionTopic, MissionTopics, RecordingRef, TimeAxis
 from kleinkram.recordings.density import add_up, on_axis, pack, unpack
 from kleinkram.recordings.model import MessageDensity
 from kleinkram.recordings.timeline import StampRun, join

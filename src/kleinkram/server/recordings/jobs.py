@@ -17,8 +17,13 @@ from kleinkram.recordings import Rosbag2Metadata, SummaryFailed, metadata_reques
 from kleinkram.recordings.formats.rosbag2.metadata import METADATA_NAME
 from kleinkram.server.blobs.reader_processes import ReaderProcesses
 from kleinkram.server.context import AppContext
-from kleinkram.server.jobs.attempts import RETRY_STRATEGY, app_context, back_pressure_of, worker_resource
-from kleinkram.server.jobs.back_pressure import SUMMARY_MAX_WAIT_S
+from kleinkram.server.jobs.execution import (
+    RETRY_STRATEGY,
+    SUMMARY_MAX_WAIT_S,
+    app_context,
+    back_pressure_of,
+    worker_resource,
+)
 from kleinkram.server.jobs.queue import Job, enqueued_at, queue
 from kleinkram.server.missions import service as missions
 from kleinkram.server.overviews.topics import keep_topics

@@ -70,7 +70,7 @@ async def _read_now(context: AppContext, actor: Actor, run_id: uuid.UUID, offset
 
 
 async def _find(db: Connection, actor: Actor, run_id: uuid.UUID, offset: int) -> _Place:
-    run_id = await service.results_of(db, actor, run_id)
+    run_id = (await service.find_run(db, actor, run_id)).results_id
     stmt = select(run.c.attempt, run.c.state, blob.c.key, blob.c.size_bytes)
     joined = stmt.outerjoin(blob, blob.c.id == run.c.log_blob_id).where(run.c.id == run_id)
     row = (await db.execute(joined)).one()

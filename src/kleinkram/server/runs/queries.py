@@ -4,27 +4,10 @@ import uuid
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import Column, ColumnElement, Row, Select, case, exists, false, func, select
+from sqlalchemy import Column, ColumnElement, Select, case, exists, false, func, select
 
-from kleinkram.contract.access import Right, Scope
-from kleinkram.contract.actions import ActionDefinition
-from kleinkram.contract.missions import MissionRef
-from kleinkram.contract.people import PersonRef
-from kleinkram.contract.projects import ProjectRef
-from kleinkram.contract.reports import Finding, Metric, Severity
-from kleinkram.contract.runs import (
-    MAX_LISTED_METRICS,
-    ActionRef,
-    ArtifactRead,
-    Cause,
-    FindingRead,
-    MetricRead,
-    ReportFilter,
-    RunDetail,
-    RunFilter,
-    RunInput,
-    RunRead,
-)
+from kleinkram.contract.access import Scope
+from kleinkram.contract.runs import MAX_LISTED_METRICS, ReportFilter, RunFilter
 from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.visible import level_on_mission, visible_files, visible_missions
 from kleinkram.server.db import among, matches, matches_key
@@ -87,7 +70,7 @@ def _joined(stmt: Select[Any]) -> Select[Any]:
 
 
 def run_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
-    """Return the rows that `to_run` reads, of a select that began with `visible_runs`."""
+    """Add the names of people and runners, and the actor's level, to a select that began with `visible_runs`."""
     columns = (
         *_PLACE,
         *_ACTION,
@@ -99,10 +82,9 @@ def run_rows(actor: Actor, stmt: Select[Any]) -> Select[Any]:
     return named.outerjoin(runner, runner.c.id == run.c.runner_id)
 
 
-def whole_run(actor: Actor, run_id: uuid.UUID) -> Select[Any]:
-    """Return one visible run as `to_detail` reads it."""
-    stmt = visible_runs(actor).where(run.c.id == run_id)
-    return run_rows(actor, stmt).add_columns(action_version.c.definition)
+def one_run(actor: Actor, run_id: uuid.UUID) -> Select[Any]:
+    """Return a row of `run_rows`, with the definition of the action."""
+    return run_rows(actor, visible_runs(actor).where(run.c.id == run_id)).add_columns(action_version.c.definition)
 
 
 def narrow(actor: Actor, stmt: Select[Any], matching: RunFilter) -> Select[Any]:
@@ -130,55 +112,6 @@ def narrow(actor: Actor, stmt: Select[Any], matching: RunFilter) -> Select[Any]:
     return stmt.where(*conditions)
 
 
-def to_run(actor: Actor, row: Row[Any], *, waits_for: str | None = None, metrics: Sequence[Metric] = ()) -> RunRead:
-    """Convert a row of `run_rows`."""
-    return RunRead(**_run_fields(actor, row), waits_for=waits_for, metrics=[*metrics])
-
-
-def to_detail(
-    actor: Actor, row: Row[Any], *, waits_for: str | None = None, metrics: Sequence[Metric] = ()
-) -> RunDetail:
-    """Convert a row of `whole_run`."""
-    return RunDetail(
-        **_run_fields(actor, row),
-        waits_for=waits_for,
-        metrics=[*metrics],
-        definition=ActionDefinition.model_validate(row.definition),
-        problems=row.problems,
-        metadata=row.proposed,
-        previews=row.previews,
-        samples=row.samples,
-    )
-
-
-def _run_fields(actor: Actor, row: Row[Any]) -> dict[str, Any]:
-    needed = Right.create if row.started_by_id == actor.person_id else Right.delete
-    may_cancel = row.level >= needed.level and Scope.run in actor.scopes and row.state in ACTIVE
-    same = (
-        *("id", "version_id", "network", "parameters", "state", "reason", "message", "exit_code", "progress"),
-        *("attempt", "image_digest", "usage", "input_count", "input_bytes", "artifact_count", "metric_count"),
-        *("finding_counts", "reuses_id", "created_at", "claimed_at", "started_at", "ended_at", "cancel_requested_at"),
-    )
-    starter = PersonRef(id=row.started_by_id, name=row.started_by_name)
-    return {
-        **{name: getattr(row, name) for name in same},
-        "mission": _mission(row),
-        "action": _action(row),
-        "cause": Cause(person=starter, retry_of_id=row.retry_of_id),
-        "runner": row.runner_name,
-        "may_cancel": may_cancel,
-    }
-
-
-def _mission(row: Row[Any]) -> MissionRef:
-    place = ProjectRef(id=row.project_id, name=row.project_name)
-    return MissionRef(id=row.mission_id, name=row.mission_name, project=place)
-
-
-def _action(row: Row[Any]) -> ActionRef:
-    return ActionRef(id=row.action_id, name=row.action_name, version=row.action_number)
-
-
 def inputs_of(actor: Actor, run_ids: Sequence[uuid.UUID]) -> Select[Any]:
     """Return the inputs of visible runs, without files that were moved out of `actor`'s sight."""
     columns = [column for column in run_input.c if column is not run_input.c.file_id]
@@ -202,11 +135,6 @@ def _visible_id(actor: Actor, file_id: Column[Any]) -> ColumnElement[Any]:
     return case((_is_visible(actor, file_id), file_id)).label("file_id")
 
 
-def to_input(row: Row[Any]) -> RunInput:
-    """Convert a row of `inputs_of`."""
-    return RunInput(path=row.path, size_bytes=row.size_bytes, sha256=row.sha256.hex(), file_id=row.file_id)
-
-
 def artifacts_of(actor: Actor, run_id: uuid.UUID) -> Select[Any]:
     """Return the artifacts of a run, with their content; `file_id` where `actor` may read that file."""
     own = (run_artifact.c.id, run_artifact.c.run_id, run_artifact.c.path)
@@ -216,20 +144,8 @@ def artifacts_of(actor: Actor, run_id: uuid.UUID) -> Select[Any]:
     return joined.where(run_artifact.c.run_id == run_id)
 
 
-def to_artifact(row: Row[Any]) -> ArtifactRead:
-    """Convert a row of `artifacts_of`."""
-    return ArtifactRead(
-        id=row.id,
-        run_id=row.run_id,
-        path=row.path,
-        size_bytes=row.size_bytes,
-        sha256=row.sha256.hex(),
-        file_id=row.file_id,
-    )
-
-
 def findings(actor: Actor, matching: ReportFilter) -> Select[Any]:
-    """Return the findings of visible runs, as `to_finding` reads them."""
+    """Return the findings of visible runs, with columns `reported_…`."""
     stmt = _reported_by_runs(actor, run_finding, matching)
     if matching.severity:
         stmt = stmt.where(run_finding.c.severity.in_([severity.value for severity in matching.severity]))
@@ -237,7 +153,7 @@ def findings(actor: Actor, matching: ReportFilter) -> Select[Any]:
 
 
 def metrics(actor: Actor, matching: ReportFilter) -> Select[Any]:
-    """Return the metrics of visible runs, as `to_metric` reads them."""
+    """Return the metrics of visible runs, with columns `reported_…`."""
     stmt = _reported_by_runs(actor, run_metric, matching)
     return stmt if matching.code is None else stmt.where(matches(run_metric.c.name, matching.code))
 
@@ -275,28 +191,3 @@ def _reported_by_runs(actor: Actor, table: Any, matching: ReportFilter) -> Selec
     if matching.mission_ids:
         stmt = stmt.where(run.c.mission_id.in_(matching.mission_ids))
     return stmt if matching.project_id is None else stmt.where(mission.c.project_id == matching.project_id)
-
-
-def to_finding(row: Row[Any]) -> FindingRead:
-    """Convert a row of `findings`."""
-    reported = Finding.model_construct(
-        severity=Severity(row.reported_severity),
-        code=row.reported_code,
-        message=row.reported_message,
-        file=row.reported_file,
-        topic=row.reported_topic,
-        time_ns=row.reported_time_ns,
-    )
-    return FindingRead(
-        id=row.reported_id, run_id=row.reported_run_id, mission=_mission(row), action=_action(row), finding=reported
-    )
-
-
-def to_metric(row: Row[Any]) -> MetricRead:
-    """Convert a row of `metrics`."""
-    reported = Metric.model_construct(
-        name=row.reported_name, value=row.reported_value, unit=row.reported_unit, file=row.reported_file
-    )
-    return MetricRead(
-        id=row.reported_id, run_id=row.reported_run_id, mission=_mission(row), action=_action(row), metric=reported
-    )

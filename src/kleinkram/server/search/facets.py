@@ -45,7 +45,7 @@ from sqlalchemy.exc import DBAPIError
 from kleinkram.contract.files import FileFilter
 from kleinkram.contract.metadata import WHERE_EXPRESSION
 from kleinkram.contract.names import name_key
-from kleinkram.contract.query import META, in_words, is_glob, parse, render, terms, terms_of
+from kleinkram.contract.query import META, is_glob, join_terms, parse, render, terms, terms_of
 from kleinkram.contract.search import Facet, FacetsRead, FacetValue
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions, visible_files
@@ -161,7 +161,7 @@ def _facet_values(
     for value, file_count, kind in shown:
         is_selected = _is_selected(selected, facet, value)
         toggled = _deselect(matching, facet, value) if is_selected else _select(matching, facet, value, kind)
-        query = in_words({**query_terms, part: terms_of(part, toggled)})
+        query = join_terms({**query_terms, part: terms_of(part, toggled)})
         yield FacetValue(value=value, file_count=file_count, is_selected=is_selected, query=query)
 
 

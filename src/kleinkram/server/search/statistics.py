@@ -20,7 +20,7 @@ from sqlalchemy import (
 
 from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import FileFilter
-from kleinkram.contract.overviews import StatsRead, StatsRow
+from kleinkram.contract.search import StatsRead, StatsRow
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import (
     sees_whole_missions,

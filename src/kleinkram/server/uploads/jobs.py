@@ -3,13 +3,14 @@
 import datetime
 
 from procrastinate import JobContext
-from sqlalchemy import func, select, update
+from sqlalchemy import delete, func, select, update
 
 from kleinkram.contract.audit import ChangeKind
 from kleinkram.contract.uploads import UploadState
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
-from kleinkram.server.jobs.attempts import app_context
+from kleinkram.server.db import Connection
+from kleinkram.server.jobs.execution import app_context
 from kleinkram.server.jobs.queue import Job, queue
 from kleinkram.server.tables import blob, upload
 from kleinkram.server.uploads import queries
@@ -18,6 +19,7 @@ from kleinkram.server.uploads.queries import UploadRow
 
 _STALE_AFTER_S = 30
 _BATCH = 500
+_RETENTION = datetime.timedelta(days=30)
 _ENDED_STATES = (UploadState.aborted.value, UploadState.expired.value, UploadState.done.value)
 
 
@@ -55,3 +57,8 @@ async def _clean_up(context: AppContext, row: UploadRow) -> None:
         # A part that was being sent when the upload ended can still arrive until its URL expires.
         urls_expired = upload.c.lease_ends_at < func.now() - datetime.timedelta(seconds=context.settings.part_url_s)
         await db.execute(update(upload).where(upload.c.id == row.id, urls_expired).values(cleaned_at=func.now()))
+
+
+async def delete_cleaned_uploads(db: Connection) -> None:
+    """Delete ended uploads a month after their objects."""
+    await db.execute(delete(upload).where(upload.c.cleaned_at < func.now() - _RETENTION))

@@ -69,7 +69,7 @@ export function useProjectStats(projectId: string, by: () => string) {
   return useQuery({
     queryKey: computed(() => [...keys.project(projectId), "stats", by()]),
     queryFn: ({ signal }) =>
-      call(api.GET("/api/v1/projects/{project_id}/stats", { params: { path: { project_id: projectId }, query: { by: by(), most: MOST_BUCKETS } }, signal })),
+      call(api.GET("/api/v1/projects/{project_id}/stats", { params: { path: { project_id: projectId }, query: { by: by(), max_buckets: MOST_BUCKETS } }, signal })),
     placeholderData: keepPreviousData,
   });
 }

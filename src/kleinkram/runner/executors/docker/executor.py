@@ -18,6 +18,7 @@ from http import HTTPStatus
 from kleinkram.contract.actions import Network
 from kleinkram.contract.runners import ExecutorAbilities, Isolation
 from kleinkram.contract.runs import EndReason, Usage
+from kleinkram.runner.durable_files import write_atomically
 from kleinkram.runner.executors import port_forward
 from kleinkram.runner.executors.base import CannotStart, Ending, PinnedImage, RunJob
 from kleinkram.runner.executors.docker import container as containers
@@ -29,7 +30,6 @@ from kleinkram.runner.executors.docker.client import (
     EngineUnavailable,
     ImageInfo,
 )
-from kleinkram.runner.executors.docker.container_log import LOG_CURSOR, ContainerLog
 from kleinkram.runner.executors.docker.images import Images, Pull
 from kleinkram.runner.executors.limits import (
     CANCELLED,
@@ -43,7 +43,6 @@ from kleinkram.runner.executors.limits import (
     start_ticks,
 )
 from kleinkram.runner.executors.local import LocalExecutor, Machine, cannot_start, limits_of, make_directories
-from kleinkram.runner.files import write_atomically
 
 _log = logging.getLogger("kleinkram.runner")
 _STOP_REASON = "stop-reason.json"
@@ -130,7 +129,7 @@ class DockerExecutor(LocalExecutor):
 
     def _start(self, job: RunJob, image: ImageInfo, user: str) -> None:
         name, log = containers.container_name(job), job.directory / LOG
-        (job.directory / LOG_CURSOR).unlink(missing_ok=True)
+        (job.directory / containers.LOG_CURSOR).unlink(missing_ok=True)
         labels = {
             containers.JOB_LABEL: job.key,
             containers.RUNNER_LABEL: self._runner,
@@ -214,7 +213,7 @@ class ContainerMonitor:
         with contextlib.suppress(FileNotFoundError, ValueError):
             reason, message = json.loads((job.directory / _STOP_REASON).read_text())
             self._limits.reason = reason, message
-        self._log = ContainerLog(client, job, can_follow=can_follow)
+        self._log = containers.ContainerLog(client, job, can_follow=can_follow)
         self._pid = self._start_ticks = 0
         self._groups: dict[str, str] = {}
         self._was_oom_killed = False

@@ -1,8 +1,11 @@
-"""Attempts at jobs: the resources of the worker, retries, metrics, and the error of a failed job for admins.
+"""How the worker runs jobs: shared resources, back-pressure, retries, metrics, and the errors that admins see.
 
-The stored error is one sentence without secrets and signed URLs; the log has everything.
+A stored error is one sentence without secrets and signed URLs; the log has everything.
 """
 
+import asyncio
+import contextlib
+import datetime
 import logging
 import re
 import time
@@ -12,14 +15,17 @@ from typing import Any, TypeVar
 
 from procrastinate import JobContext, RetryStrategy
 from procrastinate.worker import Worker
+from sqlalchemy import exists, func, select
 from sqlalchemy.dialects.postgresql import insert as upsert
 from sqlalchemy.exc import SQLAlchemyError
 
 from kleinkram.contract.errors import DatabaseUnavailable, KleinkramError
+from kleinkram.contract.uploads import UploadState
 from kleinkram.server import metrics
 from kleinkram.server.context import AppContext
-from kleinkram.server.jobs.back_pressure import BackPressure
-from kleinkram.server.tables import job_error
+from kleinkram.server.db import Database
+from kleinkram.server.settings import Settings
+from kleinkram.server.tables import job_error, upload
 
 T = TypeVar("T")
 ATTEMPTS = 5
@@ -30,14 +36,66 @@ _MAX_CHARACTERS = 500
 # Signatures of URLs are in the query, passwords before the host.
 _QUERY = re.compile(r"\?\S+")
 _PASSWORD = re.compile(r"(://[^\s/:@]*:)[^\s/@]+@")
+SUMMARY_MAX_WAIT_S = 10.0
+VERIFY_MAX_WAIT_S = 30.0
+# Clients that send small files sign parts several times a second; slow clients leave this machine enough time.
+_RECENT_S = 2.0
+_POLL_S = 0.5
+# The interval between jobs that have waited long enough: each of ten thousand small files is a job.
+_START_INTERVAL_S = 0.2
+
+
+class BackPressure:
+    """Delays jobs while uploads come in: on a small machine, reading new files would slow uploads down.
+
+    Each job is delayed for a limited time after its cause. Then jobs run one after another, a few per second, as long
+    as uploads come in. There is one object per worker.
+    """
+
+    def __init__(self, database: Database, settings: Settings) -> None:
+        self._database = database
+        self._ended = asyncio.Event()
+        self._next_start_at = 0.0
+        recent = func.now() + datetime.timedelta(seconds=settings.upload_expires_s - _RECENT_S)
+        active = (upload.c.state == UploadState.open.value) & (upload.c.expires_at > recent)
+        self._stmt = select(func.now().label("now"), exists().where(active).label("is_busy"))
+
+    async def wait_for_uploads(self, max_wait_s: float, *, since: datetime.datetime | None = None) -> bool:
+        """Wait until no upload is active, or until `max_wait_s` after `since` (default: now).
+
+        Returns True if uploads are still active, so that the work should be short.
+        """
+        while not self._ended.is_set():
+            async with self._database.autocommit() as db:
+                row = (await db.execute(self._stmt)).one()
+            since = since or row.now
+            left_s = max_wait_s - (row.now - since).total_seconds()
+            if not row.is_busy:
+                return False
+            if left_s <= 0:
+                now = time.monotonic()
+                start_at = max(now, self._next_start_at)
+                self._next_start_at = start_at + _START_INTERVAL_S
+                await self._wait(start_at - now)
+                return True
+            await self._wait(min(left_s, _POLL_S))
+        return False
+
+    async def _wait(self, seconds: float) -> None:
+        with contextlib.suppress(asyncio.TimeoutError):
+            await asyncio.wait_for(self._ended.wait(), seconds)
+
+    def end(self) -> None:
+        """End all waiting."""
+        self._ended.set()
 
 
 @dataclass
 class Attempts:
-    """The ids of the jobs that this process runs, and of its present and past lanes."""
+    """The ids of the jobs that this process runs, and its present and past worker ids, one per queue."""
 
     running: set[int] = field(default_factory=set)
-    lanes: set[int] = field(default_factory=set)
+    worker_ids: set[int] = field(default_factory=set)
 
 
 def worker_resource(job_context: JobContext, name: str, kind: type[T]) -> T:
@@ -54,7 +112,7 @@ def app_context(job_context: JobContext) -> AppContext:
 
 
 def back_pressure_of(job_context: JobContext) -> BackPressure:
-    """Return what delays jobs while uploads come in."""
+    """Return the delay of jobs while uploads come in."""
     return worker_resource(job_context, "back_pressure", BackPressure)
 
 
@@ -65,7 +123,7 @@ async def record_failure(call_next: Callable[[], Awaitable[Any]], job_context: J
     attempts = job_context.additional_context.get("attempts")
     if isinstance(attempts, Attempts) and job.id is not None and worker.worker_id is not None:
         attempts.running.add(job.id)
-        attempts.lanes.add(worker.worker_id)
+        attempts.worker_ids.add(worker.worker_id)
     try:
         result = await call_next()
         outcome = "succeeded"
