@@ -87,7 +87,7 @@ _COLUMNS: tuple[ColumnElement[Any], ...] = (
 )
 
 
-class StoredFile(NamedTuple):
+class FileWithBlob(NamedTuple):
     """A file, with the blob of its content and the key of the object that holds it."""
 
     read: FileRead
@@ -111,9 +111,9 @@ def to_files(rows: Sequence[Row[Any]]) -> list[FileRead]:
     return [_to_file(values) for values in by_name(rows)]
 
 
-def to_stored_files(rows: Sequence[Row[Any]]) -> dict[uuid.UUID, StoredFile]:
+def to_stored_files(rows: Sequence[Row[Any]]) -> dict[uuid.UUID, FileWithBlob]:
     """Return the files in rows of `file_rows` by id, with where their content is stored."""
-    return {row.id: StoredFile(read, row.blob_id, row.key) for row, read in zip(rows, to_files(rows), strict=True)}
+    return {row.id: FileWithBlob(read, row.blob_id, row.key) for row, read in zip(rows, to_files(rows), strict=True)}
 
 
 def _to_file(values: dict[str, Any]) -> FileRead:

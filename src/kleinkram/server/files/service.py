@@ -34,7 +34,7 @@ from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
 from kleinkram.server.files import queries
 from kleinkram.server.files.paths import check_path_free
-from kleinkram.server.files.queries import StoredFile
+from kleinkram.server.files.queries import FileWithBlob
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, prepare
 from kleinkram.server.missions import service as missions
 from kleinkram.server.pagination import PageRequest, execute_after, read_listing, values_after
@@ -64,7 +64,7 @@ async def get_file(db: Connection, actor: Actor, file_id: uuid.UUID) -> FileRead
     return (await read_files(db, actor, [file_id]))[0]
 
 
-async def _stored_files(db: Connection, actor: Actor, file_ids: Sequence[uuid.UUID]) -> list[StoredFile]:
+async def _stored_files(db: Connection, actor: Actor, file_ids: Sequence[uuid.UUID]) -> list[FileWithBlob]:
     rows = (await db.execute(queries.files_by_id(actor, file_ids))).all()
     stored = queries.to_stored_files(rows)
     for file_id in file_ids:
@@ -233,7 +233,7 @@ async def verify_file(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> Fi
     return stored.read
 
 
-async def _lock_file(db: Connection, actor: Actor, file_id: uuid.UUID, *also: uuid.UUID) -> StoredFile:
+async def _lock_file(db: Connection, actor: Actor, file_id: uuid.UUID, *also: uuid.UUID) -> FileWithBlob:
     """Return a file that nobody else can change in this transaction; locks its mission, and the missions `also`."""
     (stored,) = await _stored_files(db, actor, [file_id])
     while True:

@@ -154,8 +154,8 @@ def _facet_values(
         in_order = sorted(rows, key=lambda row: (-row.file_count, row.value))
     shown = [(row.value, row.file_count, row.kind) for row in in_order if _can_be_selected(row.value, row.kind)]
     # Selected values can be deselected, whether or not they are among the first; globs are no values.
-    found = {value for value in selected if any(_is_selected([value], facet, name) for name, *_ in shown)}
-    shown += [(value, 0, "string") for value in selected if value not in found and not is_glob(value)]
+    shown_values = {value for value in selected if any(_is_selected([value], facet, name) for name, *_ in shown)}
+    shown += [(value, 0, "string") for value in selected if value not in shown_values and not is_glob(value)]
     # Only the terms of the facet differ from value to value.
     part = META if facet.startswith(META) else facet
     for value, file_count, kind in shown:
@@ -196,8 +196,8 @@ def _select(matching: FileFilter, facet: str, value: str, kind: str) -> FileFilt
         bare = _without_facet(matching, facet)
         return _changed(bare, where=[*bare.where, _comparison(facet.removeprefix(META), value, kind)])
     selected = _selected_values(matching, facet)
-    kept = [item for item in selected if item == value or not fnmatch.fnmatchcase(value, item)]
-    return _changed(matching, **{_LISTS[facet]: [*kept, value]})
+    others = [item for item in selected if item == value or not fnmatch.fnmatchcase(value, item)]
+    return _changed(matching, **{_LISTS[facet]: [*others, value]})
 
 
 def _deselect(matching: FileFilter, facet: str, value: str) -> FileFilter:
@@ -322,8 +322,8 @@ def _counts(selected: frozenset[str], fields: int, *, with_metadata: bool) -> Co
     counted.append(_by_label(_named("but_label") if "label" in selected else base))
     topics = _topic_lists(selected)
     counted += [_by_topic("topic", topics["topic"], "names"), _by_topic("type", topics.get("type", "topics"), "types")]
-    found = _row(literal(""), literal("found"), func.count(), literal(1, BigInteger)).select_from(table("found"))
-    parts = [found, _first_values(union_all(*counted).subquery())]
+    file_count = _row(literal(""), literal("found"), func.count(), literal(1, BigInteger)).select_from(table("found"))
+    parts = [file_count, _first_values(union_all(*counted).subquery())]
     if with_metadata:
         parts.append(_fields(base, None))
         parts += [_fields(_named(f"but_{only}"), only) for only in map("field_{}".format, range(fields))]
