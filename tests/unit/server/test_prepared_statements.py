@@ -1,6 +1,7 @@
 """A statement prepared for one actor and executed for another equals the statement built for that other actor."""
 
 import ast
+import re
 import uuid
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -169,7 +170,9 @@ def compiled(built: Any, values: Mapping[str, object]) -> list[tuple[str, list[o
     for statement in statements:
         one: Any = statement.compile(dialect=_DIALECT)
         bound = one.construct_params(values, _check=False)
-        result.append((str(one), [bound[name] for name in one.positiontup]))
+        # Names of lists are numbered by the order of all names.
+        sql = re.sub(r"POSTCOMPILE_\w+", "POSTCOMPILE", str(one))
+        result.append((sql, [bound[name] for name in one.positiontup]))
     return result
 
 

@@ -91,13 +91,13 @@ def file_conditions(actor: Actor, matching: FileFilter, plan: SearchPlan = NO_PL
     conditions = _field_conditions(actor, matching) + plan_conditions(plan)
     conditions += [file_contains(actor, plan, word) for word in words]
     if matching.topic or matching.message_type:
-        # As EXISTS, so that PostgreSQL may begin with a rare topic.
+        # As EXISTS, so that PostgreSQL can start from a rare topic.
         conditions.append(topics_of_blob().where(*topic_conditions(matching)).exists())
     return conditions
 
 
 def _field_conditions(actor: Actor, matching: FileFilter) -> Conditions:
-    """Return all conditions of a filter but those on words and topics."""
+    """Return the conditions of a filter except those on words and topics."""
     refuse_metadata(actor, matching.where)
     conditions = place_conditions(matching) + span_conditions(matching, file.c.start_ns, blob.c.end_ns)
     conditions += _start_conditions(matching) + _blob_conditions(matching)
@@ -121,8 +121,8 @@ def filter_files_in_order(
 ) -> Select[Row]:
     """Return the files of a select that match, to be read in the order of an index until a page is full.
 
-    What concerns the mission of a file is evaluated once a mission, which may have thousands of files: behind OFFSET 0
-    and joined laterally, PostgreSQL memoizes it. Without this, a word of topics takes 118 instead of 16 ms (200 000
+    Conditions on the mission of a file are evaluated once per mission, which may have thousands of files: PostgreSQL
+    memoizes a lateral join behind OFFSET 0. Without this, a word of topics takes 118 instead of 16 ms (200 000
     files, the newest mission having 4 000). With `of_one_mission`, the files are those of the `mission` of the
     statement around it.
 
@@ -177,7 +177,7 @@ def refuse_metadata(actor: Actor, expressions: Sequence[str]) -> None:
 
 
 def fails(conditions: Conditions) -> ColumnElement[bool]:
-    """Return the negation: a condition that is unknown, such as one on a missing time, does not hold."""
+    """Return the negation of conditions, which is true where they are unknown, such as of a missing time."""
     return and_(true(), *conditions).is_not(true())
 
 
@@ -192,7 +192,7 @@ def place_conditions(matching: MissionFilter | FileFilter) -> Conditions:
 
 
 def any_of(table: Table, refs: Sequence[str]) -> Conditions:
-    """Return the condition that a project or mission is one of those that are meant: by name, glob or id."""
+    """Return the condition that a project or mission is one of `refs`: names, globs or ids."""
     if not refs:
         return []
     named = (matches_key(table.c.name_key, ref) for ref in refs if not is_id(ref))
@@ -212,7 +212,7 @@ def span_conditions(
 
 
 def _start_conditions(matching: FileFilter) -> Conditions:
-    """Return what a span implies for the start of a file, written as its index has it."""
+    """Return the conditions on the start of a file that a span implies, as the index of times has it."""
     conditions: Conditions = []
     start = func.coalesce(file.c.start_ns, literal(NO_TIME, BigInteger))
     if matching.recorded_before is not None:
@@ -293,7 +293,7 @@ def metadata_text(path: Sequence[str]) -> ColumnElement[str]:
 
 
 def metadata_key(path: Sequence[str]) -> ColumnElement[object]:
-    """Return a field of the mission's metadata as a list is ordered by it, null where it has none.
+    """Return a field of the mission's metadata as a sort key, null where it has none.
 
     Text comes before numbers, numbers before booleans; lists and locations are ordered as text.
     """
@@ -320,7 +320,7 @@ def _contains(path: Sequence[str], value: _Scalar | list[_Scalar]) -> ColumnElem
 
 
 def _readings(value: str) -> list[_Scalar | list[_Scalar]]:
-    """Return what a value may stand for in metadata: text, and a number or boolean where it reads as one."""
+    """Return the possible meanings of a value: text, and a number or boolean where it reads as one."""
     text = _unquoted(value)
     scalars: list[_Scalar] = [value if text is None else text]
     if text is None:

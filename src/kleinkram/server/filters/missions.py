@@ -1,4 +1,4 @@
-"""What filters of missions and projects mean in SQL: conditions on selects that began with `visible_*`."""
+"""Filters of missions and projects as SQL: conditions on selects that began with `visible_*`."""
 
 from dataclasses import replace
 from typing import TypeVar
@@ -38,7 +38,7 @@ _MISSION_FIELDS = frozenset(
 
 
 def filter_projects(actor: Actor, stmt: Select[Row], *, name: str | None, text: str | None) -> Select[Row]:
-    """Return the projects of a select that match; `text` is found in names and descriptions, word by word."""
+    """Return the projects of a select that match; each word of `text` must be in the name or the description."""
     conditions = [matches_key(project.c.name_key, name)] if name is not None else []
     for word in words_of(text):
         in_name = key_contains(project.c.name_key, SearchWord(word))

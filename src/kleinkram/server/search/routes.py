@@ -1,4 +1,4 @@
-"""Search over HTTP: one query over everything, its facets, topics and statistics."""
+"""Routes of the search: missions, files and topics of a query, its facets and statistics."""
 
 from typing import Annotated
 
