@@ -93,24 +93,18 @@ def down(data_dir: DataDirOption = None, as_json: AsJson = False) -> None:
 
 def doctor(data_dir: DataDirOption = None, as_json: AsJson = False) -> None:
     """Show what is wrong with the Kleinkram on this machine, and how to fix it. Exit code 1 if anything is."""
+    from kleinkram import checks
     from kleinkram.standalone.doctor import examine
 
-    findings = examine(resolve_data_dir(data_dir))
+    results = examine(resolve_data_dir(data_dir))
     if data_dir is None and "KLEINKRAM_DATABASE_URL" in os.environ:
         typer.echo(
             "The environment contains the settings of another server, which this command does not check: "
             "run `python -m kleinkram.server check`.",
             err=True,
         )
-    is_ok = all(finding.ok for finding in findings)
-    if as_json:
-        checks = [{"check": it.check, "ok": it.ok, "message": it.message, "remedy": it.remedy} for it in findings]
-        typer.echo(json.dumps({"ok": is_ok, "checks": checks}, indent=2))
-    else:
-        for finding in findings:
-            mark, remedy = ("ok     " if finding.ok else "PROBLEM"), (f" {finding.remedy}" if finding.remedy else "")
-            typer.echo(f"{mark} {finding.check}: {finding.message}{remedy}")
-    if not is_ok:
+    typer.echo(checks.report(results, as_json=as_json))
+    if checks.find_problems(results):
         raise typer.Exit(1)
 
 

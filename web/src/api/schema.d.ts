@@ -2781,7 +2781,7 @@ export interface components {
         };
         /**
          * AlreadyPresent
-         * @description The mission already has this very file under this name: nothing to send. `file` is null for who may not read.
+         * @description The mission already has this file. Send nothing. `file` is null without the right to read.
          */
         AlreadyPresent: {
             /**
@@ -3046,7 +3046,7 @@ export interface components {
         };
         /**
          * Completed
-         * @description The store agreed; the file exists. It is null for who may not read, where another brought the same bytes.
+         * @description The upload is complete and the file exists. `file` is null without the right to read.
          */
         Completed: {
             file: components["schemas"]["FileRead"] | null;
@@ -3110,7 +3110,7 @@ export interface components {
         };
         /**
          * Deduplicated
-         * @description The same bytes are kept already and you may read them: the file now exists, nothing to send.
+         * @description The server already has these bytes, and you may read them. The file now exists; send nothing.
          */
         Deduplicated: {
             /**
@@ -3178,7 +3178,7 @@ export interface components {
         };
         /**
          * DerivedTokens
-         * @description Treatment of tokens that were created with a revoked token.
+         * @description What happens to tokens that were created with a revoked token.
          * @enum {string}
          */
         DerivedTokens: "ended" | "valid";
@@ -3825,7 +3825,7 @@ export interface components {
         };
         /**
          * HashRequired
-         * @description Something of this name or size is kept already: ask again with the sha256.
+         * @description The server has a file with this name or size. Announce the file again with its sha256.
          */
         HashRequired: {
             /**
@@ -4093,7 +4093,7 @@ export interface components {
         };
         /**
          * Location
-         * @description A place on earth. Degrees, WGS 84; altitude in metres above the ellipsoid.
+         * @description A place on earth in degrees (WGS 84); altitude in metres above the ellipsoid.
          */
         Location: {
             /** Altitude */
@@ -4139,7 +4139,7 @@ export interface components {
          * LogChunkRead
          * @description A chunk of the log of a run from the byte `offset` on; the next one begins at `next_offset`.
          *
-         *     It ends with a whole line, unless the log ends or the line is very long. `is_over`: the log ends at `next_offset`.
+         *     It ends with a complete line, unless the log ends or the line is very long. `is_over`: the log ends there.
          */
         LogChunkRead: {
             /** Attempt */
@@ -4247,7 +4247,7 @@ export interface components {
          * MetadataField
          * @description One field that a project declares.
          *
-         *     `unit` belongs to numbers, `pattern` (Rust regex syntax, whole value) to strings, `choices` to choices.
+         *     `unit` is for numbers, `pattern` (Rust regex syntax, for the entire value) for strings, `choices` for choices.
          */
         MetadataField: {
             /** Choices */
@@ -4855,7 +4855,7 @@ export interface components {
         ParameterType: "string" | "integer" | "number" | "boolean" | "choice" | "topic";
         /**
          * PartsSign
-         * @description Parts to sign, of one or several uploads: many small files take one request.
+         * @description Parts to sign, of one or several uploads.
          */
         PartsSign: {
             /** Parts */
@@ -4863,7 +4863,7 @@ export interface components {
         };
         /**
          * PartToSign
-         * @description A part about to be sent, with its checksum in lower-case hex (of the kind that the upload names).
+         * @description A part to send, with its checksum in lower-case hex, of the kind that the upload specifies.
          */
         PartToSign: {
             /** Checksum */
@@ -5258,7 +5258,7 @@ export interface components {
         };
         /**
          * Report
-         * @description The whole report of a run. `metadata` is a proposal; a person accepts or ignores it.
+         * @description The report of a run. `metadata` is a proposal; a person accepts or ignores it.
          */
         Report: {
             /**
@@ -5626,7 +5626,7 @@ export interface components {
         };
         /**
          * RunnerRegistration
-         * @description A runner's description of itself, sent whenever it starts. `id` is permanent; its state directory holds it.
+         * @description A runner's description of itself, sent at each start. `id` is permanent, and stored in its state directory.
          *
          *     `default_image` is the digest of the image that it runs scripts on; null where it has none.
          */
@@ -5671,12 +5671,12 @@ export interface components {
         };
         /**
          * RunRead
-         * @description A run.
+         * @description A run of an action on a mission.
          *
-         *     `reason`, `message` and `exit_code` say how it ended; `waits_for` why it is still queued. `image_digest` is of the
-         *     image that was run. `reuses_id` names the earlier run whose results this run reuses; it has none of its own.
-         *     `metrics` are the first reported ones, those of the whole run before those of single files; empty in a lineage.
-         *     `may_cancel`: the reader may cancel it, and it has not ended.
+         *     `reason`, `message` and `exit_code` describe how it ended, `waits_for` why it is still queued. `image_digest` is of
+         *     the image that was run. `reuses_id` is the earlier run whose results this run reuses; it has none of its own.
+         *     `metrics` are the first reported ones, those of the run before those of single files; empty in a lineage.
+         *     `may_cancel`: the caller may cancel it, and it has not ended.
          */
         RunRead: {
             action: components["schemas"]["ActionRef"];
@@ -5913,7 +5913,8 @@ export interface components {
          * ServiceRead
          * @description A server: `GET /api/v1/service`. `name` is the lab's; `person` is the caller, if they have an account.
          *
-         *     Bytes are sent to and fetched from `store_url`; `store_origin` is its origin in browsers.
+         *     Bytes are sent to and fetched from `store_url`; `store_origin` is its origin in browsers. `token_days_max` 0: tokens
+         *     without an end are allowed.
          */
         ServiceRead: {
             /** Checksum */
@@ -5994,7 +5995,7 @@ export interface components {
         };
         /**
          * Severity
-         * @description How bad a finding is.
+         * @description The severity of a finding.
          * @enum {string}
          */
         Severity: "info" | "warning" | "error";
@@ -6048,7 +6049,7 @@ export interface components {
          * ShareRead
          * @description A link without its secret; `prefix` is the beginning of the secret.
          *
-         *     `file_count` is null for a link to a whole mission. Downloads count each file whose URL was requested.
+         *     `file_count` is null for a link to all files of a mission. Downloads count each file whose URL was requested.
          */
         ShareRead: {
             /**
@@ -6120,7 +6121,7 @@ export interface components {
         };
         /**
          * SignedParts
-         * @description Signed parts, in the order asked; asking also renews the leases of their uploads.
+         * @description Signed parts, in the order of the request, which also renewed the leases of their uploads.
          */
         SignedParts: {
             /** Items */
@@ -6185,7 +6186,7 @@ export interface components {
         };
         /**
          * StoredPart
-         * @description A part that the store already holds.
+         * @description A part that the store has.
          */
         StoredPart: {
             /** Etag */
@@ -6534,7 +6535,7 @@ export interface components {
         };
         /**
          * UploadDecisions
-         * @description One decision a file, in the order asked.
+         * @description One decision per file, in the order of the request.
          */
         UploadDecisions: {
             /** Items */
@@ -6542,10 +6543,10 @@ export interface components {
         };
         /**
          * UploadFile
-         * @description One file that a client wants to upload. Hashes where they are known already, lower-case hex.
+         * @description One file to upload. The hashes are lower-case hex, and may be left out if they are not known yet.
          *
-         *     Clients send both hashes of small files at once: most are then decided in one response, which also contains the
-         *     URL of the part where there is only one.
+         *     Clients announce small files with both hashes: then one response decides about most of them, and contains the URL
+         *     of a file's only part.
          *     `upload_id` resumes an earlier upload of the same path and size, or starts one with that id. Repeating a request
          *     with the same id therefore returns the upload that the first request created.
          */
@@ -6563,7 +6564,7 @@ export interface components {
         };
         /**
          * UploadFinish
-         * @description An upload whose parts are all sent; the hashes are of the whole file.
+         * @description An upload whose parts are all sent, and the hashes of the file.
          */
         UploadFinish: {
             /** Crc64Nvme */
@@ -6578,7 +6579,7 @@ export interface components {
         };
         /**
          * UploadOutcomes
-         * @description One outcome an upload, in the order asked.
+         * @description One outcome per upload, in the order of the request.
          */
         UploadOutcomes: {
             /** Items */
@@ -6586,7 +6587,7 @@ export interface components {
         };
         /**
          * UploadRead
-         * @description An upload under way. `parts` are those the store holds, in order; empty for one that has just begun.
+         * @description An upload. `parts` are those that the store has, in order.
          */
         UploadRead: {
             checksum: components["schemas"]["ChecksumKind"];
@@ -6641,7 +6642,7 @@ export interface components {
          * UploadRequired
          * @description Send the parts that `upload` does not list.
          *
-         *     `part` is where the only part of a file goes, signed for the checksum that was announced; else ask for addresses.
+         *     `part`: the URL of the file's only part, signed for the announced checksum. Otherwise, request URLs of the parts.
          */
         UploadRequired: {
             /**
@@ -6662,7 +6663,7 @@ export interface components {
         };
         /**
          * UploadState
-         * @description `open` takes parts, `completing` is being finished by the server, the others are ends.
+         * @description `open` accepts parts, the server finishes one that is `completing`; the others are final.
          * @enum {string}
          */
         UploadState: "open" | "completing" | "done" | "aborted" | "expired";
@@ -6741,7 +6742,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_ActionRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -6774,7 +6775,7 @@ export interface operations {
                     "application/json": components["schemas"]["ActionRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -6805,7 +6806,7 @@ export interface operations {
                     "application/json": components["schemas"]["ActionRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -6843,7 +6844,7 @@ export interface operations {
                     "application/json": components["schemas"]["ActionRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -6877,7 +6878,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_ActionVersionRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -6915,7 +6916,7 @@ export interface operations {
                     "application/json": components["schemas"]["ActionRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -6944,7 +6945,7 @@ export interface operations {
                     "application/json": components["schemas"]["AdminHealth"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -6973,7 +6974,7 @@ export interface operations {
                     "application/json": components["schemas"]["AdminJobs"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7002,7 +7003,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7031,7 +7032,7 @@ export interface operations {
                     "application/json": components["schemas"]["RetriedJobs"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7060,7 +7061,7 @@ export interface operations {
                     "application/json": components["schemas"]["ScrubState"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7093,7 +7094,7 @@ export interface operations {
                     "application/json": components["schemas"]["ScrubRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7122,7 +7123,7 @@ export interface operations {
                     "application/json": components["schemas"]["AdminSettings"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7151,7 +7152,7 @@ export interface operations {
                     "application/json": components["schemas"]["AdminStorage"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7198,7 +7199,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_AuditRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7243,7 +7244,7 @@ export interface operations {
                     "application/jsonl": string;
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7276,7 +7277,7 @@ export interface operations {
                     "application/json": components["schemas"]["BrowserSignedIn"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7309,7 +7310,7 @@ export interface operations {
                     "application/json": components["schemas"]["LoopbackApproved"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7342,7 +7343,7 @@ export interface operations {
                     "application/json": components["schemas"]["SignedIn"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7375,7 +7376,7 @@ export interface operations {
                     "application/json": components["schemas"]["CodeRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7408,7 +7409,7 @@ export interface operations {
                     "application/json": components["schemas"]["DeviceCode"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7441,7 +7442,7 @@ export interface operations {
                     "application/json": components["schemas"]["DeviceRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7474,7 +7475,7 @@ export interface operations {
                     "application/json": components["schemas"]["DeviceRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7507,7 +7508,7 @@ export interface operations {
                     "application/json": components["schemas"]["DeviceRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7540,7 +7541,7 @@ export interface operations {
                     "application/json": components["schemas"]["SignedIn"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7573,7 +7574,7 @@ export interface operations {
                     "application/json": components["schemas"]["BrowserSignedIn"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7606,7 +7607,7 @@ export interface operations {
                     "application/json": components["schemas"]["BrowserSignedIn"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7635,7 +7636,7 @@ export interface operations {
                     "application/json": components["schemas"]["SignInMethods"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7664,7 +7665,7 @@ export interface operations {
                     "application/json": components["schemas"]["OneTimeLink"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7697,7 +7698,7 @@ export interface operations {
                     "application/json": components["schemas"]["BrowserSignedIn"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7728,7 +7729,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7759,7 +7760,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7794,7 +7795,7 @@ export interface operations {
                     "application/json": components["schemas"]["ProviderBegun"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7829,7 +7830,7 @@ export interface operations {
                     "application/json": components["schemas"]["ProviderBegun"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7864,7 +7865,7 @@ export interface operations {
                     "application/json": components["schemas"]["ProviderBegun"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7897,7 +7898,7 @@ export interface operations {
                     "application/json": components["schemas"]["BrowserSignedIn"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7924,7 +7925,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -7960,7 +7961,7 @@ export interface operations {
                     "text/event-stream": unknown;
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8020,7 +8021,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_FileRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8051,7 +8052,7 @@ export interface operations {
                     "application/json": components["schemas"]["FileRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8084,7 +8085,7 @@ export interface operations {
                     "application/json": components["schemas"]["Deleted"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8122,7 +8123,7 @@ export interface operations {
                     "application/json": components["schemas"]["FileRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8153,7 +8154,7 @@ export interface operations {
                     "application/json": components["schemas"]["LineageRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8187,7 +8188,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_TopicRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8218,7 +8219,7 @@ export interface operations {
                     "application/json": components["schemas"]["FileRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8251,7 +8252,7 @@ export interface operations {
                     "application/json": components["schemas"]["DownloadLinks"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8284,7 +8285,7 @@ export interface operations {
                     "application/json": components["schemas"]["FilesLabelled"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8324,7 +8325,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_FindingRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8358,7 +8359,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_GroupRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8391,7 +8392,7 @@ export interface operations {
                     "application/json": components["schemas"]["GroupRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8422,7 +8423,7 @@ export interface operations {
                     "application/json": components["schemas"]["GroupRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8451,7 +8452,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8489,7 +8490,7 @@ export interface operations {
                     "application/json": components["schemas"]["GroupRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8524,7 +8525,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_MemberRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8563,7 +8564,7 @@ export interface operations {
                     "application/json": components["schemas"]["MemberRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8593,7 +8594,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8622,7 +8623,7 @@ export interface operations {
                     "application/json": components["schemas"]["HomeRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8651,7 +8652,7 @@ export interface operations {
                     "application/json": components["schemas"]["HomeStorage"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8680,7 +8681,7 @@ export interface operations {
                     "application/json": components["schemas"]["MeRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8709,7 +8710,7 @@ export interface operations {
                     "application/json": components["schemas"]["AccountRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8738,7 +8739,7 @@ export interface operations {
                     "application/json": components["schemas"]["IdentityRead"][];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8767,7 +8768,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8799,7 +8800,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_SessionRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8826,7 +8827,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8855,7 +8856,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8884,7 +8885,7 @@ export interface operations {
                     "application/json": components["schemas"]["TotpEnrolment"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8911,7 +8912,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8944,7 +8945,7 @@ export interface operations {
                     "application/json": components["schemas"]["RecoveryCodes"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -8973,7 +8974,7 @@ export interface operations {
                     "application/json": components["schemas"]["RecoveryCodes"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9021,7 +9022,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_MissionRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9052,7 +9053,7 @@ export interface operations {
                     "application/json": components["schemas"]["MissionRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9085,7 +9086,7 @@ export interface operations {
                     "application/json": components["schemas"]["Deleted"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9123,7 +9124,7 @@ export interface operations {
                     "application/json": components["schemas"]["MissionRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9157,7 +9158,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_AccessRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9191,7 +9192,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_GrantRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9226,7 +9227,7 @@ export interface operations {
                     "application/json": components["schemas"]["GrantRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9256,7 +9257,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9292,7 +9293,7 @@ export interface operations {
                     "application/json": components["schemas"]["GrantRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9326,7 +9327,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_RecordingRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9361,7 +9362,7 @@ export interface operations {
                     "application/json": components["schemas"]["ShareMade"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9395,7 +9396,7 @@ export interface operations {
                     "application/json": components["schemas"]["MissionTimeline"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9430,7 +9431,7 @@ export interface operations {
                     "application/json": components["schemas"]["MissionTopics"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9464,7 +9465,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_UploadRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9499,7 +9500,7 @@ export interface operations {
                     "application/json": components["schemas"]["UploadDecisions"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9532,7 +9533,7 @@ export interface operations {
                     "application/json": components["schemas"]["Overview"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9567,7 +9568,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_PersonRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9598,7 +9599,7 @@ export interface operations {
                     "application/json": components["schemas"]["PersonRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9629,7 +9630,7 @@ export interface operations {
                     "application/json": components["schemas"]["PersonRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9660,7 +9661,7 @@ export interface operations {
                     "application/json": components["schemas"]["PersonRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9691,7 +9692,7 @@ export interface operations {
                     "application/json": components["schemas"]["Departure"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9722,7 +9723,7 @@ export interface operations {
                     "application/json": components["schemas"]["PersonRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9753,7 +9754,7 @@ export interface operations {
                     "application/json": components["schemas"]["OneTimeLink"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9782,7 +9783,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9815,7 +9816,7 @@ export interface operations {
                     "application/json": components["schemas"]["OneTimeLink"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9851,7 +9852,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_ProjectRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9884,7 +9885,7 @@ export interface operations {
                     "application/json": components["schemas"]["ProjectRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9915,7 +9916,7 @@ export interface operations {
                     "application/json": components["schemas"]["ProjectRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9948,7 +9949,7 @@ export interface operations {
                     "application/json": components["schemas"]["Deleted"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -9986,7 +9987,7 @@ export interface operations {
                     "application/json": components["schemas"]["ProjectRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10020,7 +10021,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_AccessRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10054,7 +10055,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_GrantRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10089,7 +10090,7 @@ export interface operations {
                     "application/json": components["schemas"]["GrantRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10119,7 +10120,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10155,7 +10156,7 @@ export interface operations {
                     "application/json": components["schemas"]["GrantRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10190,7 +10191,7 @@ export interface operations {
                     "application/json": components["schemas"]["MissionRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10224,7 +10225,7 @@ export interface operations {
                     "application/json": components["schemas"]["Overview"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10255,7 +10256,7 @@ export interface operations {
                     "application/json": components["schemas"]["MissionTemplate"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10286,7 +10287,7 @@ export interface operations {
                     "application/json": components["schemas"]["RecordingRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10326,7 +10327,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_MetricRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10359,7 +10360,7 @@ export interface operations {
                     "application/json": components["schemas"]["RunContext"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10394,7 +10395,7 @@ export interface operations {
                     "application/json": components["schemas"]["RunFinished"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10429,7 +10430,7 @@ export interface operations {
                     "application/json": components["schemas"]["InputUrls"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10464,7 +10465,7 @@ export interface operations {
                     "application/json": components["schemas"]["LogChunkUpload"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10497,7 +10498,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10532,7 +10533,7 @@ export interface operations {
                     "application/json": components["schemas"]["UploadDecisions"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10564,7 +10565,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_RunnerRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10597,7 +10598,7 @@ export interface operations {
                     "application/json": components["schemas"]["RunnerRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10632,7 +10633,7 @@ export interface operations {
                     "application/json": components["schemas"]["ClaimReply"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10667,7 +10668,7 @@ export interface operations {
                     "application/json": components["schemas"]["HeartbeatReplies"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10709,7 +10710,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_RunRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10742,7 +10743,7 @@ export interface operations {
                     "application/json": components["schemas"]["RunsCreated"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10773,7 +10774,7 @@ export interface operations {
                     "application/json": components["schemas"]["RunDetail"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10807,7 +10808,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_ArtifactRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10842,7 +10843,7 @@ export interface operations {
                     "application/json": components["schemas"]["ArtifactUrls"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10873,7 +10874,7 @@ export interface operations {
                     "application/json": components["schemas"]["RunRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10907,7 +10908,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_RunInput_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10941,7 +10942,7 @@ export interface operations {
                     "application/json": components["schemas"]["LogChunkRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -10974,7 +10975,7 @@ export interface operations {
                     "application/json": components["schemas"]["RunRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11007,7 +11008,7 @@ export interface operations {
                     "application/json": components["schemas"]["SearchRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11038,7 +11039,7 @@ export interface operations {
                     "application/json": components["schemas"]["FacetsRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11067,7 +11068,7 @@ export interface operations {
                     "application/json": components["schemas"]["ServiceRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11096,7 +11097,7 @@ export interface operations {
                     "application/json": components["schemas"]["SharedRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11130,7 +11131,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_ShareRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11159,7 +11160,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11216,7 +11217,7 @@ export interface operations {
                     "application/json": components["schemas"]["StatsRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11251,7 +11252,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_TokenRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11284,7 +11285,7 @@ export interface operations {
                     "application/json": components["schemas"]["TokenMade"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11315,7 +11316,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11374,7 +11375,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_TopicRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11407,7 +11408,7 @@ export interface operations {
                     "application/json": components["schemas"]["Page_TrashRead_"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11437,7 +11438,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11468,7 +11469,7 @@ export interface operations {
                     "application/json": components["schemas"]["UploadRead"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11497,7 +11498,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11530,7 +11531,7 @@ export interface operations {
                     "application/json": components["schemas"]["UploadOutcomes"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;
@@ -11563,7 +11564,7 @@ export interface operations {
                     "application/json": components["schemas"]["SignedParts"];
                 };
             };
-            /** @description A failure as a problem document (RFC 9457); `code` says which. */
+            /** @description A failure as a problem document (RFC 9457), identified by `code`. */
             default: {
                 headers: {
                     [name: string]: unknown;

@@ -28,7 +28,7 @@ from kleinkram.contract.projects import Deleted
 from kleinkram.contract.search import FileLabelled, LabelChange
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_match, require_mission
-from kleinkram.server.audit.service import Event, record, record_all
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.blobs.service import verify_again
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
@@ -164,7 +164,7 @@ async def update_file(
             await regroup(db, affected_id)
     await db.execute(queries.change_file(file_id, **values))
     new = await get_file(db, actor, file_id)
-    await record_all(db, actor, _change_events(old, new))
+    await audit(db, actor, *_change_events(old, new))
     return new
 
 
@@ -185,7 +185,7 @@ async def delete_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, dry_r
         await regroup(db, old.mission.id)
         await db.execute(queries.change_file(file_id, deleted_at=func.now(), deleted_by_id=actor.person_id))
         before: Metadata = {"path": old.path, "mission": old.mission.name}
-        await record(db, actor, _event("file.delete", old, before, takes=takes))
+        await audit(db, actor, _event("file.delete", old, before, takes=takes))
     runs = (await db.execute(queries.runs_that_read(actor, file_id))).scalar_one()
     made = list((await db.execute(queries.made_from(actor, file_id))).scalars()) if runs else []
     usage = {"read_by_runs": runs, "made_from_it": made}
@@ -206,7 +206,7 @@ async def link_files(
         for one in stored:
             if one.read.state in _UNREADABLE:
                 raise FileUnavailable(path=one.read.path, state=one.read.state.value)
-        await record_all(db, actor, [_event(_FETCHED[purpose], one.read) for one in stored])
+        await audit(db, actor, *[_event(_FETCHED[purpose], one.read) for one in stored])
         await count_downloads(db, actor, files=len(stored), size_bytes=sum(one.read.size_bytes for one in stored))
     expires_s = context.settings.download_url_s
     expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s)
@@ -229,7 +229,7 @@ async def verify_file(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> Fi
     """Have the bytes of a file verified again soon, and return the file as it is now. Raises NotFound."""
     (stored,) = await _stored_files(db, actor, [file_id])
     await verify_again(db, stored.blob_id)
-    await record(db, actor, _event("file.verify", stored.read))
+    await audit(db, actor, _event("file.verify", stored.read))
     return stored.read
 
 
@@ -303,7 +303,7 @@ async def label_files(db: Connection, actor: Actor, *, change: LabelChange) -> l
         _event("file.update", files[file_id], {"labels": [*files[file_id].labels]}, {"labels": [*labels]})
         for file_id, labels in changed.items()
     ]
-    await record_all(db, actor, events)
+    await audit(db, actor, *events)
     return [
         FileLabelled(file_id=file_id, labels=outcome, problem=None)
         if isinstance(outcome := outcomes[file_id], list)

@@ -30,7 +30,7 @@ from kleinkram.contract.projects import Deleted
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_match, require_mission, require_project
 from kleinkram.server.access.visible import sees_whole_missions
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.filters.plan import NO_PLAN, SearchPlan, prepare
 from kleinkram.server.missions import queries
@@ -153,7 +153,7 @@ async def create_mission(
     created = await get_mission(db, actor, mission_id)
     after: Metadata = {"name": created.name, "metadata": metadata}
     event = Event("mission.create", "mission", mission_id, created.name, project_id, after=after, mission_id=mission_id)
-    await record(db, actor, event)
+    await audit(db, actor, event)
     return created
 
 
@@ -196,7 +196,7 @@ async def update_mission(
     require_match(if_match, old.etag, noun="mission", name=old.name)
     await _change(db, queries.change_mission(mission_id, **values), name=changes.name or old.name)
     new = await get_mission(db, actor, mission_id)
-    await record(db, actor, *_change_events(old, new))
+    await audit(db, actor, *_change_events(old, new))
     return new
 
 
@@ -216,7 +216,7 @@ async def delete_mission(db: Connection, actor: Actor, *, mission_id: uuid.UUID,
         await db.execute(queries.change_mission(mission_id, deleted_at=func.now(), deleted_by_id=actor.person_id))
         before: Metadata = {"name": old.name, "project": old.project.name}
         event = Event("mission.delete", "mission", mission_id, old.name, old.project.id, before, mission_id=mission_id)
-        await record(db, actor, event)
+        await audit(db, actor, event)
     return Deleted(missions=1, files=files, size_bytes=int(size_bytes), dry_run=dry_run)
 
 

@@ -13,8 +13,9 @@ from collections.abc import Sequence
 from procrastinate import JobContext
 
 from kleinkram.contract.names import file_name
-from kleinkram.recordings import Rosbag2Metadata, SummaryFailed, metadata_request_bytes
-from kleinkram.recordings.formats.rosbag2.metadata import METADATA_NAME
+from kleinkram.recordings import SummaryFailed
+from kleinkram.recordings.formats.rosbag2.metadata import METADATA_NAME, Rosbag2Metadata
+from kleinkram.recordings.isolation import MetadataRequest, request_bytes
 from kleinkram.server.blobs.reader_processes import ReaderProcesses
 from kleinkram.server.context import AppContext
 from kleinkram.server.jobs.execution import (
@@ -94,8 +95,8 @@ class MetadataCache:
     async def _parse(self, context: AppContext, one: LiveFile) -> None:
         body = b"".join([piece async for piece in context.storage.read(one.key)])
         timeout_s = min(_LIMIT_S, context.settings.summary_timeout_s)
-        request = metadata_request_bytes(
-            body.decode("utf-8", "replace"),
+        request = request_bytes(
+            MetadataRequest(body.decode("utf-8", "replace")),
             memory_bytes=context.settings.summary_memory_bytes,
             timeout_s=math.ceil(timeout_s),
         )

@@ -28,7 +28,7 @@ from kleinkram.contract.projects import TrashNoun, TrashRead
 from kleinkram.contract.uploads import UploadState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import trashed_files, trashed_missions, trashed_projects
-from kleinkram.server.audit.service import Event, record, record_all
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.missions.service import lock_mission
@@ -87,7 +87,7 @@ async def _restore_project(db: Connection, actor: Actor, project_id: uuid.UUID, 
     stmt = stmt.with_only_columns(project.c.name).with_for_update()
     (name,) = await _get_row(db, stmt, TrashNoun.project, project_id)
     await _undelete(db, project, project_id, name)
-    await record(db, actor, Event("project.restore", "project", project_id, name, project_id))
+    await audit(db, actor, Event("project.restore", "project", project_id, name, project_id))
 
 
 async def _restore_mission(db: Connection, actor: Actor, mission_id: uuid.UUID, trash_days: int) -> None:
@@ -99,7 +99,7 @@ async def _restore_mission(db: Connection, actor: Actor, mission_id: uuid.UUID, 
     _require_parent("project", *parent)
     await require_room_for_mission(db, actor, project_id=project_id, mission_id=mission_id)
     await _undelete(db, mission, mission_id, name)
-    await record(db, actor, Event("mission.restore", "mission", mission_id, name, project_id, mission_id=mission_id))
+    await audit(db, actor, Event("mission.restore", "mission", mission_id, name, project_id, mission_id=mission_id))
 
 
 async def _restore_file(db: Connection, actor: Actor, file_id: uuid.UUID, trash_days: int) -> None:
@@ -119,7 +119,7 @@ async def _restore_file(db: Connection, actor: Actor, file_id: uuid.UUID, trash_
     await check_path_free(db, mission_id, path)
     await regroup(db, mission_id)
     await _undelete(db, file, file_id, path)
-    await record(db, actor, Event("file.restore", "file", file_id, path, project_id, mission_id=mission_id))
+    await audit(db, actor, Event("file.restore", "file", file_id, path, project_id, mission_id=mission_id))
 
 
 async def _get_row(db: Connection, stmt: Select[Any], noun: TrashNoun, noun_id: uuid.UUID) -> tuple[Any, ...]:
@@ -254,4 +254,4 @@ async def _delete(db: Connection, table: Table, rows: Sequence[_DueRow], *condit
         for row in rows
         if row.id in deleted
     ]
-    await record_all(db, None, events)
+    await audit(db, None, *events)
