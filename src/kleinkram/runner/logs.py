@@ -28,7 +28,7 @@ _CHECK_EVERY_S = 0.2
 _RETRY_S = 30.0
 _CLOSE_S = 2.0
 _REDACTED = b"[redacted]"
-# No secret is longer. So a secret that begins this far from the end of a window is there as a whole.
+# No secret is longer: one that begins this far from the end of a window is complete.
 _LONGEST_SECRET = 512
 _SHORTEST_SECRET = 16
 _SECRET_PATTERNS = (
@@ -58,7 +58,7 @@ class Redactor:
     def cut(self, data: bytes, max_bytes: int) -> int:
         """Return the number of bytes that can be redacted without those that follow; 0: none yet.
 
-        That are whole lines, since no secret contains a line break; or in a line that is longer than `max_bytes`, what
+        These are complete lines, since no secret contains a line break. In a line longer than `max_bytes`, they are what
         cannot be part of a secret that continues.
         """
         window = data[:max_bytes]

@@ -40,7 +40,7 @@ def test_heartbeats_continue_on_a_full_disk(
 
 
 class WithoutProcesses(ProcessExecutor):
-    """Cannot ask for an end at first, as where the machine gives no process for that."""
+    """An executor that cannot cancel at first, as on a machine without free process slots."""
 
     requested = 0
 

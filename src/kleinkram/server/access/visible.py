@@ -90,12 +90,12 @@ def joined_files() -> Select[Any]:
     )
 
 
-def reached_projects(actor: Actor) -> Select[Any]:
+def projects_for_events(actor: Actor) -> Select[Any]:
     """Return the projects of which `actor` may know that they changed, including those in the trash."""
     return select(project).where(_reaches_project(actor, Right.read))
 
 
-def reached_missions(actor: Actor) -> Select[Any]:
+def missions_for_events(actor: Actor) -> Select[Any]:
     """Return the missions of which `actor` may know that they changed, joined with their projects."""
     return joined_missions().where(_reaches_mission(actor, Right.read))
 

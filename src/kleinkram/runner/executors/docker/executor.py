@@ -60,7 +60,7 @@ _LOST = Ending(
 
 
 class DockerExecutor(LocalExecutor):
-    """Runs jobs as container. `runner` separates its containers from those of other runners.
+    """Runs jobs as containers. `runner` separates its containers from those of other runners.
 
     `allowed`: the registries, or namespaces of registries, that images may come from; None for all.
     """
