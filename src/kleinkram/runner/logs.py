@@ -58,8 +58,8 @@ class Redactor:
     def cut(self, data: bytes, max_bytes: int) -> int:
         """Return the number of bytes that can be redacted without those that follow; 0: none yet.
 
-        These are complete lines, since no secret contains a line break. In a line longer than `max_bytes`, they are what
-        cannot be part of a secret that continues.
+        These are complete lines, since no secret contains a line break. In a line longer than `max_bytes`, they end
+        where no secret can continue.
         """
         window = data[:max_bytes]
         lines = max(window.rfind(b"\n"), window.rfind(b"\r")) + 1

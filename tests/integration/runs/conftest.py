@@ -88,7 +88,7 @@ class FakeRunner:
         assert decision["decision"] == "upload", decision
         return decision["upload"]
 
-    def leave(self, claim: Mapping[str, Any], path: str, data: bytes) -> None:
+    def upload_artifact(self, claim: Mapping[str, Any], path: str, data: bytes) -> None:
         """Upload an artifact."""
         begun = self.begin(claim, path, data)
         send(self.api, begun, data)
