@@ -1,4 +1,4 @@
-"""Options shared by several commands, completion of names, and prompts."""
+"""Options and prompts that several commands share, and completion of names."""
 
 import logging
 import re
@@ -9,44 +9,28 @@ from typing import Annotated, Any
 
 import typer
 
+from kleinkram.cli.commands import Many, Text, argument, flag, option
 from kleinkram.cli.errors import NotConfirmed
 from kleinkram.cli.render import escape
 from kleinkram.client.errors import InvalidInput
 
-Text = str | None
-Many = list[str] | None
 _COMPLETION_TIMEOUT_S = 1.0
 _MAX_COMPLETIONS = 100
 
 
-def flag(names: str, text: str) -> Any:
-    """Return an option without a value."""
-    return typer.Option(*names.split(), help=text)
-
-
-def option(names: str, metavar: str | None, text: str, **settings: Any) -> Any:  # Any: Typer's own settings
-    """Return an option with a value; `names` are separated by spaces."""
-    return typer.Option(*names.split(), metavar=metavar, help=text, **settings)
-
-
-def argument(metavar: str, text: str | None = None, **settings: Any) -> Any:
-    """Return a positional argument."""
-    return typer.Argument(metavar=metavar, help=text, show_default=False, **settings)
-
-
 def complete_project(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the projects whose names begin so."""
+    """Return the projects whose names begin with a text."""
     return _complete(lambda: _names("/projects", incomplete, None))
 
 
 def complete_mission(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the missions whose names begin so, in the project of the command line."""
+    """Return the missions whose names begin with a text, in the project of the command line."""
     project = ctx.params.get("project")
     return _complete(lambda: _names("/missions", incomplete, project))
 
 
 def complete_endpoint(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the saved endpoints whose names begin so."""
+    """Return the saved endpoints whose names begin with a text."""
 
     def saved() -> Iterator[str]:
         from kleinkram.client.config import load_endpoints
@@ -63,7 +47,7 @@ def _names(path: str, incomplete: str, project: object) -> Iterator[str]:
     from kleinkram.contract.missions import MissionRead
     from kleinkram.contract.projects import ProjectRead
 
-    api = Api(find_endpoint(), read_timeout_s=_COMPLETION_TIMEOUT_S, is_patient=False)
+    api = Api(find_endpoint(), read_timeout_s=_COMPLETION_TIMEOUT_S, has_retries=False)
     query = [("name", f"{incomplete}*")]
     if path == "/projects":
         yield from (row.name for row in pages(api, path, ProjectRead, query, limit=_MAX_COMPLETIONS))
@@ -99,7 +83,6 @@ MissionsOption = Annotated[Many, _mission("Select missions by name, glob or id; 
 FileArgument = Annotated[str, argument("FILE", "Path or id of the file.")]
 GlobArgument = Annotated[Text, argument("GLOB", "Glob that names match.")]
 ExcludeOption = Annotated[Many, option("--exclude", "GLOB", "Leave out matching paths, names or folders; repeatable.")]
-AsJson = Annotated[bool, flag("--json", "Print JSON on stdout.")]
 DryRun = Annotated[bool, flag("--dry-run", "Print what would be done, and do nothing.")]
 Yes = Annotated[bool, flag("--yes -y", "Do not ask for confirmation.")]
 Count = Annotated[bool, flag("--count", "Print only how many match.")]
@@ -113,7 +96,7 @@ Connections = Annotated[int, option("--connections", "N", "Run N transfers at th
 
 def _check_etag(text: str | None) -> str | None:
     if text is not None and not re.fullmatch("[0-9a-f]{16}", text):
-        raise InvalidInput(what="--if-match", reason="it is the 16 characters that --json and `info` show as ETag")
+        raise InvalidInput(what="--if-match", reason="an ETag has 16 characters; --json and `info` show it")
     return text
 
 
@@ -125,14 +108,14 @@ IfMatch = Annotated[
 def the_ref(what: str, positional: str | None, option: str | None) -> str:
     """Return the name or id given as an argument or as an option; raise InvalidInput for neither or both."""
     if (positional is None) == (option is None):
-        raise InvalidInput(what="The command", reason=f"say which {what}, once")
+        raise InvalidInput(what="The command", reason=f"specify one {what}")
     return positional if positional is not None else option or ""
 
 
 def the_only(what: str, refs: Sequence[str] | None) -> str | None:
     """Return the one value of a repeatable option, or None; raise InvalidInput for several."""
     if refs is not None and len(refs) > 1:
-        raise InvalidInput(what=f"--{what}", reason=f"it was given {len(refs)} times, and this takes one")
+        raise InvalidInput(what=f"--{what}", reason=f"it was given {len(refs)} times; this command takes one")
     return refs[0] if refs else None
 
 

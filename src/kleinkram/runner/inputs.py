@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 import urllib3
 
 from kleinkram.client._http import Backoff
-from kleinkram.client.transfer.store import PATIENCE_S, StoreAnswer
+from kleinkram.client.transfer.store import TRANSFER_RETRY_S, StoreAnswer
 from kleinkram.contract.actions import ActionDefinition, Network
 from kleinkram.contract.errors import FileUnavailable, InvalidRequest, KleinkramError, NotFound, RunGone
 from kleinkram.contract.names import check_file_path
@@ -141,7 +141,7 @@ class InputDownload:
     """Downloads the inputs of one run by signed URLs, and resumes broken downloads."""
 
     def __init__(self, context: RunnerContext, assignment: RunAssignment, stop: StopSignal) -> None:
-        self._runners = context.runners.with_patience(PATIENCE_S, stop.wait)
+        self._runners = context.runners.with_retry(TRANSFER_RETRY_S, stop.wait)
         self._store = context.store
         self._assignment = assignment
         self._stop = stop
@@ -193,7 +193,7 @@ class InputDownload:
 
     def _receive(self, part: PartialInput, path: str, check: Callable[[], None]) -> None:
         """Receive the missing bytes of a file, from where the last connection broke."""
-        backoff, refusals = Backoff(PATIENCE_S, self._stop.wait), 0
+        backoff, refusals = Backoff(TRANSFER_RETRY_S, self._stop.wait), 0
         while part.offset < part.file.size_bytes:
             check()
             before = part.offset
@@ -207,7 +207,7 @@ class InputDownload:
             finally:
                 answer.close()
             if part.offset > before:
-                backoff = Backoff(PATIENCE_S, self._stop.wait)
+                backoff = Backoff(TRANSFER_RETRY_S, self._stop.wait)
             elif answer.answer is StoreAnswer.sign_again and refusals < _MAX_REFUSALS:
                 refusals += 1
                 self._sign([path])

@@ -86,7 +86,7 @@ class LogUpload:
 
     def __init__(self, context: RunnerContext, attempt: Attempt, redactor: Redactor) -> None:
         self._executor = context.executor
-        self._runners = context.runners.with_patience(_RETRY_S, self._wait)
+        self._runners = context.runners.with_retry(_RETRY_S, self._wait)
         self._store = context.store
         self._assignment = attempt.state.assignment
         self._path = attempt.directory / LOG_UPLOAD

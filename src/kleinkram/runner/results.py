@@ -22,13 +22,13 @@ from pydantic import ValidationError
 from kleinkram.client._http import Backoff
 from kleinkram.client.errors import ServerUnreachable, StoreTroubled, StoreUnreachable
 from kleinkram.client.transfer.plan import LocalFile, identity_of
+from kleinkram.client.transfer.pool import RateLimit
 from kleinkram.client.transfer.report import TransferResult, Watcher
-from kleinkram.client.transfer.threads import RateLimit
 from kleinkram.client.transfer.upload import Uploader
 from kleinkram.contract import errors, reports
 from kleinkram.contract.metadata import check_values
 from kleinkram.contract.names import check_file_path
-from kleinkram.contract.problems import in_plain_words
+from kleinkram.contract.problems import first_message
 from kleinkram.contract.runners import LOG_PATH, RunAssignment, RunFinish
 from kleinkram.contract.runs import EndReason
 from kleinkram.runner.executors.base import Ending, RunJob
@@ -274,7 +274,7 @@ def _merged(events: list[reports.ReportEvent], report: reports.Report, problems:
 
 def _first(error: ValidationError) -> str:
     where = ".".join(map(str, error.errors(include_url=False, include_input=False)[0]["loc"]))
-    return json.dumps(where) + ": " + in_plain_words(error) if where else in_plain_words(error)
+    return json.dumps(where) + ": " + first_message(error) if where else first_message(error)
 
 
 def _open_beneath(directory: Path, relative: str) -> IO[bytes] | None:
@@ -396,7 +396,7 @@ class ResultUpload:
         run_id = self._assignment.run_id
         while True:
             try:
-                self._context.runners.with_patience(math.inf, self._stop.wait).finish(run_id, finish)
+                self._context.runners.with_retry(math.inf, self._stop.wait).finish(run_id, finish)
                 return
             except errors.RunGone:  # noqa: PERF203  (each round is a request)
                 raise
@@ -447,12 +447,13 @@ class ResultUpload:
             self._context.runners.uploads(run_id, self._assignment.attempt),
             self._context.url,
             run_id,
+            connections=min(_CONNECTIONS, len(files)),
             pace=RateLimit(None),
             watcher=Watcher(),
             ended=results.append,
             journals=self._job.directory / _JOURNALS,
         )
-        self._uploader.run(files, min(_CONNECTIONS, len(files)))
+        self._uploader.run(files)
         return [
             RejectedFile(result.path, str(result.error), is_temporary=isinstance(result.error, StoreTroubled))
             for result in results

@@ -1,4 +1,4 @@
-"""Keyset pages: a list continues after the last row it gave, however many rows came or went in between."""
+"""Keyset pagination: a page continues after the last row of the previous one, whatever was added or deleted."""
 
 import base64
 import binascii
@@ -34,7 +34,7 @@ _TYPES: dict[str, Callable[[str], Any]] = {
 class Order:
     """The total order of a list: columns that are never null, the last of them unique; one direction for all.
 
-    One order that is written in two ways has a `name`: a cursor of either is good for both.
+    Two spellings of one order share a `name`: cursors are valid for both.
     """
 
     columns: Sequence[ColumnElement[Any]]
@@ -43,7 +43,7 @@ class Order:
 
     @cached_property
     def signature(self) -> str:
-        """A few characters that differ between orders, so that a cursor of one is refused by another."""
+        """Characters in cursors that identify the order, so that another order refuses them."""
         text = (self.name or "|".join(str(column) for column in self.columns)) + str(self.descending)
         return hashlib.sha256(text.encode()).hexdigest()[:8]
 
@@ -88,10 +88,10 @@ class Rows:
 
 @dataclass(frozen=True)
 class PagedQuery:
-    """A select of which pages are read in an order. Its statements are built once.
+    """A select whose pages are read in an order. Its statements are built once.
 
-    With `described`, the select only finds the page, and reads no more than decides. The rows are then those that
-    `described` selects for the page's ids, the last column of the order.
+    With `described`, the select only finds the ids of the page (the last column of the order), and `described` selects
+    the rows for these ids.
     """
 
     statement: Select[Any]
@@ -190,7 +190,7 @@ def _page_of(statement: Select[Any], order: Order, limit: int, *, is_first: bool
     if not is_first:
         after = [bindparam(f"after_{at}", type_=column.type) for at, column in enumerate(order.columns)]
         row, place, first = tuple_(*order.columns), tuple_(*after), order.columns[0]
-        # The first column once more, by itself: where the others are of other tables, its index still serves.
+        # The first column again by itself: its index is used even if the other columns are in other tables.
         ahead = first <= after[0] if order.descending else first >= after[0]
         statement = statement.where(ahead, row < place if order.descending else row > place)
     return in_order(statement, order.columns, order).limit(limit + 1)

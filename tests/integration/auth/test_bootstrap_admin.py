@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from kleinkram.server.access.groups import ADMINS_ID
+from kleinkram.server.access.builtin_groups import ADMINS_ID
 from kleinkram.server.auth.bootstrap import log_bootstrap_code
 from kleinkram.server.auth.one_time_codes import delete_expired_codes
 from kleinkram.server.context import AppContext

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import signal
-import sys
 import time
 from pathlib import Path
 
 import pytest
 
 from kleinkram.client import _http
-from kleinkram.client.transfer import upload_pipeline
+from kleinkram.client.transfer import store
 from kleinkram.contract.runners import LOG_PATH
 from kleinkram.contract.runs import EndReason, RunState
 from kleinkram.runner import results
@@ -102,8 +101,7 @@ def test_rejected_reports_are_sent_again(
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make a runner give up soon and retry immediately."""
     monkeypatch.setattr(results, "_RETRY_EVERY_S", 0.01)
-    monkeypatch.setattr(sys.modules["kleinkram.client.transfer.upload"], "PATIENCE_S", 0.1)
-    monkeypatch.setattr(upload_pipeline, "PATIENCE_S", 0.1)
+    monkeypatch.setattr(store, "TRANSFER_RETRY_S", 0.1)
     monkeypatch.setattr(_http, "LONGEST_WAIT_S", 0.05)
 
 
@@ -124,7 +122,7 @@ def test_results_are_uploaded_once_the_store_is_available(server: FakeServer, ru
 @pytest.mark.parametrize(
     ("store_says", "waits_for"),
     [
-        (b"", "is away or full (the store answered 503)"),  # as a proxy does in its place
+        (b"", "is unreachable or full (the store answered 503)"),  # as a proxy does in its place
         (b"<Error><Code>InternalError</Code></Error>", "for minutes, the store answered 503 InternalError"),
     ],
 )

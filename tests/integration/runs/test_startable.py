@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from kleinkram.contract.access import Right, Scope, TokenKind
-from kleinkram.server.access.groups import OWNER_ID
+from kleinkram.server.access.builtin_groups import OWNER_ID
 from tests.integration import people
 from tests.integration.api_server import Api
 from tests.integration.conftest import StartApi

@@ -26,7 +26,7 @@ from kleinkram.contract.projects import ProjectRef
 from kleinkram.server.access.actor import Actor, ActorKind
 from kleinkram.server.access.rights import require_creator, require_project
 from kleinkram.server.access.visible import visible_projects
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.filters.patterns import matches_key
 from kleinkram.server.http.headers import require_match
@@ -73,9 +73,9 @@ async def create_action(db: Connection, actor: Actor, *, requested: ActionCreate
         Forbidden: this actor may not publish there; for the whole lab, the settings reserve that to others.
         NameTaken: an action of this name exists.
     """
-    by_power = False
+    needs_admin = False
     if requested.project_id is None:
-        by_power = await require_creator(db, actor, creators, noun="action")
+        needs_admin = await require_creator(db, actor, creators, noun="action")
     else:
         await require_project(db, actor, "create_action", requested.project_id)
     action_id, name = uuid.uuid4(), requested.definition.name
@@ -88,7 +88,7 @@ async def create_action(db: Connection, actor: Actor, *, requested: ActionCreate
         raise NameTaken(noun="action", name=name) from error
     await _add_version(db, actor, action_id, 1, requested.definition)
     made = await get_action(db, actor, action_id)
-    await record(db, actor, _event("action.create", made, by_power=by_power))
+    await audit(db, actor, _event("action.create", made, needs_admin=needs_admin))
     return made
 
 
@@ -112,7 +112,7 @@ async def add_version(
     require_match(if_match, old.etag, noun="action", name=old.name)
     await _add_version(db, actor, action_id, old.latest.number + 1, definition)
     made = await get_action(db, actor, action_id)
-    await record(db, actor, _event("action.publish", made))
+    await audit(db, actor, _event("action.publish", made))
     return made
 
 
@@ -137,7 +137,7 @@ async def set_archived(
     except IntegrityError as error:
         raise NameTaken(noun="action", name=old.name) from error
     made = await get_action(db, actor, action_id)
-    await record(db, actor, _event("action.archive" if archived else "action.restore", made))
+    await audit(db, actor, _event("action.archive" if archived else "action.restore", made))
     return made
 
 
@@ -287,7 +287,7 @@ def _stored(definition: ActionDefinition) -> dict[str, Any]:
     return {"definition": document, "definition_sha256": hashlib.sha256(written.encode()).digest()}
 
 
-def _event(operation: str, made: ActionRead, *, by_power: bool = False) -> Event:
+def _event(operation: str, made: ActionRead, *, needs_admin: bool = False) -> Event:
     project_id = made.project.id if made.project else None
     after: Metadata = {"version": made.latest.number}
-    return Event(operation, "action", made.id, made.name, project_id, after=after, by_power=by_power)
+    return Event(operation, "action", made.id, made.name, project_id, after=after, needs_admin=needs_admin)

@@ -1,6 +1,6 @@
 """One-time codes: links for signing in, invitations, password resets, and the code of the first admin.
 
-A code that an admin created ends with their admin rights: who leaves must not come back with a link.
+A code that an admin created ends with their admin rights, so that former admins cannot return with a link.
 """
 
 import datetime
@@ -14,7 +14,7 @@ from sqlalchemy import ColumnElement, delete, exists, func, insert, select, upda
 from kleinkram.contract.accounts import CodeRead, OneTimeLink
 from kleinkram.contract.errors import CodeGone
 from kleinkram.server.access.actor import secret_hash, unexpired
-from kleinkram.server.access.groups import ADMINS_ID
+from kleinkram.server.access.builtin_groups import ADMINS_ID
 from kleinkram.server.db import Connection
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import login_request, membership, oidc_login, one_time_code, person

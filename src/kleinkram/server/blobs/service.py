@@ -8,7 +8,7 @@ from sqlalchemy import func, select, update
 
 from kleinkram.contract.files import BlobState
 from kleinkram.recordings import RecordingSummary
-from kleinkram.server.audit.service import Event, record_all
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.blobs import queries
 from kleinkram.server.blobs.queries import BlobRow, SqliteLog
 from kleinkram.server.blobs.summaries import publish_file_changes, record_summaries
@@ -119,11 +119,11 @@ async def record_verified(db: Connection, md5s: Mapping[uuid.UUID, bytes]) -> No
 
     A blob that was damaged is sound again.
     """
-    healed = await _lock_damaged(db, md5s)
+    repaired = await _lock_damaged(db, md5s)
     rows = unnest_rows([blob.c.id, blob.c.md5], [{"id": blob_id, "md5": md5} for blob_id, md5 in md5s.items()])
     values = {"state": BlobState.verified.value, "state_reason": None, "damaged_at": None, "md5": rows.c.md5}
     await db.execute(update(blob).where(blob.c.id == rows.c.id).values(**values, verified_at=func.now()))
-    for blob_id, before in healed.items():
+    for blob_id, before in repaired.items():
         await _audit_files(db, blob_id, "file.heal", {"state": before}, {"state": BlobState.verified.value})
     await publish_file_changes(db, md5s)
 
@@ -169,4 +169,4 @@ async def _audit_files(
         Event(operation, "file", row.id, row.path, row.project_id, {**before}, {**after}, row.mission_id)
         for row in await db.execute(files)
     ]
-    await record_all(db, None, events)
+    await audit(db, None, *events)

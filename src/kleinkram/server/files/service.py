@@ -29,7 +29,7 @@ from kleinkram.contract.projects import Deleted
 from kleinkram.contract.search import FileLabelled, LabelChange
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
-from kleinkram.server.audit.service import Event, record, record_all
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.blobs.service import verify_again
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection
@@ -180,7 +180,7 @@ async def update_file(
         return queries.to_file(old)
     await db.execute(queries.change_file(file_id, **values))
     new = await _row(db, actor, file_id)
-    await record_all(db, actor, _changes(old, new))
+    await audit(db, actor, *_changes(old, new))
     return queries.to_file(new)
 
 
@@ -200,7 +200,7 @@ async def delete_file(db: Connection, actor: Actor, *, file_id: uuid.UUID, dry_r
         await regroup(db, row.mission_id)
         await db.execute(queries.change_file(file_id, deleted_at=func.now(), deleted_by_id=actor.person_id))
         before: Metadata = {"path": row.path, "mission": row.mission_name}
-        await record(db, actor, _event("file.delete", row, before, takes=takes))
+        await audit(db, actor, _event("file.delete", row, before, takes=takes))
     runs, made = await _come_of_it(db, actor, file_id)
     summary = {"size_bytes": row.size_bytes, "dry_run": dry_run, "read_by_runs": runs, "made_from_it": made}
     return Deleted(missions=0, files=1, **summary)
@@ -228,7 +228,7 @@ async def link_files(
         for row in rows:
             if row.state in _UNREADABLE:
                 raise FileUnavailable(path=row.path, state=row.state)
-        await record_all(db, actor, [_event(_FETCHED[purpose], row) for row in rows])
+        await audit(db, actor, *[_event(_FETCHED[purpose], row) for row in rows])
         await count_downloads(db, actor, files=len(rows), size_bytes=sum(row.size_bytes for row in rows))
     return [_link(context, row) for row in rows]
 
@@ -241,7 +241,7 @@ async def verify_file(db: Connection, actor: Actor, *, file_id: uuid.UUID) -> Fi
     """
     row = await _row(db, actor, file_id)
     await verify_again(db, row.blob_id)
-    await record(db, actor, _event("file.verify", row))
+    await audit(db, actor, _event("file.verify", row))
     return queries.to_file(row)
 
 
@@ -353,7 +353,7 @@ async def label_files(db: Connection, actor: Actor, *, change: LabelChange) -> l
         _event("file.update", rows[file_id], {"labels": rows[file_id].labels}, {"labels": [*labels]})
         for file_id, labels in changed.items()
     ]
-    await record_all(db, actor, events)
+    await audit(db, actor, *events)
     return [
         FileLabelled(file_id=file_id, labels=outcome, problem=None)
         if isinstance(outcome := outcomes[file_id], list)

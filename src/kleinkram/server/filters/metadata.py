@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from sqlalchemy import ColumnElement, Text, and_, bindparam, case, func, not_, or_, type_coerce
 from sqlalchemy.dialects.postgresql import ARRAY, JSONB
 
-from kleinkram.contract.amounts import iso_text
 from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.metadata import WHERE_EXPRESSION
+from kleinkram.contract.units import iso_text
 from kleinkram.server.filters.patterns import like_pattern
 from kleinkram.server.tables import mission
 

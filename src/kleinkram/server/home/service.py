@@ -6,6 +6,7 @@ from typing import Any
 
 from sqlalchemy import Row, Select, func, select, text, union
 
+from kleinkram.checks import is_disk_low
 from kleinkram.contract.errors import StoreUnavailable
 from kleinkram.contract.files import BlobState
 from kleinkram.contract.home import (
@@ -39,8 +40,6 @@ _MAX_QUEUED = 200
 # Recent missions are those of the newest so many files, and the newest ones themselves.
 _LAST_FILES = 2000
 _STORE_TIMEOUT_S = 2.0
-# The same limits as in `klein doctor`.
-_LOW_BYTES, _LOW_SHARE = 5 * 1024**3, 0.02
 _OF_STATE = {"corrupt": AttentionKind.files_corrupt, "lost": AttentionKind.files_lost}
 _OF_CONTENT = {
     "broken": AttentionKind.files_broken,
@@ -119,7 +118,7 @@ async def store_use(db: Connection, settings: Settings) -> StoreUse:
 def is_low(settings: Settings) -> bool:
     """Whether the store's disk, if it is on this machine, is almost full."""
     disk = _disk(settings)
-    return disk is not None and disk[0] < max(_LOW_BYTES, _LOW_SHARE * disk[1])
+    return disk is not None and is_disk_low(*disk)
 
 
 def _sees_server(actor: Actor) -> bool:

@@ -15,10 +15,10 @@ from typing import Annotated
 
 from pydantic import HttpUrl, JsonValue, StringConstraints, TypeAdapter, ValidationError
 
-from kleinkram.contract.amounts import iso_text
 from kleinkram.contract.errors import FieldProblem, MetadataInvalid, YamlInvalid
 from kleinkram.contract.metadata import FieldType, Location, Metadata, MetadataField, MetadataFields, Undeclared
-from kleinkram.contract.problems import in_plain_words
+from kleinkram.contract.problems import first_message
+from kleinkram.contract.units import iso_text
 from kleinkram.server.yaml_text import Document, Path, read_yaml, resolve_plain
 
 _WITH_UNIT = re.compile(
@@ -290,7 +290,7 @@ def _location(value: JsonValue) -> JsonValue:
     try:
         place = Location.model_validate(value, strict=True)
     except ValidationError as error:
-        raise InvalidValue(in_plain_words(error), tuple(error.errors()[0]["loc"])) from None
+        raise InvalidValue(first_message(error), tuple(error.errors()[0]["loc"])) from None
     stored: JsonValue = place.model_dump(mode="json", exclude_none=True)
     return stored
 

@@ -30,7 +30,7 @@ from kleinkram.contract.projects import Deleted
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission, require_project
 from kleinkram.server.access.visible import sees_whole_missions
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.filters.plan import ID_COUNT, NO_PLAN, SearchPlan, rounded
 from kleinkram.server.filters.prepared import prepare
@@ -190,7 +190,7 @@ async def create_mission(
     made = await get_mission(db, actor, mission_id)
     after: Metadata = {"name": made.name, "metadata": metadata}
     event = Event("mission.create", "mission", mission_id, made.name, project_id, after=after, mission_id=mission_id)
-    await record(db, actor, event)
+    await audit(db, actor, event)
     return made
 
 
@@ -232,7 +232,7 @@ async def update_mission(
     new = await get_mission(db, actor, mission_id)
     differing = [name for name in _AUDITED if _audited_value(old, name) != _audited_value(new, name)]
     before, after = ({name: _audited_value(version, name) for name in differing} for version in (old, new))
-    await record(db, actor, *_moved(old, new, before, after) if "project" in after else _updated(new, before, after))
+    await audit(db, actor, *_moved(old, new, before, after) if "project" in after else _updated(new, before, after))
     return new
 
 
@@ -252,7 +252,7 @@ async def delete_mission(db: Connection, actor: Actor, *, mission_id: uuid.UUID,
         await db.execute(queries.change_mission(mission_id, deleted_at=func.now(), deleted_by_id=actor.person_id))
         before: Metadata = {"name": row.name, "project": row.project_name}
         event = Event("mission.delete", "mission", mission_id, row.name, row.project_id, before, mission_id=mission_id)
-        await record(db, actor, event)
+        await audit(db, actor, event)
     return Deleted(missions=1, files=files, size_bytes=int(size_bytes), dry_run=dry_run)
 
 

@@ -6,9 +6,9 @@ import uuid
 from collections.abc import Iterable, Sequence
 
 from kleinkram.contract.errors import InvalidQuery, NotFound
-from kleinkram.contract.files import FileFilter
+from kleinkram.contract.files import FileFilter, MissionTimeline
 from kleinkram.contract.metadata import FieldType, MetadataField
-from kleinkram.contract.overviews import Bucket, MissionTimeline, Overview, StatsRow
+from kleinkram.contract.search import Bucket, Overview, StatsRow
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection

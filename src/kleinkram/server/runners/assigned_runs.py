@@ -45,7 +45,7 @@ from kleinkram.contract.runs import (
 from kleinkram.contract.uploads import ChecksumKind
 from kleinkram.server.access.actor import Actor, find_person
 from kleinkram.server.access.visible import visible_files
-from kleinkram.server.audit.service import Event, record, record_all
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.blobs.service import examine_blobs
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
@@ -358,7 +358,7 @@ async def finish_run(db: Connection, actor: Actor, *, run_id: uuid.UUID, finish:
     state = (await db.execute(select(run.c.state).where(run.c.id == run_id))).scalar_one()
     after: Metadata = {"reason": finish.reason.value, "artifacts": len(artifacts)}
     event = Event("run.end", "run", run_id, row.definition.name, row.project_id, after=after, mission_id=row.mission_id)
-    await record(db, actor, event)
+    await audit(db, actor, event)
     return RunFinished(state=RunState(state))
 
 
@@ -376,7 +376,7 @@ async def _put_back(
     starter = await find_person(db, row.started_by_id)
     if starter is None or most.level < Right.create.level:
         return ["It put files back, which requires an action with `right: CREATE`; they stay artifacts."]
-    actor = replace(starter.asking("begin_uploads", request_id=None, address=None), max_right=most)
+    actor = replace(starter.for_request("begin_uploads", request_id=None, address=None), max_right=most)
     try:
         await missions.lock_mission_to_fill(db, actor, row.mission_id)
         size_bytes = sum(artifacts[entry.path].size_bytes for entry in selected)
@@ -397,7 +397,7 @@ async def _put_back(
             Event("file.put_back", "file", file_id, entry.to, row.project_id, after=after, mission_id=row.mission_id)
         )
     if events:
-        await record_all(db, actor, events)
+        await audit(db, actor, *events)
         await regroup(db, row.mission_id)
     return problems
 

@@ -30,7 +30,7 @@ from kleinkram.contract.runs import ActionRef, EndReason, RunState
 from kleinkram.contract.tokens import SecretKind
 from kleinkram.server.access.actor import Actor, find_person, new_secret, unexpired
 from kleinkram.server.access.visible import level_on_mission, visible_missions
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
@@ -88,7 +88,7 @@ async def register_runner(db: Connection, actor: Actor, *, registration: RunnerR
     await db.execute(write.on_conflict_do_update(index_elements=["id"], set_=same))
     if owner_id is None:
         after: Metadata = {"labels": list(registration.labels)}
-        await record(db, actor, Event("runner.arrive", "runner", registration.id, registration.name, None, after=after))
+        await audit(db, actor, Event("runner.arrive", "runner", registration.id, registration.name, None, after=after))
     await publish(db, [ChangeEvent("runner", ChangeKind.changed, registration.id)])
     (read,) = await _read_runners(db, [registration.id])
     return read
@@ -112,7 +112,7 @@ async def _bind(db: Connection, actor: Actor, runner_id: uuid.UUID) -> None:
         raise Forbidden(noun="server", operation="be this runner", needs=_OWN_TOKEN)
     name = (await db.execute(select(token.c.name).where(token.c.id == actor.token_id))).scalar_one()
     after: Metadata = {"runner_id": str(runner_id)}
-    await record(db, actor, Event("token.bind", "token", actor.token_id, name, None, after=after))
+    await audit(db, actor, Event("token.bind", "token", actor.token_id, name, None, after=after))
 
 
 async def list_runners(db: Connection, *, page: PageRequest) -> Page[RunnerRead]:

@@ -36,7 +36,7 @@ from kleinkram.contract.runs import (
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import level_on_mission, visible_files, visible_missions
 from kleinkram.server.actions import service as actions
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection
 from kleinkram.server.filters.files import filter_files
 from kleinkram.server.runs import service
@@ -154,7 +154,7 @@ async def create_run(
         after["reuses_id"] = str(reused["reuses_id"])
     name = task.definition.name
     event = Event("run.create", "run", run_id, name, target.project_id, after=after, mission_id=mission_id)
-    await record(db, actor, event)
+    await audit(db, actor, event)
     return await service.get_run(db, actor, run_id)
 
 

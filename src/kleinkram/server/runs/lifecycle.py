@@ -13,7 +13,7 @@ from kleinkram.contract.runs import EndReason, RunRead, RunState
 from kleinkram.contract.uploads import UploadState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.rights import require_mission
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.change_events import ChangeEvent, publish
 from kleinkram.server.db import Connection
 from kleinkram.server.runs import service
@@ -47,7 +47,7 @@ async def cancel_run(db: Connection, actor: Actor, *, run_id: uuid.UUID) -> RunR
     else:
         return await service.get_run(db, actor, run_id)
     event = Event("run.cancel", "run", run_id, visible.run.action.name, where.project.id, mission_id=where.id)
-    await record(db, actor, event)
+    await audit(db, actor, event)
     return await service.get_run(db, actor, run_id)
 
 

@@ -20,7 +20,7 @@ from kleinkram.contract.projects import ProjectRef
 from kleinkram.contract.reports import Finding, Metric, Severity
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import visible_files
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.context import AppContext
 from kleinkram.server.db import Connection, among
 from kleinkram.server.pagination import PageRequest, fetch_page, read_page
@@ -210,7 +210,7 @@ async def link_artifacts(
         after: Metadata = {"files": len(rows_by_id)}
         name, where = visible.run.action.name, visible.run.mission
         event = Event("run.download", "run", run_id, name, where.project.id, after=after, mission_id=where.id)
-        await record(db, actor, event)
+        await audit(db, actor, event)
     expires_s = context.settings.download_url_s
     expires_at = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(seconds=expires_s)
     return [

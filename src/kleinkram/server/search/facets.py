@@ -8,7 +8,7 @@ from sqlalchemy import CompoundSelect, Row, text
 from sqlalchemy.exc import DBAPIError
 
 from kleinkram.contract.files import FileFilter
-from kleinkram.contract.query import META, in_words, is_glob, parse, render, terms, terms_of
+from kleinkram.contract.query import META, is_glob, join_terms, parse, render, terms, terms_of
 from kleinkram.contract.search import Facet, FacetsRead, FacetValue
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
@@ -105,5 +105,5 @@ def _values(
             toggled = chosen_values.without_value(matching, facet, value)
         else:
             toggled = chosen_values.with_value(matching, facet, value, kind=kind)
-        query = in_words({**query_terms, part: terms_of(part, toggled)})
+        query = join_terms({**query_terms, part: terms_of(part, toggled)})
         yield FacetValue(value=value, file_count=file_count, is_selected=is_selected, query=query)

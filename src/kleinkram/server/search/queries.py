@@ -25,8 +25,7 @@ from sqlalchemy import (
 )
 
 from kleinkram.contract.files import FileFilter
-from kleinkram.contract.overviews import StatsRow
-from kleinkram.contract.search import TopicFound
+from kleinkram.contract.search import StatsRow, TopicFound
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import shown_recordings, visible_files, visible_missions, visible_projects
 from kleinkram.server.db import Written

@@ -7,9 +7,8 @@ from kleinkram.contract.base import Page
 from kleinkram.contract.errors import InvalidQuery
 from kleinkram.contract.files import FileFilter, FileRead, FileSort, TopicRead
 from kleinkram.contract.missions import MissionFilter, MissionRead, MissionSort
-from kleinkram.contract.overviews import StatsRead
 from kleinkram.contract.query import parse, render
-from kleinkram.contract.search import SearchRead, TopicFound
+from kleinkram.contract.search import SearchRead, StatsRead, TopicFound
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import sees_whole_missions
 from kleinkram.server.db import Connection

@@ -17,7 +17,7 @@ from kleinkram.contract.tokens import SHARE_PAGE, SecretKind, ShareCreate, Share
 from kleinkram.server.access.actor import Actor, new_secret
 from kleinkram.server.access.rights import ensure_active_person, require_mission
 from kleinkram.server.access.visible import visible_files, visible_missions
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection, among
 from kleinkram.server.missions.service import lock_mission
 from kleinkram.server.pagination import Order, PageRequest, read_page
@@ -60,7 +60,7 @@ async def create_share(
     created = await _get_share(db, _known_shares(actor, Right.write), share_id)
     after: Metadata = created.model_dump(mode="json", include={"file_count", "expires_at", "prefix"})
     after["file_ids"] = None if file_ids is None else [str(file_id) for file_id in file_ids]
-    await record(db, actor, _event("share.create", created, after))
+    await audit(db, actor, _event("share.create", created, after))
     url = f"{settings.public_url.rstrip('/')}{SHARE_PAGE}#{secret.text}"
     return ShareMade(share=created, url=url, secret=secret.text)
 
@@ -83,7 +83,7 @@ async def revoke_share(db: Connection, actor: Actor, *, share_id: uuid.UUID) -> 
         await require_mission(db, actor, "revoke_share", old.mission.id)
     stmt = update(share).where(share.c.id == share_id, share.c.revoked_at.is_(None)).values(revoked_at=func.now())
     if (await db.execute(stmt.returning(share.c.id))).first() is not None:
-        await record(db, actor, _event("share.revoke", old, {"prefix": old.prefix}))
+        await audit(db, actor, _event("share.revoke", old, {"prefix": old.prefix}))
 
 
 async def get_shared(db: Connection, actor: Actor) -> SharedRead:

@@ -29,7 +29,7 @@ from kleinkram.contract.projects import TrashNoun, TrashRead
 from kleinkram.contract.uploads import UploadState
 from kleinkram.server.access.actor import Actor
 from kleinkram.server.access.visible import trashed_files, trashed_missions, trashed_projects
-from kleinkram.server.audit.service import Event, record, record_all
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection, violated_constraint
 from kleinkram.server.files.paths import check_path_free
 from kleinkram.server.missions.service import lock_mission
@@ -84,7 +84,7 @@ async def _restore_project(db: Connection, actor: Actor, project_id: uuid.UUID, 
     stmt = trashed_projects(actor).where(project.c.id == project_id, _is_restorable(project, trash_days))
     row = await _get_row(db, stmt.with_for_update(), TrashNoun.project, project_id)
     await _undelete(db, project, row, name=row.name)
-    await record(db, actor, Event("project.restore", "project", project_id, row.name, project_id))
+    await audit(db, actor, Event("project.restore", "project", project_id, row.name, project_id))
 
 
 async def _restore_mission(db: Connection, actor: Actor, mission_id: uuid.UUID, trash_days: int) -> None:
@@ -96,7 +96,7 @@ async def _restore_mission(db: Connection, actor: Actor, mission_id: uuid.UUID, 
     await require_room_for_mission(db, actor, project_id=row.project_id, mission_id=mission_id)
     await _undelete(db, mission, row, name=row.name)
     event = Event("mission.restore", "mission", mission_id, row.name, row.project_id, mission_id=mission_id)
-    await record(db, actor, event)
+    await audit(db, actor, event)
 
 
 async def _restore_file(db: Connection, actor: Actor, file_id: uuid.UUID, trash_days: int) -> None:
@@ -121,7 +121,7 @@ async def _restore_file(db: Connection, actor: Actor, file_id: uuid.UUID, trash_
     await regroup(db, row.mission_id)
     await _undelete(db, file, row, name=row.path)
     event = Event("file.restore", "file", file_id, row.path, row.project_id, mission_id=row.mission_id)
-    await record(db, actor, event)
+    await audit(db, actor, event)
 
 
 async def _get_row(db: Connection, stmt: Select[Any], noun: TrashNoun, noun_id: uuid.UUID) -> Row[Any]:
@@ -247,4 +247,4 @@ async def _delete(db: Connection, table: Table, rows: Sequence[Row[Any]], *condi
         for row in rows
         if row.id in deleted
     ]
-    await record_all(db, None, events)
+    await audit(db, None, *events)

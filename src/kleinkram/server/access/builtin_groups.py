@@ -1,4 +1,4 @@
-"""The groups that accounts need: a person's own, those of an e-mail address, and the admins'."""
+"""Built-in groups: a person's own group, the group of an e-mail address, and the admins; creating people in them."""
 
 import uuid
 

@@ -1,6 +1,6 @@
-"""The built web app: its page, served at the address of every view, and its files.
+"""Serves the built web app (its page and files), and what the server's own HTML pages share with it.
 
-Serves only files that were built with the wheel or by `make setup`; names cannot leave their folder.
+Serves only files that were built with the wheel or by `make setup`; names cannot escape their folder.
 """
 
 import re

@@ -1,4 +1,4 @@
-"""Sizes, durations and dates as text, converted exactly both ways."""
+"""Sizes, durations and times: reading them from text and writing them as text, without rounding."""
 
 import datetime
 import math
@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from fractions import Fraction
 
-MOST = 2**63 - 1
+MAX_INTEGER = 2**63 - 1
 _NUMBER = re.compile(r"(?P<number>\d{1,20}(?:\.\d{1,20})?)\s*(?P<unit>[A-Za-z]*)", re.ASCII)
 _LETTERS = "kmgt"
 SIZES: Mapping[str, int] = {
@@ -43,7 +43,7 @@ def read_size(text: str) -> Fraction:
     base = 1024 if stem.endswith("i") else 1000
     letter = stem.removesuffix("i")
     if match is None or (letter and letter not in _LETTERS) or len(letter) > 1 or stem == "i":
-        raise ValueError("say bytes, or a number with kB, MB, GB, TB or KiB, MiB, GiB, TiB")
+        raise ValueError("write bytes, or a number with kB, MB, GB, TB or KiB, MiB, GiB, TiB")
     power: int = base ** (_LETTERS.index(letter) + 1) if letter else 1
     return Fraction(match["number"]) * power
 
@@ -52,7 +52,7 @@ def read_duration(text: str) -> Fraction:
     """Return the nanoseconds of `10m`, `1.5h`, `200ms`. Raises ValueError."""
     match = _NUMBER.fullmatch(text.strip())
     if match is None or match["unit"] not in DURATIONS:
-        raise ValueError("say a number with d, h, m, s, ms, us or ns")
+        raise ValueError("write a number with d, h, m, s, ms, us or ns")
     return Fraction(match["number"]) * DURATIONS[match["unit"]]
 
 
@@ -62,13 +62,13 @@ def bounds(operator: str, amount: Fraction) -> tuple[int | None, int | None]:
     Raises ValueError.
     """
     lowest, highest = math.ceil(amount), math.floor(amount)
-    least = {">": highest + 1, ">=": lowest, ":": lowest, "=": lowest}.get(operator)
-    most = {"<": lowest - 1, "<=": highest, ":": highest, "=": highest}.get(operator)
-    if most is not None and most < 0:
+    minimum = {">": highest + 1, ">=": lowest, ":": lowest, "=": lowest}.get(operator)
+    maximum = {"<": lowest - 1, "<=": highest, ":": highest, "=": highest}.get(operator)
+    if maximum is not None and maximum < 0:
         raise ValueError("nothing is smaller than 0")
-    if (least or 0) > MOST or (most or 0) > MOST:
-        raise ValueError("nothing is so large")
-    return least, most
+    if (minimum or 0) > MAX_INTEGER or (maximum or 0) > MAX_INTEGER:
+        raise ValueError("the number is too large")
+    return minimum, maximum
 
 
 def format_bound(operator: str, number: int, units: Mapping[str, int]) -> str:
@@ -81,14 +81,22 @@ def format_bound(operator: str, number: int, units: Mapping[str, int]) -> str:
 
 
 def read_time(text: str) -> datetime.datetime:
-    """Return the time of `2026`, `2026-05`, `2026-05-01` (their beginning) or `2026-05-01T10:00Z`; UTC unless it says.
+    """Return the time of `2026`, `2026-05`, `2026-05-01` (their beginning) or `2026-05-01T10:00Z`; UTC without zone.
 
     Raises ValueError.
     """
+    text = text.strip()
     try:
-        return _read_time(text.strip())
+        if date := _DATE.fullmatch(text):
+            return datetime.datetime(int(date["year"]), int(date["month"] or 1), int(date["day"] or 1), tzinfo=_UTC)
+        text = text[:-1] + "+00:00" if text[-1:] in {"Z", "z"} else text
+        if (zone := _ZONE.search(text)) and len(zone[0]) < len("+00:00"):
+            hours, minutes = zone[0][:3], zone[0][3:].lstrip(":") or "00"
+            text = f"{text[: zone.start()]}{hours}:{minutes}"
+        at = datetime.datetime.fromisoformat(text)
+        return at.astimezone(_UTC) if at.tzinfo else at.replace(tzinfo=_UTC)
     except (ValueError, OverflowError):
-        raise ValueError("say a time as 2026-05-01 or 2026-05-01T10:00Z, a year or a month by itself too") from None
+        raise ValueError("write a time as 2026, 2026-05, 2026-05-01 or 2026-05-01T10:00Z") from None
 
 
 def format_time(at: datetime.datetime) -> str:
@@ -105,19 +113,8 @@ def format_time(at: datetime.datetime) -> str:
 def read_month(text: str) -> str:
     """Return a month such as `2026-05`. Raises ValueError."""
     if _MONTH.fullmatch(text) is None:
-        raise ValueError("say a month as 2026-05")
+        raise ValueError("write a month as 2026-05")
     return text
-
-
-def _read_time(text: str) -> datetime.datetime:
-    if date := _DATE.fullmatch(text):
-        return datetime.datetime(int(date["year"]), int(date["month"] or 1), int(date["day"] or 1), tzinfo=_UTC)
-    text = text[:-1] + "+00:00" if text[-1:] in {"Z", "z"} else text
-    if (zone := _ZONE.search(text)) and len(zone[0]) < len("+00:00"):
-        hours, minutes = zone[0][:3], zone[0][3:].lstrip(":") or "00"
-        text = f"{text[: zone.start()]}{hours}:{minutes}"
-    at = datetime.datetime.fromisoformat(text)
-    return at.astimezone(_UTC) if at.tzinfo else at.replace(tzinfo=_UTC)
 
 
 def _format(number: int, units: Mapping[str, int]) -> str:
@@ -165,7 +162,7 @@ def _in_utc(match: re.Match[str]) -> datetime.datetime:
 
 
 def nanoseconds(at: datetime.datetime) -> int:
-    """Return a time as nanoseconds since 1970 UTC, held within what a bigint takes; without zone it is UTC."""
+    """Return a time as nanoseconds since 1970 UTC, limited to the range of a bigint; without zone it is UTC."""
     aware = at if at.tzinfo else at.replace(tzinfo=datetime.timezone.utc)
     microseconds = (aware - _EPOCH) // datetime.timedelta(microseconds=1)
     return min(max(microseconds * 1000, _MIN_NS), _MAX_NS)

@@ -1,4 +1,4 @@
-"""What routes that sign browsers in share: attempt limits, password hashing, and the session cookie.
+"""Dependencies of sign-in routes: limits on attempts, password hashing, and the session cookie.
 
 With TLS, cookies have the prefix `__Host-`, so that neither other hosts nor connections without TLS can set them.
 """
@@ -51,7 +51,7 @@ class SignInContext:
     async def count_attempt(self, account: str | None = None) -> None:
         """Count an attempt for the client's address and for the account, whether it exists or not.
 
-        Too many attempts from an address are refused; too many at an account only wait, so that nobody can lock it.
+        Too many attempts from an address are refused; too many on an account only wait, so that it cannot be locked.
 
         Raises RateLimited.
         """

@@ -1,4 +1,4 @@
-"""Logins of programs: a signed-in person approves the program in their browser, and the program gets a token.
+"""`klein login` and other programs: a person approves the program in their browser, and it gets a token.
 
 Loopback (RFC 8252 with PKCE): the browser delivers the code to 127.0.0.1. Device (RFC 8628): the person types a short
 code that the program shows. Codes expire within minutes and are valid once. The token is created when the program
@@ -14,21 +14,14 @@ from urllib.parse import urlencode
 from sqlalchemy import ColumnElement, delete, func, insert, or_, select, update
 from sqlalchemy.dialects.postgresql import insert as upsert
 
+from kleinkram.contract import accounts
 from kleinkram.contract.access import Scope
-from kleinkram.contract.accounts import (
-    CliExchange,
-    DeviceCode,
-    DeviceRead,
-    LoopbackApproval,
-    LoopbackApproved,
-    SignedIn,
-)
 from kleinkram.contract.errors import CodeGone, SignInDenied, SignInExpired, SignInPending, SlowDown
 from kleinkram.contract.metadata import Metadata
 from kleinkram.contract.names import MAX_LABEL_CHARACTERS, check_label
 from kleinkram.contract.tokens import TokenCreate
 from kleinkram.server.access.actor import Actor, find_person, secret_hash
-from kleinkram.server.audit.service import Event, record
+from kleinkram.server.audit.log import Event, audit
 from kleinkram.server.db import Connection, Database
 from kleinkram.server.settings import Settings
 from kleinkram.server.tables import login_request, session
@@ -58,7 +51,9 @@ class _Poll(NamedTuple):
     is_too_early: bool
 
 
-async def approve_loopback(db: Connection, actor: Actor, *, approval: LoopbackApproval) -> LoopbackApproved:
+async def approve_loopback(
+    db: Connection, actor: Actor, *, approval: accounts.LoopbackApproval
+) -> accounts.LoopbackApproved:
     """Approve the program that listens on a loopback port; returns the URL that delivers its code."""
     await _delete_old_requests(db)
     code = secrets.token_urlsafe(_SECRET_BYTES)
@@ -78,12 +73,14 @@ async def approve_loopback(db: Connection, actor: Actor, *, approval: LoopbackAp
             approved_session_id=actor.session_id,
         )
     )
-    await record(db, actor, Event("login.approve", "login", request_id, approval.client, None, after={"by": "browser"}))
+    await audit(db, actor, Event("login.approve", "login", request_id, approval.client, None, after={"by": "browser"}))
     query = urlencode({"code": code, "state": approval.state})
-    return LoopbackApproved(url=f"http://127.0.0.1:{approval.port}/?{query}")
+    return accounts.LoopbackApproved(url=f"http://127.0.0.1:{approval.port}/?{query}")
 
 
-async def exchange_loopback(db: Connection, guest: Actor, *, exchange: CliExchange, settings: Settings) -> SignedIn:
+async def exchange_loopback(
+    db: Connection, guest: Actor, *, exchange: accounts.CliExchange, settings: Settings
+) -> accounts.SignedIn:
     """Exchange a code that a browser delivered to the loopback for a token. Raises SignInExpired."""
     from authlib.oauth2.rfc7636 import create_s256_code_challenge
 
@@ -99,14 +96,14 @@ async def exchange_loopback(db: Connection, guest: Actor, *, exchange: CliExchan
     return await _create_token(db, guest, approval, settings)
 
 
-async def start_device_login(db: Connection, guest: Actor, *, client: str, settings: Settings) -> DeviceCode:
+async def start_device_login(db: Connection, guest: Actor, *, client: str, settings: Settings) -> accounts.DeviceCode:
     """Return a code that the program shows, and a secret with which it polls."""
     await _delete_old_requests(db)
     secret = secrets.token_urlsafe(_SECRET_BYTES)
     user_code = await _create_user_code(db, guest, client=client, secret=secret)
     formatted_code = f"{user_code[:4]}-{user_code[4:]}"
     page = f"{settings.public_url.rstrip('/')}/sign-in/device"
-    return DeviceCode(
+    return accounts.DeviceCode(
         device_code=secret,
         user_code=formatted_code,
         verification_url=page,
@@ -116,12 +113,14 @@ async def start_device_login(db: Connection, guest: Actor, *, client: str, setti
     )
 
 
-async def exchange_device_code(database: Database, guest: Actor, *, device_code: str, settings: Settings) -> SignedIn:
+async def exchange_device_code(
+    database: Database, guest: Actor, *, device_code: str, settings: Settings
+) -> accounts.SignedIn:
     """Exchange a device code for a token. Raises SignInPending, SlowDown, SignInDenied or SignInExpired."""
     condition = (login_request.c.secret_sha256 == secret_hash(device_code)) & (
         login_request.c.kind == LoginKind.device.value
     )
-    async with database.begin() as db:  # the poll counts, whatever its result
+    async with database.begin() as db:  # of its own, so that every poll counts
         poll = await _record_poll(db, condition)
     if poll is None:
         raise SignInExpired
@@ -138,16 +137,18 @@ async def exchange_device_code(database: Database, guest: Actor, *, device_code:
     raise SignInExpired
 
 
-async def get_device_login(db: Connection, user_code: str) -> DeviceRead:
+async def get_device_login(db: Connection, user_code: str) -> accounts.DeviceRead:
     """Return the program that shows a code. Raises CodeGone."""
     columns = (login_request.c[name] for name in ("label", "address", "created_at", "expires_at"))
     row = (await db.execute(select(*columns).where(_is_undecided(user_code)))).one_or_none()
     if row is None:
         raise CodeGone
-    return DeviceRead(client=row.label, address=row.address, created_at=row.created_at, expires_at=row.expires_at)
+    return accounts.DeviceRead(
+        client=row.label, address=row.address, created_at=row.created_at, expires_at=row.expires_at
+    )
 
 
-async def approve_device(db: Connection, actor: Actor, user_code: str) -> DeviceRead:
+async def approve_device(db: Connection, actor: Actor, user_code: str) -> accounts.DeviceRead:
     """Approve the program that shows a code. Raises CodeGone."""
     approval = {
         "approved_at": func.now(),
@@ -157,19 +158,23 @@ async def approve_device(db: Connection, actor: Actor, user_code: str) -> Device
     return await _decide(db, actor, user_code, approval, "login.approve")
 
 
-async def deny_device(db: Connection, actor: Actor, user_code: str) -> DeviceRead:
+async def deny_device(db: Connection, actor: Actor, user_code: str) -> accounts.DeviceRead:
     """Deny the program that shows a code. Raises CodeGone."""
     return await _decide(db, actor, user_code, {"denied_at": func.now()}, "login.deny")
 
 
-async def _decide(db: Connection, actor: Actor, user_code: str, values: dict[str, Any], operation: str) -> DeviceRead:
+async def _decide(
+    db: Connection, actor: Actor, user_code: str, values: dict[str, Any], operation: str
+) -> accounts.DeviceRead:
     stmt = update(login_request).where(_is_undecided(user_code)).values(values).returning(*login_request.c)
     row = (await db.execute(stmt)).one_or_none()
     if row is None:
         raise CodeGone
     after = {"by": "code", "from": row.address}
-    await record(db, actor, Event(operation, "login", row.id, row.label, None, after=after))
-    return DeviceRead(client=row.label, address=row.address, created_at=row.created_at, expires_at=row.expires_at)
+    await audit(db, actor, Event(operation, "login", row.id, row.label, None, after=after))
+    return accounts.DeviceRead(
+        client=row.label, address=row.address, created_at=row.created_at, expires_at=row.expires_at
+    )
 
 
 async def _create_user_code(db: Connection, guest: Actor, *, client: str, secret: str) -> str:
@@ -216,7 +221,7 @@ async def _redeem(db: Connection, condition: ColumnElement[bool]) -> _Approval |
     return None if row is None else _Approval(*row)
 
 
-async def _create_token(db: Connection, guest: Actor, approval: _Approval, settings: Settings) -> SignedIn:
+async def _create_token(db: Connection, guest: Actor, approval: _Approval, settings: Settings) -> accounts.SignedIn:
     approver = await find_person(db, approval.approved_by_id)
     if approver is None or approver.ref is None:
         raise SignInExpired
@@ -225,14 +230,14 @@ async def _create_token(db: Connection, guest: Actor, approval: _Approval, setti
     expires_at: datetime.datetime = (await db.execute(select(ends))).scalar_one()
     request = TokenCreate(name=_as_label(approval.label), scopes=[Scope.admin], expires_at=expires_at)
     token_id, secret = await issue_token(db, approver.person_id, request=request, expires_at=expires_at)
-    actor = approver.asking(guest.operation or "", request_id=guest.request_id, address=guest.address)
+    actor = approver.for_request(guest.operation or "", request_id=guest.request_id, address=guest.address)
     after: Metadata = {
         "method": f"login by {approval.kind}",
         "prefix": secret.prefix,
         "expires_at": expires_at.isoformat(),
     }
-    await record(db, actor, Event("token.create", "token", token_id, request.name, None, after=after))
-    return SignedIn(token=secret.text, person=approver.ref, expires_at=expires_at)
+    await audit(db, actor, Event("token.create", "token", token_id, request.name, None, after=after))
+    return accounts.SignedIn(token=secret.text, person=approver.ref, expires_at=expires_at)
 
 
 async def _delete_old_requests(db: Connection) -> None:
