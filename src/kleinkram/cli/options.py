@@ -42,7 +42,7 @@ def complete_endpoint(ctx: typer.Context, incomplete: str) -> list[str]:
 
 
 def _names(path: str, kind: type[ProjectRead | MissionRead], query: list[tuple[str, str]]) -> Iterator[str]:
-    api = Api(find_endpoint(), read_timeout_s=_COMPLETION_TIMEOUT_S, has_retries=False)
+    api = Api(find_endpoint(), read_timeout_s=_COMPLETION_TIMEOUT_S, retry_timeout_s=0.0)
     yield from (row.name for row in pages(api, path, kind, query, limit=_MAX_COMPLETIONS))
 
 

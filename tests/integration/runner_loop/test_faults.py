@@ -123,7 +123,7 @@ def test_results_are_uploaded_once_the_store_is_available(server: FakeServer, ru
     ("store_says", "waits_for"),
     [
         (b"", "is unreachable or full (the store answered 503)"),  # as a proxy does in its place
-        (b"<Error><Code>InternalError</Code></Error>", "for minutes, the store answered 503 InternalError"),
+        (b"<Error><Code>InternalError</Code></Error>", "for several minutes, the store answered 503 InternalError"),
     ],
 )
 def test_results_stay_on_the_runner_while_the_store_fails(
