@@ -167,7 +167,7 @@ def test_bytes_of_another_number_are_no_recording_to_read(
 
 
 @pytest.mark.slow
-def test_every_real_recording_says_the_same_on_the_server(corpus: Corpus) -> None:
+def test_every_real_recording_has_the_same_summary_on_the_server(corpus: Corpus) -> None:
     api = corpus.api
     listed = {item["path"]: item for item in api.all("/files", {"mission_id": corpus.mission_id})}
     topics: dict[str, set[tuple[str, str, int]]] = {}

@@ -58,7 +58,7 @@ async def lock_missions_of(db: Connection, blob_ids: Iterable[uuid.UUID]) -> Non
 
 
 async def regroup_missions_of(db: Connection, blob_ids: Iterable[uuid.UUID]) -> None:
-    """Have the recordings of these blobs' missions derived anew, and publish that their files changed."""
+    """Queue the recordings of these blobs' missions to be derived again, and publish that their files changed."""
     for mission_id in await _missions_of(db, blob_ids):
         await regroup(db, mission_id)
     await publish_file_changes(db, blob_ids)
